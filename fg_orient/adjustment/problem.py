@@ -36,6 +36,7 @@ from fg_orient.model.names import Role
 from fg_orient.model.parameters import ImageParameters
 from fg_orient.sensors import initial
 from fg_orient.sensors.base import ImageModel
+from fg_orient.sensors.latitudinal import observed_by_angles
 from fg_orient.sensors.lines import on_features
 
 #: One ground point by its number, or several by numbers or by a mask.
@@ -275,7 +276,8 @@ class Problem:
     @property
     def axis_names(self) -> tuple[str, str, str]:
         """Names of these axes."""
-        return ("East", "North", "Up") if self.block.georeferenced else ("X", "Y", "Z")
+        local = not self.block.georeferenced and self.block.body is None
+        return ("X", "Y", "Z") if local else ("East", "North", "Up")
 
     def label(self, row: int) -> str:
         """Name of an image point for messages."""
@@ -378,7 +380,7 @@ def compile_problem(block: Block, like: Problem | None = None) -> Problem:
     start_ecef[part] = initial.ground_points(block.images, observations, block.points.ids, fill)[part]
     is_control = np.isin(np.arange(len(part)), control_rows)
     active = part & ~(is_control & known.fixed)
-    observed = active & is_control
+    observed = active & is_control & ~observed_by_angles(block)
     records = np.empty((0, 0)) if like is None else _records(models, observations, start_ecef, origin, same, like)
     image = np.zeros((len(models), max(len(model.parameters) for model in models)))
     start = State(image, np.where(part[:, None], start_ecef - origin, np.nan))
@@ -438,6 +440,9 @@ def _control_records(block: Block, ecef_m: Array, origin_m: Array, observed: npt
 
 def _axes(block: Block, ground_m: Array) -> Array:
     """See :meth:`Problem.axes`."""
+    body = block.body
+    if body is not None:
+        return body.axes(ground_m)
     if not block.georeferenced:
         return np.tile(np.eye(3), (len(ground_m), 1, 1))
     lon, lat, _ = np.degrees(ellipsoid.geodetic_array(np.ascontiguousarray(ground_m))).T

@@ -217,6 +217,9 @@ def image_models(images: Sequence[Image], options: Options) -> tuple[ImageModel,
             if starts.setdefault((shared, part), value) != value:
                 raise InputError.of("frame.shared", place=f"image {image.id}, {part}", value=value, id=shared)
     models = tuple(image.sensor.image_model(options) for image in images)
+    for image, model in zip(images, models, strict=True):
+        if image.held:
+            model.parameters = model.parameters.take(np.zeros(len(model.parameters), bool))
     every = {known for model in models for known in model.parameters.names}
     wrong = [unknown for unknown in options.image_unknowns if unknown not in every]
     if wrong:

@@ -120,7 +120,7 @@ def convert(
 def _scenes(sensors: dict[str, Any]) -> list[Any]:
     from fg_orient.formats.scenes import Scene
 
-    return [Scene.from_footprint(name, sensor.footprint()) for name, sensor in sensors.items()]
+    return [Scene.from_footprint(name, sensor.footprint(), sensor.body) for name, sensor in sensors.items()]
 
 
 def _show(findings: dict[str, tuple[Finding, ...]], counts: dict[str, int], written: tuple[Path, ...]) -> None:

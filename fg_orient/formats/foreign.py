@@ -125,17 +125,21 @@ def _require_whole(survey: Survey, faults: Faults) -> None:
 
 
 def read_foreign_observations(
-    table: Table, sizes: Mapping[str, tuple[int, int] | None] | None, points: PointFile | None, faults: Faults
+    table: Table,
+    sizes: Mapping[str, tuple[int, int] | None] | None,
+    points: PointFile | None,
+    faults: Faults,
+    serials: Mapping[str, str] | None = None,
 ) -> tuple[ObservationFile, PointFile] | None:
     """Read image points of known ground points; other points of the file become tie points.
 
     None, with noted errors, if anything is wrong; parameters as in
-    :func:`fg_orient.formats.points.read_observations`.
+    :func:`fg_orient.formats.points.read_observations`. ``serials``: images by the names that other programs give them.
     """
     survey = table.read(faults)
     if survey is None or sizes is None or points is None:
         return None
-    image = _images(survey, list(sizes), table.entry, faults)
+    image = _images(survey, list(sizes), table.entry, faults, serials or {})
     _check_pixels(survey, image, list(sizes.items()), faults)
     if faults:
         return None
@@ -150,12 +154,15 @@ def read_foreign_observations(
     return ObservationFile(table.path, sha256_of(*table.absolute), measured, remarks), points
 
 
-def _images(survey: Survey, known: list[str], entry: PointsEntry | ObservationsEntry, faults: Faults) -> Index:
-    """Position of each image of the file in the project: by ``images``, by its name, or by its name without suffix."""
+def _images(
+    survey: Survey, known: list[str], entry: PointsEntry | ObservationsEntry, faults: Faults, serials: Mapping[str, str]
+) -> Index:
+    """Position of each image of the file in the project: by ``images``, its name with or without suffix, its serial."""
     renamed = getattr(entry, "images", {})
     out = np.zeros(len(survey.images), np.intp)
     for k, name in enumerate(survey.images):
-        own = next((n for n in (renamed.get(name, ""), name, Path(name).stem) if n in known), None)
+        words = (renamed.get(name, ""), name, Path(name).stem, serials.get(name, ""))
+        own = next((n for n in words if n in known), None)
         if own is None:
             hint = did_you_mean(name, known)
             faults.add("observations.image_unknown", place=f"image {name}", value=repr(name), times="", hint=hint)

@@ -18,6 +18,7 @@ from factors.arrays import Array, Index
 from fg_orient.formats.both_heights import estimated
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.geodesy import (
+    BODY_FIXED,
     crs_kind,
     ecef_to_geodetic,
     geodetic_to_ecef,
@@ -107,6 +108,8 @@ def coordinates_in(system: GroundSystem, xyz_m: Array) -> tuple[Array, str]:
     This is the inverse of the conversion by readers. The second value describes the heights, "" if the CRS is
     geocentric. InputError: the CRS is unknown, a geoid file or grid is missing or does not cover a point.
     """
+    if system.crs == BODY_FIXED:
+        return xyz_m, ""
     if crs_kind(system.crs) == "geocentric":
         return from_ecef(system.crs, xyz_m)[0], ""
     lon, lat, height = ecef_to_geodetic(xyz_m)
@@ -137,7 +140,7 @@ def without_vertical(survey: Survey) -> Survey:
 
 def _flat(crs: str) -> str:
     """Code of the horizontal part of a CRS."""
-    own = known_crs(crs) if crs else None
+    own = known_crs(crs) if crs and crs != BODY_FIXED else None
     return f"EPSG:{own.sub_crs_list[0].to_epsg()}" if own is not None and own.is_compound else crs
 
 

@@ -28,7 +28,7 @@ from fg_orient.formats.heights import ZeroLevel, on_found_grid, without_vertical
 from fg_orient.formats.scenes import Scene, check_positions
 from fg_orient.formats.tables import Row, Table, read_table
 from fg_orient.formats.text_files import sha256_of
-from fg_orient.geodesy import COORDINATE_COLUMNS, Kind, Operation, crs_kind, to_ecef_with_operation
+from fg_orient.geodesy import BODY_FIXED, COORDINATE_COLUMNS, Kind, Operation, crs_kind, to_ecef_with_operation
 from fg_orient.model.arrays import having_role
 from fg_orient.model.block import Coordinates, GroundPoints, GroundSystem, ImagePoints, WithheldCoordinates
 from fg_orient.model.errors import Finding, InputError, finding
@@ -150,7 +150,9 @@ def located(survey: Survey, faults: Faults) -> tuple[Coordinates, Operation | No
     """
     ecef, operation = np.full_like(survey.coordinates, np.nan), None
     rows = np.flatnonzero(np.isfinite(survey.coordinates).all(axis=1))
-    if len(rows):
+    if survey.crs == BODY_FIXED:
+        ecef[rows] = survey.coordinates[rows]
+    elif len(rows):
         try:
             ecef[rows], operation = to_ecef_with_operation(
                 survey.crs, *survey.coordinates[rows].T, labels=[survey.place(k) for k in rows.tolist()],

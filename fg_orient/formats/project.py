@@ -6,10 +6,10 @@ to the project file.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from fg_orient.formats.assemble import assemble, geometry_remarks
 from fg_orient.formats.faults import Faults
@@ -35,7 +35,7 @@ from fg_orient.formats.schema import (
 )
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.formats.toml import parse_toml
-from fg_orient.geodesy import crs_kind
+from fg_orient.geodesy import BODY_FIXED, crs_kind
 from fg_orient.geodesy.crs import with_codes
 from fg_orient.model.block import Block, Image, Options, Source
 from fg_orient.model.constraint import foreign_members
@@ -45,10 +45,13 @@ from fg_orient.model.names import Role
 from fg_orient.model.options import Reading
 from fg_orient.model.parameters import chosen_datum, eop_set_number
 
+if TYPE_CHECKING:
+    from fg_orient.sensors.base import Sensor
+
 #: Format of our own tables.
 OWN: Final = "csv"
 #: Entries of [points] for our own table.
-OWN_POINTS: Final = {"crs", *ZeroLevel.__dataclass_fields__}
+OWN_POINTS: Final = {"crs", "latitudinal", *ZeroLevel.__dataclass_fields__}
 #: Entry of the image points of a project that has only images so far.
 NEW_OBSERVATIONS: Final = {"file": "observations.csv"}
 #: A remark of ``validate`` only: the adjustment gives the same warning about the points that it uses.
@@ -99,6 +102,7 @@ def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Bl
     problems += [*image_problems, *table_problems, *constraint_problems]
     if problems or points is None or observations is None:
         raise InputError(*problems)
+    _require_crs(images.values(), points, str(path))
     known = tuple(image for image in images.values() if image is not None)
     drop = project.values_of(Reading)["points_seen_once"] == "drop"
     ids, control = [image.id for image in known], bool(points.points.where(Role.CONTROL).size)
@@ -127,6 +131,10 @@ def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Bl
         ground=points.system,
         extra=constraints,  # type: ignore[arg-type]  # the adjustment makes observations of them
     )
+    if project.points.latitudinal:
+        from fg_orient.sensors.latitudinal import with_angles
+
+        block = with_angles(block)
     block = _navigated(block, project, folder, str(path))
     if project.lines is not None:
         from fg_orient.formats.lines import lined
@@ -310,10 +318,33 @@ def _images(project: ProjectFile, folder: Path, file: str) -> tuple[dict[str, Im
         try:
             sensor = sensor_reader.read_sensor(folder / entry.metadata, **how)
             pixels = "" if entry.pixels is None else str(folder / entry.pixels)
-            images[entry.id] = Image(entry.id, sensor, pixels, entry.pixels_origin)
+            _require_body(project, sensor)
+            images[entry.id] = Image(entry.id, sensor, pixels, entry.pixels_origin, entry.held)
         except InputError as error:
             problems += error.problems
     return images, problems
+
+
+def _require_body(project: ProjectFile, sensor: Sensor) -> None:
+    """Refuse an image on another body than that of the project."""
+    if project.body is None:
+        return
+    from fg_orient.geodesy.bodies import Body, body_named
+
+    body = body_named(project.body) if isinstance(project.body, str) else Body("body", project.body)
+    own = sensor.body
+    if own is None or not own.same(body):
+        value = "the Earth" if own is None else f"{own.name}, radii {' '.join(f'{r:.10g}' for r in own.radii_m)} m"
+        raise InputError.of("body.differs", file=sensor.file, place="radii", value=value)
+
+
+def _require_crs(images: Iterable[Image | None], points: PointFile, file: str) -> None:
+    """Refuse ground coordinates of the Earth for images on another body, and the reverse."""
+    body = next((image.sensor.body for image in images if image is not None and image.sensor.body is not None), None)
+    crs = points.system.crs
+    if crs and (body is None) == (crs == BODY_FIXED):
+        value = f"{crs}, images on {'the Earth' if body is None else body.name}"
+        raise InputError.of("body.crs", file=file, place="points.crs", value=value)
 
 
 def _tables(
@@ -345,7 +376,8 @@ def _tables(
         points = no_points(point_path, observations.ids) if ties and observations else points
     else:
         table = _foreign(project, folder, file, "observations")
-        both = read_foreign_observations(table, known_images, sound, observation_faults)
+        serials = {i.sensor.serial: name for name, i in images.items() if i is not None and i.sensor.serial}
+        both = read_foreign_observations(table, known_images, sound, observation_faults, serials)
         observations, points = both or (None, points)
     # both tables may name the same file of another program: its faults are listed once
     problems = dict.fromkeys((*crs_problems, *point_faults.problems, *observation_faults.problems))
@@ -356,7 +388,8 @@ def _scenes(images: Mapping[str, Image | None], tables: Sequence[Path]) -> list[
     """Compute footprints of the images; none if a file is missing, to report it before kernels are compiled."""
     if None in images.values() or not all(path.exists() for path in tables):
         return []
-    return [Scene.from_footprint(image.id, image.sensor.footprint()) for image in images.values() if image is not None]
+    known = [(image.id, image.sensor) for image in images.values() if image is not None]
+    return [Scene.from_footprint(name, sensor.footprint(), sensor.body) for name, sensor in known]
 
 
 def _foreign(project: ProjectFile, folder: Path, file: str, name: str) -> Table:

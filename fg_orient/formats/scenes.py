@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from factors.arrays import Array, Mask
 from fg_orient.formats.faults import Faults
 from fg_orient.geodesy import COORDINATE_COLUMNS, crs_kind, geodetic_to_ecef, to_ecef
 from fg_orient.model.errors import InputError
+
+if TYPE_CHECKING:
+    from fg_orient.geodesy.bodies import Body
 
 #: Largest distance of a plausible ground point from the image centre, in diagonals of the footprint.
 REACH: Final = 1.5
@@ -33,9 +36,13 @@ class Scene:
     diagonal_m: float
 
     @classmethod
-    def from_footprint(cls, image: str, footprint_deg: Array) -> Scene:
-        """Scene of four corners (4, 2), longitude and latitude in degrees."""
-        corners = geodetic_to_ecef(footprint_deg[:, 0], footprint_deg[:, 1], np.zeros(len(footprint_deg)))
+    def from_footprint(cls, image: str, footprint_deg: Array, body: Body | None = None) -> Scene:
+        """Scene of four corners (4, 2), longitude and latitude in degrees on a body, None for the Earth."""
+        zero = np.zeros(len(footprint_deg))
+        if body is not None:
+            corners = body.body_fixed(np.column_stack([footprint_deg, zero]))
+        else:
+            corners = geodetic_to_ecef(footprint_deg[:, 0], footprint_deg[:, 1], zero)
         apart = np.linalg.norm(corners[:, None] - corners[None], axis=2)
         return cls(image, np.asarray(corners.mean(axis=0)), float(apart.max()))
 

@@ -59,6 +59,7 @@ class ImageEntry(Table):
 
     id: Text = Field(description='a name in quotes, such as "left"')
     metadata: Text = Field(description="the path of the metadata file in quotes")
+    held: Switch = Field(default=False, description="true or false: the orientation stays as in the metadata")
     pixels: Text | None = Field(default=None, description="the path of the raster with the pixels in quotes")
     pixels_origin: tuple[Number, Number] | None = Field(
         default=None, description="two numbers: line and sample of the raster's first pixel in the scene"
@@ -85,6 +86,7 @@ class PointsEntry(_Foreign):
     undulation_m: Number | None = Field(default=None, description="a number, m")
     both_heights: Text | None = Field(default=None, description="the path of a table of both heights in quotes")
     check: tuple[Text, ...] = Field(default=(), description='ids in quotes, such as ["7", "12"]')
+    latitudinal: Switch = Field(default=False, description="true or false: observed by latitude, longitude, radius")
 
 
 class ObservationsEntry(_Foreign):
@@ -182,6 +184,7 @@ class ProjectFile(Table):
 
     schema_: Literal[1] = Field(alias="schema", description="schema = 1")
     name: Text = Field(description='a name in quotes, such as name = "zonguldak"')
+    body: Text | Three | None = Field(default=None, description='a name such as "Moon", or three radii in m')
     images: tuple[ImageEntry, ...] = Field(
         min_length=1, description="at least one [[images]] table with id and metadata"
     )

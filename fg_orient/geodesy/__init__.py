@@ -33,6 +33,8 @@ __all__ = ["ecef_to_geodetic", "enu_from_ecef", "from_geographic", "geodetic_to_
 Kind = Literal["geographic", "projected", "geocentric"]
 
 ECEF: Final = "EPSG:4978"
+#: In place of a code: Cartesian coordinates, m, in the axes of the body of the images, whichever it is.
+BODY_FIXED: Final = "body-fixed"
 #: WGS84 as PROJ and EPSG define it.
 _A_M: Final = 6378137.0
 _E2: Final = (2.0 - 1.0 / 298.257223563) / 298.257223563
@@ -83,6 +85,8 @@ def crs_kind(crs: str) -> Kind:
 
     InputError if the code is unknown, or its axes are not degrees / metres towards east, north, up.
     """
+    if crs == BODY_FIXED:
+        return "geocentric"
     source = spatial_crs(crs)
     tests: dict[Kind, bool] = {
         "geocentric": source.is_geocentric, "projected": source.is_projected, "geographic": source.is_geographic,

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from factors.arrays import Array
 from fg_orient.geodesy import (
+    BODY_FIXED,
     Operation,
     area_of_use,
     crs_kind,
@@ -53,6 +54,8 @@ def epsg_code(text: str) -> str:
     ``EPSG:n``, or ``EPSG:n+m`` if it has a vertical part; "" if it is not a CRS of EPSG.
     """
     words = text.strip()
+    if words == BODY_FIXED:
+        return words
     within("crs_characters", len(words), place="CRS", unit="characters")
     zone = _UTM.fullmatch(words)
     if zone:
@@ -100,6 +103,14 @@ def vertical_code(text: str) -> str:
     known = codes or [names[name][0] for name in close]
     hint = ", ".join(f"{known_crs(f'EPSG:{code}').name} (EPSG:{code})" for code in known) or "EGM96 (EPSG:5773)"
     raise InputError.of("geodesy.vertical_name", place="crs", value=text, hint=hint)
+
+
+def crs_names(authority: str) -> list[tuple[str, str]]:
+    """Names and codes of all CRS of an authority in PROJ's database."""
+    from pyproj.database import query_crs_info
+
+    offline_pyproj()
+    return [(one.name, one.code) for one in query_crs_info(auth_name=authority)]
 
 
 @cache

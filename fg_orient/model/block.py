@@ -22,6 +22,7 @@ from fg_orient.model.options import Options as Options
 
 if TYPE_CHECKING:
     from factors._contract import Equation
+    from fg_orient.geodesy.bodies import Body
     from fg_orient.sensors.base import Sensor
 
 
@@ -38,13 +39,14 @@ class Image:
     """One image: its id and the sensor that binds its metadata to the equations.
 
     ``pixels`` and ``pixels_origin`` are the entries of the project file: path of its raster, and line and sample of the
-    first pixel of that.
+    first pixel of that. The orientation of a ``held`` image stays as in its metadata.
     """
 
     id: str
     sensor: Sensor
     pixels: str = ""
     pixels_origin: tuple[float, float] | None = None
+    held: bool = False
 
     def __post_init__(self) -> None:
         if fault := arrays.name_fault(self.id):
@@ -392,6 +394,17 @@ class Block:
     def georeferenced(self) -> bool:
         """True for Earth-fixed coordinates, False for metres of a local Cartesian system."""
         return all(image.sensor.georeferenced for image in self.images)
+
+    @property
+    def body(self) -> Body | None:
+        """Body other than the Earth on which the ground points lie; InputError if the images lie on different ones."""
+        bodies = [image.sensor.body for image in self.images]
+        first = bodies[0] if bodies else None
+        for image, body in zip(self.images, bodies, strict=True):
+            if (body is None) != (first is None) or (body is not None and first is not None and not body.same(first)):
+                value = "the Earth or a local system" if body is None else body.name
+                raise InputError.of("body.mixed", place=f"image {image.id}", value=value)
+        return first
 
     def image_index(self, image_id: str) -> int:
         """Index of the image with this id."""

@@ -24,6 +24,7 @@ from fg_orient.adjustment.rows import Rows
 from fg_orient.quality.elimination import UNOBSERVABLE
 from fg_orient.quality.structure import named, of_ids
 from fg_orient.sensors.frame_unknowns import NAVIGATION
+from fg_orient.sensors.latitudinal import observed_by_angles
 
 Effect = Callable[[Array, Array], Array]
 
@@ -105,7 +106,7 @@ class _Part:
         ground, image, point = problem.start.ground, problem.observations.image, problem.observations.point
         mine = np.flatnonzero(np.isin(image, images))
         points = np.unique(point[mine])
-        control = points[problem.observed[points] | ~problem.active[points]]
+        control = points[(problem.observed | observed_by_angles(problem.block) | ~problem.active)[points]]
         ids, on = problem.block.points.ids, problem.on_features
         chords = dict(on[ids[j]] for j in points if ids[j] in on) if on else {}
         axes, middle = problem.axes(problem.origin_m[None])[0], np.zeros(3)

@@ -37,6 +37,7 @@ from fg_orient.quality.motions import SHIFT_M, Effect, FreeMotions, free_motions
 from fg_orient.quality.structure import Structure, analyse_structure, named
 from fg_orient.quality.weakest import Weakest, weakest
 from fg_orient.sensors.base import ImageModel
+from fg_orient.sensors.latitudinal import observed_by_angles
 
 #: Least singular value of directions that the observations determine better than the prior.
 DETERMINED: Final = 1.0
@@ -405,7 +406,9 @@ def _parts(problem: Problem, structure: Structure) -> Finding:
     for p in range(structure.n_parts):
         images = [problem.block.images[k].id for k in np.flatnonzero(structure.part == p)]
         points = np.flatnonzero(structure.point_part == p)
-        control = [ids[j] for j in points[problem.observed[points] | ~problem.active[points]]]
+        control = [
+            ids[j] for j in points[(problem.observed | observed_by_angles(problem.block) | ~problem.active)[points]]
+        ]
         known = f"control points {named(control)}" if control else "no control point"
         parts.append(f"images {named(images)} ({len(points)} points, {known})")
     return finding("solution.parts", n=structure.n_parts, parts=parts)

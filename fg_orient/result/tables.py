@@ -32,6 +32,7 @@ from fg_orient.result.record import START_POINTS, TABLES
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.problem import Problem
+    from fg_orient.model.block import Block
     from fg_orient.orientation.solution import Solution
 
 EOP_COLUMNS: Final = (
@@ -60,7 +61,7 @@ def tables_of(solution: Solution, cofactors: Array) -> dict[str, Table]:
 def start_points(problem: Problem) -> dict[str, Table]:
     """Return the table of start values of the points, the only table if the block was not adjusted."""
     points, ground = problem.block.points, problem.start.ground + problem.origin_m
-    lon, lat, _ = _geodetic_deg(ground, problem.block.georeferenced).T
+    lon, lat, _ = _geodetic_deg(ground, problem.block).T
     columns = (points.ids, [role.value for role in points.roles], _ray_counts(problem), lon, lat)
     return {START_POINTS: Table(dict(zip(TABLES[START_POINTS], columns, strict=True)))}
 
@@ -70,11 +71,14 @@ def _ray_counts(problem: Problem) -> Index:
     return np.bincount(problem.block.observations.point, minlength=len(problem.block.points.ids))
 
 
-def _geodetic_deg(ground_m: Array, georeferenced: bool) -> Array:
+def _geodetic_deg(ground_m: Array, block: Block) -> Array:
     """Return longitude, latitude (degrees) and height (N, 3) of ECEF coordinates; nan for missing coordinates."""
     out = np.full_like(ground_m, np.nan)
     known = np.isfinite(ground_m).all(axis=1)
-    if georeferenced and known.any():
+    body = block.body
+    if body is not None and known.any():
+        out[known] = body.coordinates(ground_m[known])
+    elif block.georeferenced and known.any():
         out[known] = ellipsoid.geodetic_array(np.ascontiguousarray(ground_m[known]))
         out[:, :2] = np.degrees(out[:, :2])
     return out
@@ -137,7 +141,7 @@ def point_columns(solution: Solution, cofactors: Array) -> dict[str, Column]:
         own[group.index] = group.own_sigma_enu_m
     complete = np.asarray(np.isfinite(sigma).all(axis=1))
     scales = [name if whole else "" for whole in complete.tolist()]
-    lon, lat, height = _geodetic_deg(ground, solution.block.georeferenced).T
+    lon, lat, height = _geodetic_deg(ground, solution.block).T
     return {
         "id": points.ids, "role": [role.value for role in points.roles], "n_rays": _ray_counts(solution.problem),
         "lon_deg": lon, "lat_deg": lat, "height_m": height, **of_axes("{}_m", "xyz", ground),

@@ -24,6 +24,7 @@ from fg_orient.sensors.surface import landed
 
 if TYPE_CHECKING:
     from factors._contract import Equation
+    from fg_orient.geodesy.bodies import Body
     from fg_orient.model.block import ImagePoints, Options
     from fg_orient.model.parameters import ImageParameters
     from fg_orient.sensors.metadata import FramePoint
@@ -85,7 +86,11 @@ class Sensor(ABC):
     file : str
         Name of the metadata file.
     georeferenced : bool
-        Ground points are Earth-fixed; else metres of a local Cartesian system.
+        Ground points are Earth-fixed; else metres of a local Cartesian system, or fixed to ``body``.
+    body : Body or None
+        Body other than the Earth, whose axes the ground points have.
+    serial : str
+        Name of the image in networks of other programs, if it has one.
     orients : bool
         The metadata tell where the image lies: they define the datum of a block without control points.
     notes : tuple of Finding
@@ -104,6 +109,8 @@ class Sensor(ABC):
     first_sample: float
     last_sample: float
     georeferenced: bool = True
+    body: Body | None = None
+    serial: str = ""
     orients: bool = True
     notes: tuple[Finding, ...] = ()
     frame_points: tuple[FramePoint, ...] = ()
@@ -169,7 +176,7 @@ class Sensor(ABC):
         InputError
             A ray misses the surface, the DEM does not cover it, or the image is not georeferenced.
         """
-        if not self.georeferenced:
+        if not self.georeferenced and self.body is None:
             raise InputError.of("frame.local", file=self.file, place="locate")
         line, sample = same_length(line, sample)
         self.require_inside(line, sample)
@@ -180,7 +187,7 @@ class Sensor(ABC):
     ) -> Array:
         """Ground points of pixels (N,) inside the image."""
         p, u = self.rays(line, sample, correction)
-        return landed(p, u, height_m, dem, (line, sample), self.file)
+        return landed(p, u, height_m, dem, (line, sample), self.file, self.body)
 
     def correction_of(self, values: Mapping[str, float], options: Options) -> Any:
         """Correction from the values of the unknowns by name, in physical units, as in a result folder.
@@ -206,9 +213,11 @@ class Sensor(ABC):
 
     def footprint(self) -> Array:
         """Corners in image order, clockwise: (4, 2) longitude, latitude in degrees; (0, 2) if not georeferenced."""
-        if not self.georeferenced:
+        if not self.georeferenced and self.body is None:
             return np.zeros((0, 2))
         corners = self.locate(*self.corners(), height_m=self.mean_height_m)
+        if self.body is not None:
+            return self.body.coordinates(corners)[:, :2]
         return np.degrees(ellipsoid.geodetic_array(corners)[:, :2])
 
     def is_inside(self, line: Array, sample: Array) -> Mask:

@@ -9,6 +9,8 @@ the peak of a cell, is bisected. The highest value is that of the squares of the
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import numpy.typing as npt
 
@@ -17,6 +19,9 @@ from factors.geometry import ellipsoid
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.correction import HeightSurface
 from fg_orient.sensors.dem import EDGE, PLAUSIBLE_M, UNDULATION_RANGE_M, RasterDem, groups
+
+if TYPE_CHECKING:
+    from fg_orient.geodesy.bodies import Body
 
 __all__ = ["RasterDem"]
 
@@ -76,22 +81,25 @@ def on_surface(position_m: Array, direction: Array, dem: HeightSurface, file: st
 
 def landed(
     position_m: Array, direction: Array, height_m: npt.ArrayLike | None, dem: HeightSurface | None,
-    pixels: tuple[Array, Array], file: str,
+    pixels: tuple[Array, Array], file: str, body: Body | None = None,
 ) -> Array:  # fmt: skip
     """Points (N, 3) ECEF m of N rays on a DEM (:func:`on_surface`), or at ellipsoidal heights (default 0).
 
-    ``pixels`` are two (N,) arrays, line and sample of the rays; they and ``file`` are for messages.
+    ``pixels`` are two (N,) arrays, line and sample of the rays; they and ``file`` are for messages. Points on another
+    ``body`` than the Earth are fixed to it.
 
     Raises
     ------
     InputError
         A ray does not reach its height or the DEM.
     """
+    if dem is not None and body is not None:
+        raise InputError.of("body.dem", file=file, place=dem.path, value=body.name)
     if dem is not None:
         return on_surface(position_m, direction, dem, file)
     # a copy: the kernel would be compiled again for a read-only array, which one height for all rays gives
     h = np.array(np.broadcast_to(np.asarray(0.0 if height_m is None else height_m, float), pixels[0].shape))
-    ground = ellipsoid.intersect(position_m, direction, h)
+    ground = (ellipsoid if body is None else body).intersect(position_m, direction, h)
     bad = np.flatnonzero(~np.isfinite(ground).all(axis=1))
     if len(bad):
         line, sample = (values[bad[0]] for values in pixels)

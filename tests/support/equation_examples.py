@@ -15,6 +15,7 @@ from factors._contract import Array, Equation
 from factors.cameras import dlt as dlt_equation
 from factors.cameras import (
     frame,
+    frame_angles,
     frame_corrections,
     frame_extended,
     plane,
@@ -22,7 +23,17 @@ from factors.cameras import (
     pushbroom_record,
     rfm_equation,
 )
-from factors.conditions import circles, constraints, control, coplanarity, curves, navigation, similarity, surfaces
+from factors.conditions import (
+    circles,
+    constraints,
+    control,
+    coplanarity,
+    curves,
+    latitudinal,
+    navigation,
+    similarity,
+    surfaces,
+)
 from factors.conditions.navigation import ATTITUDE, POSITION
 from factors.geometry import rotations
 
@@ -86,6 +97,40 @@ def frame_collinearity(rng: np.random.Generator) -> Example:
     )  # fmt: skip
     x = rng.normal(size=len(setup[0]))
     return Example(record, np.ascontiguousarray(setup), (x, ground + rng.normal(scale=1.0, size=3)))
+
+
+def frame_angles_collinearity(rng: np.random.Generator) -> Example:
+    """Camera that looks forwards or backwards along its third axis; any angles, subsets of unknowns."""
+    angles, inertial, mounting = rng.uniform(-1.4, 1.4, 3), random_rotation(rng), random_rotation(rng)
+    centre, focal = rng.normal(scale=1e3, size=3), rng.choice([-1.0, 1.0]) * rng.uniform(20.0, 200.0)
+    f, s, t = 0.5 * np.pi + angles[0], 0.5 * np.pi - angles[1], angles[2]
+    rotation = mounting @ _axis_turn(2, t) @ _axis_turn(0, s) @ _axis_turn(2, f) @ inertial
+    ideal = rng.uniform(-0.4, 0.4, 2)
+    ground = centre + rotation.T @ (rng.uniform(50.0, 500.0) * np.array([*ideal, 1.0]) * np.sign(focal))
+    codes = np.sort(rng.permutation(6)[: rng.integers(1, 7)])
+    sigma = np.repeat([3.0, rng.choice([1e-5, 1e-3, 0.1])], 3)
+    record = frame_angles.RECORD.pack(
+        ideal=focal * ideal, whitening=rng.normal(scale=100.0, size=4), angles=angles, inertial=inertial.ravel(),
+        mounting=mounting.ravel(), centre=centre, focal=focal,
+    )  # fmt: skip
+    setup = np.ascontiguousarray(np.stack([codes.astype(float), sigma[codes]]))
+    return Example(record, setup, (rng.normal(size=len(codes)), ground + rng.normal(size=3)))
+
+
+def _axis_turn(axis: int, angle: float) -> Array:
+    """Rotation of the axes about one of them."""
+    i, j, out = (axis + 1) % 3, (axis + 2) % 3, np.eye(3)
+    out[[i, i, j, j], [i, j, i, j]] = np.cos(angle), np.sin(angle), -np.sin(angle), np.cos(angle)
+    return out
+
+
+def latitudinal_point(rng: np.random.Generator) -> Example:
+    """Point near its observed place, anywhere on a sphere but the poles."""
+    lon, lat, radius = rng.uniform(-np.pi, np.pi), rng.uniform(-1.4, 1.4), rng.uniform(1e3, 1e4)
+    place = radius * np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+    origin = place + rng.normal(scale=100.0, size=3)
+    record = latitudinal.RECORD.pack(origin=origin, observed=[lon, lat, radius], sigma=rng.uniform(0.5, 50.0, 3))
+    return Example(record, _NONE, (place - origin + rng.normal(scale=30.0, size=3),))
 
 
 def rational_function(rng: np.random.Generator) -> Example:
@@ -275,6 +320,7 @@ def _factors(n: int) -> Callable[[np.random.Generator], Array]:
 #: Function that draws a state, by the name of the equation.
 EXAMPLES: dict[str, Callable[[np.random.Generator], Example]] = {
     "look_angle_collinearity": look_angle_collinearity,
+    "frame_angles": frame_angles_collinearity,
     "frame_collinearity": frame_collinearity,
     "frame_extended": frame_extended_collinearity,
     "rational_function": rational_function,
@@ -287,6 +333,7 @@ EXAMPLES: dict[str, Callable[[np.random.Generator], Example]] = {
     "line_scanner_dlt": plane_transformation(8, 3),
     "control_point": control_point,
     "curve_control": curve_point,
+    "latitudinal_point": latitudinal_point,
     "height_control": _simple(lambda rng: rng.normal(size=control.HEIGHT.size), 3),
     "antenna_position": antenna_position,
     "inertial_attitude": inertial_attitude,

@@ -161,7 +161,7 @@ class Fit:
         self.sensors, self.marks, self.lift_m = sensors, marks, lift_m
         self.used = np.array([k for k, name in enumerate(marks.ids) if name in row], np.intp)
         self.rows = np.array([row[marks.ids[k]] for k in self.used], np.intp)
-        self.scenes = [Scene.from_footprint(name, s.footprint()) for name, s in sensors.items()]
+        self.scenes = [Scene.from_footprint(name, s.footprint(), s.body) for name, s in sensors.items()]
         self.gsd_m = {name: _gsd_m(s) for name, s in sensors.items()}
 
     def in_ecef(self, crs: str, coordinates: Array) -> Array | None:

@@ -16,7 +16,8 @@ from fg_orient.model.messages.entry import Entry
 
 #: Modules with a table of entries each.
 MODULES: Final = (
-    "adjustment", "closerange", "exchange", "files", "match", "office", "program", "rectify", "sensors", "studies",
+    "adjustment", "closerange", "exchange", "files", "match", "office", "planetary", "program", "rectify", "sensors",
+    "studies",
 )  # fmt: skip
 CATALOGUE: Final[dict[str, Entry]] = {
     code: entry for name in MODULES for code, entry in import_module(f"{__name__}.{name}").WORDS.items()

@@ -1,0 +1,97 @@
+"""Values of a JSON file by path, with one line of error for a value that is missing or impossible."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from factors.arrays import Array
+from fg_orient.formats.faults import Faults
+from fg_orient.formats.text_files import read_text
+from fg_orient.model.errors import InputError
+
+_ABSENT: Final = object()
+
+
+class JsonFile:
+    """An object of a JSON file.
+
+    Parameters
+    ----------
+    path : Path
+        For messages.
+    values : dict
+    """
+
+    def __init__(self, path: Path, values: dict[str, Any]) -> None:
+        self.path, self.values = path, values
+
+    @classmethod
+    def read(cls, path: Path, *, skip: int = 0) -> JsonFile:
+        """Read a file without its first ``skip`` lines.
+
+        Raises
+        ------
+        InputError
+            It cannot be read, or it is not one object in JSON.
+        """
+        faults = Faults(str(path))
+        text = read_text(path, faults)
+        faults.raise_if_any()
+        body = (text or "").split("\n", skip)[-1]
+        try:
+            values = json.loads(body, parse_constant=lambda word: word)
+        except json.JSONDecodeError as error:
+            line = f"line {error.lineno + skip}"
+            raise InputError.of("json.syntax", file=path, place=line, value=error.msg) from None
+        except RecursionError:
+            raise InputError.of("json.syntax", file=path, value="too many levels") from None
+        if not isinstance(values, dict):
+            raise InputError.of("json.object", file=path, value=type(values).__name__)
+        return cls(path, values)
+
+    def value(self, place: str, default: Any = _ABSENT) -> Any:
+        """Value at a path such as ``instrument_position.positions``; null counts as missing."""
+        at: Any = self.values
+        for key in place.split("."):
+            at = at.get(key) if isinstance(at, dict) else None
+        if at is None:
+            if default is _ABSENT:
+                raise InputError.of("json.missing", file=self.path, place=place)
+            return default
+        return at
+
+    def numbers(self, place: str, *shape: int, default: Any = _ABSENT) -> Array:
+        """Finite numbers of a shape, in which -1 stands for any length above 0."""
+        given = self.value(place, default)
+        try:
+            out = np.array(given, float)
+        except (TypeError, ValueError):
+            out = np.full(1, np.nan)
+        pairs = zip(out.shape, shape, strict=False)
+        fits = out.ndim == len(shape) and all(n == m or (m == -1 and n > 0) for n, m in pairs)
+        if not fits or not np.isfinite(out).all() or isinstance(given, bool):
+            expected = " x ".join("any number" if n == -1 else str(n) for n in shape) or "one number"
+            raise InputError.of("json.numbers", file=self.path, place=place, value=repr(given)[:60], expected=expected)
+        return out
+
+    def number(self, place: str, default: Any = _ABSENT) -> float:
+        """One finite number."""
+        return float(self.numbers(place, default=default))
+
+    def count(self, place: str) -> int:
+        """Number of lines or samples: a whole number from 1 to a million."""
+        value = self.number(place)
+        if value != int(value) or not 1 <= value <= 1_000_000:
+            raise InputError.of("json.count", file=self.path, place=place, value=value)
+        return int(value)
+
+    def text(self, place: str, default: Any = _ABSENT) -> str:
+        """Text."""
+        value = self.value(place, default)
+        if not isinstance(value, str):
+            raise InputError.of("json.text", file=self.path, place=place, value=repr(value)[:60])
+        return value

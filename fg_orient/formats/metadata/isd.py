@@ -1,0 +1,214 @@
+"""Frame images from image support data (ISD) of ALE, JSON, ``name_model = USGS_ASTRO_FRAME_SENSOR_MODEL``.
+
+An ISD has positions (km) and rotations (quaternions, scalar first, and constant rotations behind them) in an inertial
+frame, the rotation of the body, the focal length (mm), the affine map of the detector, summing and distortion. States
+of several times are interpolated at the centre time: positions by a cubic Hermite spline, rotations by the shortest
+way.
+
+ISIS's labels of the same name (``.pvl``, ``.lbl`` beside the ISD) complete it: group ``AlphaCube`` has the reduction of
+an image, ``Instrument`` the serial number. The distortion of metric cameras is in ``naif_keywords`` (``OD_K``,
+``DECENTER``, ``PP``), if ``optical_distortion`` is zero. A detector without a centre begins in the middle of the scan.
+The sign of the focal length follows from the direction of the body: some cameras look along their third axis backwards.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+from scipy.spatial.transform import Rotation, Slerp
+
+from factors.arrays import Array
+from factors.geometry.rotations import quaternion_matrices
+from fg_orient.formats.json_files import JsonFile
+from fg_orient.formats.pvl import Pvl, read_pvl
+from fg_orient.formats.registry import Format
+from fg_orient.geodesy.bodies import Body, known_bodies
+from fg_orient.model.errors import Finding, InputError, finding
+from fg_orient.sensors.focal_plane import Detector, Distortion
+from fg_orient.sensors.framing import FramingCamera, FramingSensor, Taken, angles_of
+
+MODEL: Final = "USGS_ASTRO_FRAME_SENSOR_MODEL"
+LABELS: Final = (".pvl", ".lbl", ".cub")
+#: Largest time, s, between the states of an image and its centre time if there is one state only.
+NEAR_S: Final = 0.1
+#: Distortions of an ISD and the models of ``focal_plane``.
+_DISTORTION: Final = {"radial": "radial", "transverse": "transverse"}
+
+
+def read_isd(path: str | Path) -> FramingSensor:
+    """Read an ISD and the label beside it.
+
+    Raises
+    ------
+    InputError
+        A file is unusable; the message names the value.
+    """
+    path = Path(path)
+    isd, label = JsonFile.read(path), _label(path)
+    if isd.text("name_model") != MODEL:
+        raise InputError.of("isd.model", file=path, place="name_model", value=isd.text("name_model"), known=MODEL)
+    time = isd.number("center_ephemeris_time")
+    lines, samples = isd.count("image_lines"), isd.count("image_samples")
+    inertial = (_constant(isd, "body_rotation") @ _turn(isd, "body_rotation", time)).T
+    position = 1e3 * _position(isd, time)
+    turn, mounting = _turn(isd, "instrument_pointing", time), _constant(isd, "instrument_pointing")
+    distortion, notes = _distortion(isd)
+    detector = _detector(isd, label, (lines, samples))
+    focal = _focal(isd, mounting @ turn, position)
+    camera = FramingCamera(position, angles_of(turn), mounting, inertial, focal, detector, distortion)
+    taken = Taken(isd.text("name_platform", ""), isd.text("name_sensor", ""), _serial(label), "ISD")
+    return FramingSensor(camera, lines, samples, _body(isd), taken=taken, file=str(path), notes=notes)
+
+
+def _label(path: Path) -> Pvl | None:
+    """Label beside an ISD, if there is one."""
+    found = next((p for suffix in LABELS if (p := path.with_suffix(suffix)).is_file()), None)
+    return None if found is None else read_pvl(found)
+
+
+def _group(label: Pvl | None, name: str) -> Pvl | None:
+    return None if label is None else next(label.every(name), None)
+
+
+def _serial(label: Pvl | None) -> str:
+    """Serial number as ISIS makes it: platform, instrument, start time; "" without a label."""
+    own = _group(label, "Instrument")
+    if own is None:
+        return ""
+    parts = (own.text("SpacecraftName", "").replace(" ", ""), own.text("InstrumentId", ""), own.text("StartTime", ""))
+    return "/".join(parts) if all(parts) else ""
+
+
+def _state(isd: JsonFile, place: str, time: float, key: str, width: int) -> tuple[Array, Array]:
+    """Times (n,) and values (n, width) of the states of an ISD; the centre time must lie among them."""
+    values = isd.numbers(f"{place}.{key}", -1, width)
+    times = isd.numbers(f"{place}.ephemeris_times", len(values))
+    near = NEAR_S if len(times) == 1 else 0.0
+    if (np.diff(times) <= 0.0).any() or not times[0] - near <= time <= times[-1] + near:
+        raise InputError.of("isd.times", file=isd.path, place=f"{place}.ephemeris_times",
+                            value=f"{times[0]:.6f} .. {times[-1]:.6f}", time=time)  # fmt: skip
+    return times, values
+
+
+def _position(isd: JsonFile, time: float) -> Array:
+    """Position (3,) km at the centre time."""
+    times, values = _state(isd, "instrument_position", time, "positions", 3)
+    if len(times) == 1:
+        return np.asarray(values[0])
+    velocities = isd.numbers("instrument_position.velocities", len(times), 3)
+    return np.asarray(CubicHermiteSpline(times, values, velocities)(time))
+
+
+def _turn(isd: JsonFile, place: str, time: float) -> Array:
+    """Rotation (3, 3) of the states at the centre time, from inertial axes."""
+    times, values = _state(isd, place, time, "quaternions", 4)
+    if (np.abs(np.linalg.norm(values, axis=1) - 1.0) > 1e-6).any():
+        raise InputError.of("earth.quaternion", file=isd.path, place=f"{place}.quaternions")
+    if len(times) == 1:
+        return np.asarray(quaternion_matrices(values)[0])
+    return np.asarray(Slerp(times, Rotation.from_quat(np.roll(values, -1, axis=1)))(time).as_matrix())
+
+
+def _constant(isd: JsonFile, place: str) -> Array:
+    """Constant rotation (3, 3) behind that of the states."""
+    return np.reshape(isd.numbers(f"{place}.constant_rotation", 9, default=np.eye(3).ravel()), (3, 3))
+
+
+def _body(isd: JsonFile) -> Body:
+    """Body of its radii; its name from the NAIF code in the names of the keywords."""
+    unit = {"km": 1e3, "m": 1.0}.get(isd.text("radii.unit", "km"))
+    if unit is None:
+        raise InputError.of("isd.unit", file=isd.path, place="radii.unit", value=isd.text("radii.unit"))
+    major, minor = (unit * isd.number(f"radii.{name}") for name in ("semimajor", "semiminor"))
+    keys = isd.value("naif_keywords", {})
+    found = next((m for key in keys if (m := re.fullmatch(r"BODY(\d+)_RADII", str(key)))), None)
+    code = f"IAU_2015:{found[1]}00" if found else ""
+    name = next((name for name, own in known_bodies().items() if own == code), "body")
+    try:
+        return Body(name.title(), (major, major, minor))
+    except InputError as error:
+        raise InputError.of("body.radii", file=isd.path, place="radii", value=error.problems[0].value) from None
+
+
+def _keyword(isd: JsonFile, name: str, count: int) -> Array | None:
+    """Numbers of a keyword of NAIF with this ending."""
+    keys = isd.value("naif_keywords", {})
+    found = next((key for key in keys if re.fullmatch(rf"INS-?\d+_{name}", str(key))), None)
+    if found is None:
+        return None
+    return isd.numbers(f"naif_keywords.{found}", count)
+
+
+def _distortion(isd: JsonFile) -> tuple[Distortion, tuple[Finding, ...]]:
+    """Distortion of the ISD, or of NAIF's keywords of a metric camera if that is zero."""
+    stated: Any = isd.value("optical_distortion", {})
+    if not isinstance(stated, dict) or len(stated) > 1:
+        raise InputError.of("isd.distortion", file=isd.path, place="optical_distortion", value=repr(stated)[:60],
+                            known=", ".join(_DISTORTION))  # fmt: skip
+    kind = next(iter(stated), "")
+    if kind and kind not in _DISTORTION:
+        raise InputError.of("isd.distortion", file=isd.path, place="optical_distortion", value=kind,
+                            known=", ".join(_DISTORTION))  # fmt: skip
+    if kind == "transverse":
+        place = "optical_distortion.transverse"
+        return Distortion(kind, (*isd.numbers(f"{place}.x", 10), *isd.numbers(f"{place}.y", 10))), ()
+    c = isd.numbers("optical_distortion.radial.coefficients", 3, default=[0.0] * 3)
+    if c.any():
+        return Distortion("radial", tuple(c.tolist())), ()
+    radial, decentring, principal = (
+        _keyword(isd, name, n) for name, n in (("OD_K", 3), ("DECENTER", 3), ("PP", 2))
+    )  # fmt: skip
+    if radial is None or decentring is None or principal is None:
+        return Distortion(), ()
+    note = finding("isd.metric", file=isd.path, place="naif_keywords")
+    return Distortion("metric", (*principal.tolist(), *radial.tolist(), *decentring.tolist())), (note,)
+
+
+def _detector(isd: JsonFile, label: Pvl | None, size: tuple[int, int]) -> Detector:
+    """Detector of the ISD; the label states the reduction of the image."""
+    summing = np.array([isd.number(f"detector_{axis}_summing", 1.0) for axis in ("line", "sample")])
+    start = np.array([isd.number(f"starting_detector_{axis}", 0.0) for axis in ("line", "sample")])
+    parent, alpha = np.array(size, float) * summing, _group(label, "AlphaCube")
+    if alpha is not None:
+        parent = np.array([alpha.number("AlphaLines"), alpha.number("AlphaSamples")]) * summing
+        first = np.array([alpha.number("AlphaStartingLine"), alpha.number("AlphaStartingSample")]) - 0.5
+        last = np.array([alpha.number("AlphaEndingLine"), alpha.number("AlphaEndingSample")]) - 0.5
+        start = start + first * summing
+        summing = summing * (last - first) / np.array(size)
+    centre = [isd.value(f"detector_center.{axis}", None) for axis in ("line", "sample")]
+    stated = parent / 2.0 - 0.5 if None in centre else np.array([isd.number(f"detector_center.{a}") for a in _AXES])
+    lines, samples = (isd.numbers(f"focal2pixel_{axis}", 3) for axis in ("lines", "samples"))
+    if abs(np.linalg.det([lines[1:], samples[1:]])) < 1e-12 or not (summing > 0.0).all():
+        raise InputError.of("isd.detector", file=isd.path, place="focal2pixel_lines, focal2pixel_samples",
+                            value=f"{lines[1:].tolist()}, {samples[1:].tolist()}")  # fmt: skip
+    return Detector(_two(stated), _three(lines), _three(samples), _two(summing), _two(start))
+
+
+_AXES: Final = ("line", "sample")
+
+
+def _two(values: Array) -> tuple[float, float]:
+    return float(values[0]), float(values[1])
+
+
+def _three(values: Array) -> tuple[float, float, float]:
+    return float(values[0]), float(values[1]), float(values[2])
+
+
+def _focal(isd: JsonFile, turn: Array, position: Array) -> float:
+    """Focal length, mm: negative if the body lies behind the third axis of the camera."""
+    focal = abs(isd.number("focal_length_model.focal_length"))
+    return focal if turn[2] @ position < 0.0 else -focal
+
+
+FORMAT = Format(
+    name="isd",
+    title="image support data of ALE (JSON), frame",
+    suffixes=(".isd", ".json"),
+    sniff=lambda path, head: head.lstrip().startswith("{") and f'"{MODEL}"' in head,
+    read_image=read_isd,
+)

@@ -1,0 +1,144 @@
+"""Parameter Value Language (PVL): labels and control networks of ISIS.
+
+A file has statements ``name = value``, and objects and groups that contain statements: ``Object = NAME .. End_Object``.
+Values are words, quoted texts or lists in parentheses; units in angle brackets are not interpreted. Names are compared
+without case. A reader of the package index reads one character after the other; networks have millions of lines.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from factors.arrays import Array
+from fg_orient.formats.faults import Faults
+from fg_orient.formats.text_files import read_data
+from fg_orient.model.errors import InputError
+
+_STATEMENT: Final = re.compile(
+    r"""(?:\s|\#[^\n]*|/\*.*?\*/|;)*                       # blanks and comments
+        (?P<name>[^\s=;#]+)
+        (?:[^\S\n]*=\s*(?P<value>"[^"]*"|'[^']*'|\((?:[^()"]|"[^"]*"|\([^()]*\))*\)|\{[^{}]*\}
+            |[^\s;]+(?:(?<=-)\n[^\S\n]*[^\s;=]+(?![^\S\n]*=))*)        # long words go on after a hyphen
+        (?:[^\S\n]*<[^>\n]*>)?)?""",
+    re.VERBOSE | re.DOTALL,
+)
+_ITEM: Final = re.compile(r'\s*("[^"]*"|[^,\s<>]+)\s*(?:<[^>]*>)?\s*(?:,|$)')
+#: A long word that goes on in the next line.
+_BROKEN: Final = re.compile(r"-\n\s*")
+
+
+@dataclass(eq=False)
+class Pvl:
+    """An object or group of a file, or the whole file.
+
+    Parameters
+    ----------
+    file, kind, name : str
+        ``kind`` is "object", "group" or "file".
+    line : int
+        Its first line.
+    values : dict
+        Text and line of each statement, by name in lower case.
+    parts : list of Pvl
+        Objects and groups in it.
+    """
+
+    file: str
+    kind: str = "file"
+    name: str = ""
+    line: int = 1
+    values: dict[str, tuple[str, int]] = field(default_factory=dict)
+    parts: list[Pvl] = field(default_factory=list)
+
+    def every(self, name: str) -> Iterator[Pvl]:
+        """Objects and groups with a name, of all levels."""
+        for part in self.parts:
+            if part.name.lower() == name.lower():
+                yield part
+            yield from part.every(name)
+
+    def has(self, name: str) -> bool:
+        """Whether there is a statement."""
+        return name.lower() in self.values
+
+    def text(self, name: str, default: str | None = None) -> str:
+        """Value without quotes; InputError if it is missing and there is no default."""
+        if name.lower() not in self.values:
+            if default is None:
+                raise InputError.of("pvl.missing", file=self.file, place=f"line {self.line}, {self.name}", value=name)
+            return default
+        return _BROKEN.sub("", self.values[name.lower()][0]).strip("\"'")
+
+    def is_true(self, name: str) -> bool:
+        """Whether a value is true; False if it is missing."""
+        return self.text(name, "").lower() in ("true", "yes", "1")
+
+    def numbers(self, name: str, count: int) -> Array:
+        """List of ``count`` finite numbers; InputError for anything else."""
+        text = self.text(name)
+        items = _ITEM.findall(text.strip("(){}")) if text.startswith(("(", "{")) else [text]
+        try:
+            out = np.array([float(item) for item in items])
+        except ValueError:
+            out = np.full(count, np.nan)
+        if len(out) != count or not np.isfinite(out).all():
+            raise InputError.of("pvl.numbers", file=self.file, place=f"line {self.values[name.lower()][1]}, {name}",
+                                value=" ".join(text.split())[:60], count=count)  # fmt: skip
+        return out
+
+    def number(self, name: str) -> float:
+        """One finite number."""
+        return float(self.numbers(name, 1)[0])
+
+
+def read_pvl(path: Path) -> Pvl:
+    """Read a file, or the label at the beginning of a cube.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, a value is not complete, or an object does not end.
+    """
+    faults = Faults(str(path))
+    data = read_data(path, faults)
+    faults.raise_if_any()
+    assert data is not None
+    text = data.decode("latin-1").replace("\r\n", "\n")
+    root = Pvl(str(path))
+    stack, at, line, ended = [root], 0, 1, False
+    while not ended and (found := _STATEMENT.match(text, at)):
+        name, value = found["name"], found["value"]
+        line += text.count("\n", at, found.start("name"))
+        at = found.start("name")
+        word = name.lower().replace("_", "")
+        if value is None:
+            if word in ("endobject", "endgroup"):
+                if len(stack) == 1 or not word.endswith(stack[-1].kind):
+                    raise InputError.of("pvl.end", file=path, place=f"line {line}", value=name)
+                stack.pop()
+            elif word == "end":
+                ended = True
+            else:
+                raise InputError.of("pvl.statement", file=path, place=f"line {line}", value=name[:60])
+        elif word in ("object", "beginobject", "group", "begingroup"):
+            part = Pvl(str(path), word.removeprefix("begin"), value.strip("\"'"), line)
+            stack[-1].parts.append(part)
+            stack.append(part)
+        elif word not in ("endobject", "endgroup"):
+            stack[-1].values[name.lower()] = (value, line)
+        else:
+            stack.pop()
+        line += text.count("\n", at, found.end())
+        at = found.end()
+    if len(stack) > 1:
+        last = stack[-1]
+        raise InputError.of("pvl.open", file=path, place=f"line {last.line}", value=f"{last.kind} {last.name}")
+    if not root.parts and not root.values:
+        raise InputError.of("pvl.empty", file=path)
+    return root

@@ -1,0 +1,129 @@
+"""Bodies other than the Earth: coordinates, local axes and intersection of rays on a sphere or a triaxial ellipsoid.
+
+Ground points are body-fixed metres. Latitude and longitude are planetocentric and positive to the north and east;
+heights are radii minus the radius of the ellipsoid in the same direction. The axes East, North, Up of a point are those
+of longitude, latitude and radius, for any shape of the body.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import cache
+from typing import Final
+
+import numpy as np
+
+from factors.arrays import Array
+from fg_orient.geodesy import enu_from_ecef, offline_pyproj
+from fg_orient.geodesy.crs import crs_names
+from fg_orient.model.errors import InputError
+
+#: Radii that differ by this share are equal.
+EQUAL: Final = 1e-9
+#: Ocentric CRS of the International Astronomical Union in PROJ.
+_OCENTRIC: Final = re.compile(r"(?P<name>.+) \(2015\) - (Sphere|Ellipsoid) / Ocentric")
+_STEPS: Final = 20
+
+
+@dataclass(frozen=True)
+class Body:
+    """A planet or moon.
+
+    Parameters
+    ----------
+    name : str
+    radii_m : (3,) tuple of float
+        Semi-axes along x, y, z.
+
+    Raises
+    ------
+    InputError
+        A radius is not above zero.
+    """
+
+    name: str
+    radii_m: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        if len(self.radii_m) != 3 or not all(np.isfinite(r) and r > 0.0 for r in self.radii_m):
+            raise InputError.of("body.radii", place="radii", value=self.radii_m)
+
+    def same(self, other: Body) -> bool:
+        """Whether two bodies have the same shape."""
+        return bool(np.allclose(self.radii_m, other.radii_m, rtol=EQUAL, atol=0.0))
+
+    def radius_m(self, direction: Array) -> Array:
+        """Radii (n,) of the ellipsoid in directions (n, 3) of any length."""
+        length = np.linalg.norm(direction, axis=1)
+        return np.asarray(length / np.linalg.norm(direction / np.array(self.radii_m), axis=1))
+
+    def coordinates(self, xyz_m: Array) -> Array:
+        """Longitude, latitude (degrees) and height (m) of body-fixed points (n, 3): (n, 3)."""
+        x, y, z = xyz_m.T
+        lon, lat = np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(z, np.hypot(x, y)))
+        return np.stack([lon, lat, np.linalg.norm(xyz_m, axis=1) - self.radius_m(xyz_m)], axis=1)
+
+    def body_fixed(self, lon_lat_height: Array) -> Array:
+        """Inverse of :meth:`coordinates`."""
+        lon, lat = np.radians(lon_lat_height[:, :2]).T
+        direction = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=1)
+        return np.asarray(direction * (self.radius_m(direction) + lon_lat_height[:, 2])[:, None])
+
+    def axes(self, xyz_m: Array) -> Array:
+        """Rotations (n, 3, 3) to East, North, Up at body-fixed points (n, 3)."""
+        lon, lat, _ = self.coordinates(xyz_m).T
+        return enu_from_ecef(lon, lat)
+
+    def nearest(self, position_m: Array, direction: Array) -> Array:
+        """Points (n, 3) of rays on the surface; on the limb, below the nearest point of the ray, if it misses it."""
+        out = self.intersect(position_m, direction, np.zeros(len(position_m)))
+        foot = position_m - np.sum(position_m * direction, axis=1)[:, None] * direction
+        limb = foot * (self.radius_m(foot) / np.linalg.norm(foot, axis=1))[:, None]
+        return np.where(np.isfinite(out), out, limb)
+
+    def intersect(self, position_m: Array, direction: Array, height_m: Array) -> Array:
+        """Nearest points (n, 3) of rays (n, 3), (n, 3) at heights (n,); nan where a ray misses the surface."""
+        out, aim = np.full_like(position_m, np.nan), np.array(height_m, float)
+        for _ in range(_STEPS):
+            semi = np.array(self.radii_m) + aim[:, None]
+            p, u = position_m / semi, direction / semi
+            a, b, c = np.sum(u * u, axis=1), np.sum(p * u, axis=1), np.sum(p * p, axis=1) - 1.0
+            with np.errstate(invalid="ignore"):
+                root = np.sqrt(b * b - a * c)
+                way = np.where(b < 0.0, c / (root - b), np.nan)  # the nearest root without cancellation
+            way[c < 0.0] = np.nan
+            out = position_m + way[:, None] * direction
+            error = height_m - (np.linalg.norm(out, axis=1) - self.radius_m(out))
+            if not np.abs(error[np.isfinite(error)]).max(initial=0.0) > 1e-6:
+                break
+            aim += np.nan_to_num(error)
+        return out
+
+
+@cache
+def known_bodies() -> dict[str, str]:
+    """Codes of the ocentric CRS of PROJ by the names of the bodies in lower case."""
+    found = ((_OCENTRIC.fullmatch(name), code) for name, code in crs_names("IAU_2015"))
+    return {match["name"].lower(): f"IAU_2015:{code}" for match, code in reversed([*found]) if match}
+
+
+def body_named(name: str) -> Body:
+    """Body by its name, or by the code of a CRS on it such as ``IAU_2015:30100``.
+
+    Raises
+    ------
+    InputError
+        PROJ has no such body.
+    """
+    code = known_bodies().get(name.strip().lower(), name.strip())
+    proj = offline_pyproj()
+    try:
+        crs = proj.CRS.from_user_input(code)
+    except proj.exceptions.CRSError:
+        crs = None
+    if crs is None or crs.ellipsoid is None:
+        raise InputError.of("body.unknown", place="body", value=name)
+    shape, match = crs.ellipsoid, re.match(r"(.+?) \(", crs.name)
+    minor = shape.semi_minor_metre or shape.semi_major_metre
+    return Body(match[1] if match else crs.name, (shape.semi_major_metre, shape.semi_major_metre, minor))

@@ -1,0 +1,137 @@
+"""From pixels to ideal coordinates on the focal plane of a camera: detector and distortion.
+
+A detector is an affine map between pixels and millimetres on the focal plane, as in the image support data (ISD) of
+ALE: ``detector sample = centre + t0 + t1 x + t2 y``. A distortion leads from measured to ideal millimetres; its inverse
+is by Newton's method. Models and names are those of USGSCSM, and that of the metric cameras in ISIS.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from factors.arrays import Array
+from fg_orient.model.errors import InputError
+
+#: Steps of Newton's method, and its tolerance, mm.
+STEPS: Final = 30
+TOLERANCE_MM: Final = 1e-12
+#: Complex step, mm.
+_H: Final = 1e-30
+#: Names of the models of distortion and their numbers of coefficients.
+MODELS: Final = {"none": 0, "radial": 3, "transverse": 20, "metric": 8}
+
+
+@dataclass(frozen=True)
+class Distortion:
+    """Distortion of a camera.
+
+    Parameters
+    ----------
+    model : str
+        "none"; "radial": ideal = m (1 - k0 - k1 r^2 - k2 r^4); "transverse": m = polynomials of degree 3 in the ideal
+        coordinates, 10 coefficients of x, then of y; "metric": Conrady-Brown of ISIS's metric cameras, with
+        coefficients xp, yp, k1, k2, k3, j1, j2, t0 (mm, rad).
+    coefficients : tuple of float
+    """
+
+    model: str = "none"
+    coefficients: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.model not in MODELS:
+            raise InputError.of("isd.distortion", place="distortion", value=self.model, known=", ".join(MODELS))
+        expected, given = MODELS[self.model], np.array(self.coefficients, float)
+        if given.shape != (expected,) or not np.isfinite(given).all():
+            raise InputError.of("isd.coefficients", place="distortion", value=f"{len(self.coefficients)} coefficients",
+                                model=self.model, expected=expected)  # fmt: skip
+
+    def ideal(self, measured_mm: Array) -> Array:
+        """Ideal coordinates (n, 2) mm of measured ones (n, 2)."""
+        if self.model == "transverse":
+            return self._solved(measured_mm, self._transverse)
+        return self._forward(measured_mm)
+
+    def measured(self, ideal_mm: Array) -> Array:
+        """Measured coordinates (n, 2) mm of ideal ones (n, 2); nan where there are none."""
+        return self._transverse(ideal_mm) if self.model == "transverse" else self._solved(ideal_mm, self._forward)
+
+    def _transverse(self, xy: Array) -> Array:
+        """Measured coordinates of ideal ones by polynomials of degree 3, as in USGSCSM."""
+        x, y = xy.T
+        terms = np.stack([0.0 * x + 1.0, x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3], axis=1)
+        return np.asarray(terms @ np.array(self.coefficients).reshape(2, 10).T)
+
+    def _forward(self, xy: Array) -> Array:
+        """Ideal coordinates of the models that lead from measured ones."""
+        c = self.coefficients
+        if self.model == "radial":
+            r = np.sum(xy**2, axis=1)
+            return np.asarray(xy * (1.0 - (c[0] + r * (c[1] + r * c[2])))[:, None])
+        if self.model == "metric":
+            x, y = (xy - np.array(c[:2])).T
+            r = x * x + y * y
+            radial, tangential = 1.0 + r * (c[2] + r * (c[3] + r * c[4])), r * (c[5] + r * c[6])
+            return np.stack([x * radial - tangential * np.sin(c[7]), y * radial + tangential * np.cos(c[7])], axis=1)
+        return xy
+
+    def _solved(self, wanted: Array, function: Callable[[Array], Array]) -> Array:
+        """Arguments (n, 2) with the values ``wanted`` (n, 2) by Newton's method with complex steps."""
+        xy = np.array(wanted, float)
+        for _ in range(STEPS):
+            at = function(xy)
+            (a, c), (b, d) = (function(xy + 1j * _H * axis).imag.T / _H for axis in np.eye(2))
+            u, v = (wanted - at).T
+            with np.errstate(all="ignore"):
+                step = np.stack([d * u - b * v, a * v - c * u], axis=1) / (a * d - b * c)[:, None]
+            xy = xy + step
+            if not np.abs(step).max(initial=0.0) > TOLERANCE_MM:
+                return np.asarray(xy)
+        return np.where(np.abs(step) > TOLERANCE_MM, np.nan, xy)
+
+
+@dataclass(frozen=True)
+class Detector:
+    """Affine map between the pixels of an image and millimetres on the focal plane.
+
+    Parameters
+    ----------
+    centre : (2,) tuple
+        Line and sample of the detector at which the affine maps begin; 0.5 is the centre of the first pixel.
+    lines, samples : (3,) tuples
+        ``detector line - centre = lines . (1, x, y)``, likewise the samples; pixels and pixels per mm.
+    summing : (2,) tuple
+        Detector lines and samples of one image pixel.
+    start : (2,) tuple
+        Detector line and sample at which the image begins.
+    """
+
+    centre: tuple[float, float]
+    lines: tuple[float, float, float]
+    samples: tuple[float, float, float]
+    summing: tuple[float, float] = (1.0, 1.0)
+    start: tuple[float, float] = (0.0, 0.0)
+
+    @cached_property
+    def per_mm(self) -> Array:
+        """Image lines and samples (2, 2) per mm of x and y."""
+        return np.asarray(np.array([self.lines[1:], self.samples[1:]]) / np.array(self.summing)[:, None])
+
+    def millimetres(self, line: Array, sample: Array) -> Array:
+        """Measured coordinates (n, 2) mm of pixels (n,); 0 is the centre of the first pixel."""
+        return np.asarray((np.stack([line, sample], axis=1) - self._origin) @ np.linalg.inv(self.per_mm).T)
+
+    def pixels(self, measured_mm: Array) -> tuple[Array, Array]:
+        """Lines and samples (n,) of measured coordinates (n, 2) mm."""
+        line, sample = (measured_mm @ self.per_mm.T + self._origin).T
+        return line, sample
+
+    @cached_property
+    def _origin(self) -> Array:
+        """Line and sample of the image at x = y = 0."""
+        first = np.array([self.lines[0], self.samples[0]])
+        return np.asarray((np.array(self.centre) + first - self.start) / np.array(self.summing) - 0.5)

@@ -1,0 +1,180 @@
+"""Adjustment of frames on the Moon against an independent bundle adjustment: values, sigmas, statistics."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fg_orient as fg
+from fg_orient.orientation.solution import Solution
+from fg_orient.result.tables import eop_rows
+from tests.support import jigsaw_twin as twin
+from tests.support.planetary_files import project, write_block
+
+
+def own_values(solution: Solution) -> tuple[twin.Array, twin.Array]:
+    """Adjusted positions (km) and angles (degrees) (m, 6), and their standard deviations."""
+    values, sigmas = [], []
+    for image in solution.block.images:
+        camera = image.sensor.camera.corrected(solution.correction(image.id))
+        values.append(np.r_[camera.position_m / 1e3, np.degrees(camera.angles_rad)])
+        rows = [row for row in eop_rows(solution) if row[0] == image.id]
+        sigma = np.array([row[6] for row in rows], float)
+        sigmas.append(np.r_[sigma[:3] / 1e3, np.degrees(sigma[3:])] if len(rows) else np.full(6, np.nan))
+    return np.array(values), np.array(sigmas)
+
+
+def compare(solution: Solution, expected: twin.Bundle) -> None:
+    """All unknowns within 1e-6 of their standard deviations, these within 1e-6 of themselves, residuals 1e-6 px."""
+    values, sigmas = own_values(solution)
+    known = np.isfinite(sigmas[:, 0])
+    assert solution.sigma0 == pytest.approx(expected.sigma0, rel=1e-9)
+    assert solution.redundancy == expected.redundancy
+    theirs = expected.image_sigmas()
+    np.testing.assert_allclose(values[~known], expected.image[~known], rtol=1e-13)
+    assert np.abs((values - expected.image) / theirs)[known].max() < 1e-6
+    np.testing.assert_allclose(sigmas[known], theirs[known], rtol=1e-6)
+    order = [solution.block.points.ids.index(p.name) for p in expected.points]
+    place = np.array([1e3 * twin.cartesian(s) for s in expected.place])
+    points = expected.point_sigmas()
+    assert (np.abs(solution.ground_m[order] - place).max(axis=1) / points.min(axis=1)).max() < 1e-6
+    table = solution.result.tables["points"]
+    own = table.numbers("sigma_north_m", "sigma_east_m", "sigma_up_m")[order]
+    np.testing.assert_allclose(own, points, rtol=1e-6)
+    residuals, o = expected.residuals(), solution.problem.observations
+    by_serial = {f.serial: f.name for f in expected.frames}
+    names = [by_serial[image.sensor.serial] for image in solution.block.images]
+    for row in range(len(o)):
+        sample, line = residuals[solution.block.points.ids[o.point[row]], names[o.image[row]]]
+        # samples of the scan run against x
+        assert np.abs(twin.SCALE * solution.residuals_px[row] - [line, -sample]).max() < 1e-6
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("held", [(), ("M-0001",)], ids=["free", "held"])
+def test_block_equals_independent_bundle(tmp_path: Path, held: tuple[str, ...]) -> None:
+    names = write_block(tmp_path)
+    (tmp_path / "project.toml").write_text(project(names, held=held))
+    frames = [twin.read_frame(tmp_path / f"{name}.isd") for name in names]
+    points = twin.read_network(tmp_path / "net.pvl")
+    expected = twin.adjust(frames, points, held=tuple(name[2:] for name in held))
+    compare(fg.adjust(fg.read_project(tmp_path / "project.toml")), expected)
+
+
+@pytest.mark.consistency
+def test_backends_agree(tmp_path: Path) -> None:
+    write_block(tmp_path, n_points=20)
+    block = fg.read_project(tmp_path / "project.toml")
+    one, *others = (fg.adjust(block, backend=name) for name in ("graph", "schur", "dense"))
+    for other in others:
+        assert other.sigma0 == pytest.approx(one.sigma0, rel=1e-12)
+        assert np.abs(other.ground_m - one.ground_m).max() < 1e-5  # of 100 m
+
+
+@pytest.mark.oracle
+def test_linear_control_differs_by_the_square_of_the_correction(tmp_path: Path) -> None:
+    """East, north, up at the observed place in place of latitude, longitude, radius: c^2/R for corrections c."""
+    names = write_block(tmp_path)
+    exact = fg.adjust(fg.read_project(tmp_path / "project.toml"))
+    (tmp_path / "project.toml").write_text(project(names, latitudinal=False))
+    linear = fg.adjust(fg.read_project(tmp_path / "project.toml"))
+    apart = np.linalg.norm(linear.ground_m - exact.ground_m, axis=1)
+    largest = np.abs(exact.accuracy.control.enu_m).max()
+    assert 0.0 < apart.max() < 20.0 * largest**2 / 1.7374e6
+    assert linear.redundancy == exact.redundancy
+
+
+# --- the network of ISIS's own tests ----------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def apollo(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Project of seven Apollo frames with the settings of jigsaw."""
+    folder, data = tmp_path_factory.mktemp("apollo"), real_data / "isis-apollo"
+    for source in data.glob("Sub4-*"):
+        name = source.name.removesuffix(source.suffix).removesuffix("_msk")[-4:]
+        (folder / f"{name}{source.suffix}").symlink_to(source)
+    (folder / "net.pvl").symlink_to(data / "apolloNet.pvl")
+    (folder / "project.toml").write_text(project(APOLLO))
+    return folder
+
+
+APOLLO = ("0583", "0584", "0585", "0586", "0587", "1423", "1537")
+
+
+def _twin_of(folder: Path) -> tuple[list[twin.Frame], list[twin.Point]]:
+    data = folder.joinpath("net.pvl").resolve().parent
+    return [twin.read_frame(path) for path in sorted(data.glob("*.isd"))], twin.read_network(folder / "net.pvl")
+
+
+@pytest.fixture(scope="module")
+def adjusted(apollo: Path) -> Solution:
+    """The adjusted network."""
+    return fg.adjust(fg.read_project(apollo / "project.toml"))
+
+
+@pytest.mark.truth
+@pytest.mark.real_data
+def test_images_equal_those_of_jigsaw(adjusted: Solution, real_data: Path) -> None:
+    """Printed angles are those of R3(twist) R1(dec) R3(ra): 90 deg + right ascension, 90 deg - declination."""
+    values, sigmas = own_values(adjusted)
+    listed = np.genfromtxt(real_data / "isis-apollo/expected_images.csv", delimiter=",", names=True, dtype=None,
+                           encoding="utf-8")  # fmt: skip
+    names = ("x_km", "y_km", "z_km", "ra_deg", "dec_deg", "twist_deg")
+    expected = np.column_stack([listed[f"{name}_final"] for name in names])
+    expected[:, 3], expected[:, 4] = expected[:, 3] - 90.0, 90.0 - expected[:, 4]
+    theirs = np.column_stack([listed[f"{name}_sigma_adjusted"] for name in names])
+    assert values.shape == (7, 6)
+    assert np.abs((values - expected) / theirs).max() < 1e-6  # observed 6e-8
+    np.testing.assert_allclose(sigmas, theirs, rtol=1e-6)  # observed 2e-8
+    assert adjusted.sigma0 == pytest.approx(2.03621, abs=5e-6)
+    assert adjusted.redundancy == 849
+
+
+@pytest.mark.truth
+@pytest.mark.real_data
+def test_points_and_residuals_equal_those_of_jigsaw(adjusted: Solution, real_data: Path) -> None:
+    ids, table = adjusted.block.points.ids, adjusted.result.tables["points"]
+    listed = np.genfromtxt(real_data / "isis-apollo/expected_points.csv", delimiter=",", names=True, dtype=None,
+                           encoding="utf-8")  # fmt: skip
+    at = [ids.index(name) for name in listed["id"]]
+    sigma = np.column_stack([listed[f"sigma_{name}_m"] for name in ("lon", "lat", "radius")])
+    place = 1e3 * np.column_stack([listed[f"{name}_km"] for name in "xyz"])
+    assert len(at) == 6
+    assert (np.abs(adjusted.ground_m[at] - place).max(axis=1) / sigma.min(axis=1)).max() < 1e-6
+    np.testing.assert_allclose(table.numbers("sigma_east_m", "sigma_north_m", "sigma_up_m")[at], sigma, rtol=1e-6)
+    lon_lat = np.column_stack([listed["lon_deg"], listed["lat_deg"]])
+    np.testing.assert_allclose(table.numbers("lon_deg", "lat_deg")[at], lon_lat, atol=1e-8)
+    listed = np.genfromtxt(real_data / "isis-apollo/expected_residuals.csv", delimiter=",", names=True, dtype=None,
+                           encoding="utf-8")  # fmt: skip
+    o, serials = adjusted.problem.observations, [image.sensor.serial for image in adjusted.block.images]
+    for row in listed:
+        mine = (o.point == ids.index(row["id"])) & (o.image == serials.index(row["serial"]))
+        # measured minus computed, with the sign of the sample reversed, in pixels of the scan
+        expected = [-row["res_line_px"], -row["res_sample_px"]]
+        assert np.abs(twin.SCALE * adjusted.residuals_px[mine] - expected).max() < 1e-6
+
+
+@pytest.mark.oracle
+@pytest.mark.real_data
+def test_whole_network_equals_independent_bundle(adjusted: Solution, apollo: Path) -> None:
+    frames, points = _twin_of(apollo)
+    assert len(points) == 395
+    assert len(adjusted.problem.observations) == 969
+    compare(adjusted, twin.adjust(frames, points))
+
+
+@pytest.mark.truth
+@pytest.mark.real_data
+def test_held_image_keeps_its_orientation(apollo: Path) -> None:
+    """Jigsaw gives sigma0 2.33534 and corrections of zero for its sixth image."""
+    path = apollo / "held.toml"
+    path.write_text(project(APOLLO, held=("1423",)))
+    solution = fg.adjust(fg.read_project(path))
+    assert solution.sigma0 == pytest.approx(2.33534, abs=5e-6)
+    assert solution.redundancy == 849
+    assert not solution.correction("1423").any()
+    frames, points = _twin_of(apollo)
+    compare(solution, twin.adjust(frames, points, held=("1423",)))
