@@ -147,6 +147,8 @@ class SlicedCells(Cells):
                 parts.append(np.array(orjson.loads(b"[" + text[:-1] + b"]"), np.float64))
             except (orjson.JSONDecodeError, OverflowError):  # a number that is not written as JSON writes it
                 return super().finite(rows)
+            if len(parts[-1]) != text.count(b","):  # one empty cell is an empty list
+                return None
         values = np.concatenate(parts)
         return values if np.isfinite(values).all() else None
 

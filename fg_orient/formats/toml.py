@@ -14,7 +14,7 @@ from fg_orient.model.errors import FgOrientError, InputError
 from fg_orient.model.limits import exceeded, limit
 
 #: Part of a dotted key, and what follows it: the time and memory to read such a key grow with the square of its parts.
-_PART: Final = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+"""
+_PART: Final = r"""(?<![\w"'-])(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+"""
 
 
 def no_project_file(path: Path) -> FgOrientError:

@@ -24,6 +24,7 @@ import numpy.typing as npt
 
 from factors.arrays import Array
 from fg_orient.model.errors import InputError, finding
+from fg_orient.model.limits import within
 
 if TYPE_CHECKING:
     from pyproj import CRS, Transformer
@@ -304,6 +305,10 @@ def offline_pyproj() -> Any:
     return pyproj
 
 
+#: Exceptions of pyproj, in addition to its own, for texts that are not those of a CRS.
+UNUSABLE: Final = (ValueError, TypeError, KeyError, AttributeError)
+
+
 @cache
 def _transformer(source: str, target: str, *, horizontal: bool = False) -> Transformer:
     """Transformer between two CRS, made once: easting or longitude first, never a ballpark."""
@@ -337,9 +342,11 @@ def _spatial(crs: str) -> CRS:
 def known_crs(crs: str) -> CRS:
     """CRS of a code, WKT or PROJ string; InputError if it is unknown."""
     proj = offline_pyproj()
+    within("crs_characters", len(crs), place="crs", unit="characters")
     try:
         known: CRS = proj.CRS.from_user_input(crs)
-    except proj.exceptions.CRSError:
+        known.to_json_dict()  # of a damaged definition it fails later
+    except (proj.exceptions.ProjError, *UNUSABLE):
         raise InputError.of("geodesy.unknown_crs", place="crs", value=crs) from None
     return known
 

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from factors.arrays import Array
 from fg_orient.geodesy import (
     BODY_FIXED,
+    UNUSABLE,
     Operation,
     area_of_use,
     crs_kind,
@@ -65,13 +66,13 @@ def epsg_code(text: str) -> str:
     code = _CODE.fullmatch(words)
     try:
         crs = proj.CRS.from_user_input(f"EPSG:{code[1]}" if code else words)
-    except proj.exceptions.CRSError:
+        if code:
+            return f"EPSG:{code[1]}"
+        crs = _without_null_shift(crs)
+        parts = crs.sub_crs_list or [crs if len(crs.axis_info) < 3 or crs.to_epsg() else crs.to_2d()]
+        codes = [_code_of(_without_null_shift(part)) for part in parts]
+    except (proj.exceptions.ProjError, *UNUSABLE):
         return ""
-    if code:
-        return f"EPSG:{code[1]}"
-    crs = _without_null_shift(crs)
-    parts = crs.sub_crs_list or [crs if len(crs.axis_info) < 3 or crs.to_epsg() else crs.to_2d()]
-    codes = [_code_of(_without_null_shift(part)) for part in parts]
     return "" if None in codes else f"EPSG:{'+'.join(map(str, codes))}"
 
 

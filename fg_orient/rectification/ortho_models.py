@@ -45,7 +45,7 @@ def read_correction(folder: Path, sensor: Sensor, image: str = "") -> Any:
         unknowns of another kind of sensor.
     """
     try:
-        record = read_record(folder) if (folder / RESULT_FILE).is_file() else {}
+        record = read_record(folder)
         if record["status"] == Status.RANK_DEFICIENT:
             raise InputError.of("report.nothing_adjusted", file=folder, place=RESULT_FILE, value=record["status"])
         options = record["provenance"]["options"]

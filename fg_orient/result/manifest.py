@@ -22,6 +22,9 @@ from fg_orient.result.plain import dumps, plain
 from fg_orient.result.provenance import MANIFEST_SCHEMA
 
 MANIFEST_FILE: Final = "manifest.json"
+#: Last bytes of a complete file, in the last bytes of a file; others end with a line end.
+_END: Final = {".npz": b"PK\x05\x06", ".parquet": b"PAR1", ".arrow": b"ARROW1"}
+_TAIL: Final = 22
 #: Files that are made of the others.
 _DERIVED: Final = ("report.html", "figures/*")
 
@@ -57,7 +60,7 @@ def read_manifest(folder: Path) -> Mapping[str, Any] | None:
     Raises
     ------
     InputError
-        It is damaged, of a later version, or lists a file that is missing or incomplete.
+        It is damaged, of a later version, or lists a file that is missing, or out of the folder.
     """
     path = folder / MANIFEST_FILE
     if not path.is_file():
@@ -70,20 +73,30 @@ def read_manifest(folder: Path) -> Mapping[str, Any] | None:
         run = str(content["run"])
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError.of("manifest.damaged", file=path, value=error) from None
-    missing = []
-    for name, (size, _) in files.items():
-        file = folder / name
+    for name in files:
         if not _is_plain(name):
             raise InputError.of("manifest.damaged", file=path, place="files", value=name)
-        if not file.exists():
-            missing.append(name)
-        elif not file.resolve().is_relative_to(folder.resolve()) or not file.is_file():
-            raise InputError.of("manifest.outside", file=file)
-        elif file.stat().st_size < size:
-            missing.append(f"{name}: {file.stat().st_size} of {size} bytes")
+    missing = [name for name in files if not (folder / name).exists()]
+    missing += [RESULT.mark] if RESULT.mark in files and RESULT.mark not in missing and _is_cut(folder, files) else []
     if missing:
         raise InputError.of("manifest.incomplete", file=folder, value=missing[0], count=len(missing), n=len(files))
+    for name in files:
+        file = folder / name
+        if not file.resolve().is_relative_to(folder.resolve()) or not file.is_file():
+            raise InputError.of("manifest.outside", file=file)
     return {"run": run, "files": files}
+
+
+def _is_cut(folder: Path, files: Mapping[str, tuple[int, str]], name: str = RESULT.mark) -> bool:
+    """Whether a file is shorter than the run wrote it, without the end that a complete file has."""
+    path = folder / name
+    size = path.stat().st_size
+    if size >= files[name][0]:
+        return False
+    with path.open("rb") as stream:
+        stream.seek(max(size - _TAIL, 0))
+        tail = stream.read()
+    return _END[path.suffix] not in tail if path.suffix in _END else not tail.endswith(b"\n")
 
 
 def _is_plain(name: str) -> bool:
@@ -105,7 +118,7 @@ def require_run(folder: Path, stated: Mapping[str, Any] | None, record: Mapping[
     Raises
     ------
     InputError
-        The manifest is missing or of another run, or a file was changed or added.
+        The manifest is missing or of another run, or a file was cut, changed or added.
     """
     provenance = record.get("provenance")
     if stated is None:
@@ -114,9 +127,13 @@ def require_run(folder: Path, stated: Mapping[str, Any] | None, record: Mapping[
         return
     if stated["run"] != run_of(record):
         raise InputError.of("manifest.other_run", file=folder, place=RESULT.mark)
-    for name, (_, digest) in stated["files"].items():
+    files = stated["files"]
+    cut = [name for name in files if _is_cut(folder, files, name)]
+    if cut:
+        raise InputError.of("manifest.incomplete", file=folder, value=cut[0], count=len(cut), n=len(files))
+    for name, (_, digest) in files.items():
         if sha256_of(folder / name) != digest:
             raise InputError.of("manifest.changed", file=folder / name)
     for name in _names(folder):
-        if name != MANIFEST_FILE and name not in stated["files"]:
+        if name != MANIFEST_FILE and name not in files:
             raise InputError.of("manifest.added", file=folder / name)

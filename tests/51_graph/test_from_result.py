@@ -22,6 +22,7 @@ from fg_orient.simulate.block import BlockOptions, grid_block
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
 from tests.support.command import in_process as run
 from tests.support.full_statistics import Dense
+from tests.support.results import sealed
 
 
 @lru_cache
@@ -285,6 +286,7 @@ def test_command_line_and_replay(tmp_path: Path) -> None:
     assert record["redundancy"] > json.loads((first / "result.json").read_text("utf-8"))["redundancy"]
     assert run("replay", second, "--out", tmp_path / "again").code == 0
     (first / "covariance.npz").unlink()
+    sealed(first)
     for words, message in ((("--from", first, "--from-prior"), "covariance.npz"), (("--from-prior",), "add --from")):
         refused = run("adjust", project, *words, "--out", tmp_path / "third")
         assert refused.code == 2

@@ -12,6 +12,7 @@ from fg_orient.report import write_report
 from fg_orient.report.html import MANY
 from fg_orient.simulate.block import BlockOptions, simulate_block
 from tests.support.command import in_process
+from tests.support.results import sealed
 
 pytestmark = pytest.mark.behaviour
 
@@ -27,7 +28,7 @@ def test_long_lists_are_cut_and_the_rest_is_counted(tmp_path: Path, monkeypatch:
     monkeypatch.setitem(MANY, "images", 3)
     monkeypatch.setitem(MANY, "terms", 10)
     monkeypatch.setattr("fg_orient.report.maps.MAX_POINTS", 20)
-    path, comparison = write_report(folder, project.parent / "truth")
+    path, comparison = write_report(sealed(folder), project.parent / "truth")
     text = path.read_text("utf-8")
     assert text.count('<td class="id">c7</td>') == MANY["rows"] and "23 more are in result.json" in text
     assert comparison is not None and f"{len(comparison['eop']) - 10} more with --json" in text

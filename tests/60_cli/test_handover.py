@@ -20,6 +20,7 @@ from fg_orient.rpc.files import corrected
 from fg_orient.rpc.handover import PROGRAMS, SAME_PX, Handed, translation
 from fg_orient.sensors.rpc import RpcModel
 from tests.support.command import Run
+from tests.support.results import sealed
 from tests.support.rpc_block import RpcTwin, rpc_twin, twin_with_models, write_folder
 from tests.support.rpc_model import reference_project
 
@@ -209,7 +210,7 @@ def test_a_doubtful_result_is_heard(shifted: tuple[RpcTwin, Path], run: Run, tmp
     record = json.loads((copy / "result.json").read_text("utf-8"))
     record["status"] = "not_trustworthy"
     (copy / "result.json").write_text(json.dumps(record), "utf-8")
-    ended = run("rpc", "convert", copy, "--for", "gdal", "--out", tmp_path / "out")
+    ended = run("rpc", "convert", sealed(copy), "--for", "gdal", "--out", tmp_path / "out")
     assert ended.code == 4 and "the adjustment is not trustworthy" in ended.stderr
 
 

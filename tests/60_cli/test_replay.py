@@ -16,6 +16,7 @@ from fg_orient.cli.results import show_replay as show
 from fg_orient.model.errors import finding
 from fg_orient.orientation.replay import OCCASION, Replay, changed_sources, compare_records, compare_tables
 from fg_orient.orientation.run import run_project
+from tests.support.results import sealed
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +98,7 @@ def test_records_that_cannot_be_repeated(run: Any, spoiled: Path, tmp_path: Path
     record = record_of(result)
     del record["provenance"]["repeat"]
     (result / "result.json").write_text(json.dumps(record), encoding="utf-8")
-    ended = run("replay", result)
+    ended = run("replay", sealed(result))
     assert ended.code == 2 and "does not contain the data to repeat its run" in ended.stderr
 
 

@@ -14,6 +14,7 @@ from fg_orient.model.errors import finding
 from fg_orient.report.chart import round_down
 from fg_orient.report.words import number, scientific, verdict
 from tests.support.page import structure
+from tests.support.results import sealed
 
 #: Script elements of the page's own: its data and its script.
 SCRIPTS = 2
@@ -126,6 +127,8 @@ def test_bad_folders(run: Any, result: Path, twin: Path, tmp_path: Path) -> None
     (result / "points.csv").unlink()
     before = (result / "report.html").read_bytes()
     ended = run("report", result, "--json")
+    assert (ended.code, ended.json["errors"][0]["code"]) == (2, "manifest.incomplete")
+    ended = run("report", sealed(result), "--json")
     assert (ended.code, ended.json["errors"][0]["code"]) == (2, "report.damaged")
     assert (result / "report.html").read_bytes() == before
 
@@ -162,7 +165,7 @@ def test_fixed_control_and_the_end_of_the_iterations_are_told(run: Any, result: 
         record["accuracy"]["control"] |= control
         record |= {"ended": "planted end", "reason": "planted verdict"}
         path.write_text(json.dumps(record), encoding="utf-8")
-        assert run("report", result).code == 0
+        assert run("report", sealed(result)).code == 0
         return (result / "report.html").read_text("utf-8")
 
     plain = text(n_fixed=0)

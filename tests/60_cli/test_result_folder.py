@@ -18,7 +18,7 @@ from fg_orient.model.errors import InputError
 from fg_orient.result.record import Result
 
 FILES = {"result.json", "eop.csv", "points.csv", "residuals.csv", "accuracy.csv", "iterations.jsonl", "arrays.npz",
-         "covariance.npz", "report.html"}  # fmt: skip
+         "covariance.npz", "manifest.json", "report.html"}  # fmt: skip
 
 
 def rows(path: Path) -> list[dict[str, str]]:

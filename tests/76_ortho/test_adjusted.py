@@ -18,6 +18,7 @@ from fg_orient.rpc.options import FitOptions
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.rpc_sensor import RpcSensor
 from tests.support.command import in_process as run
+from tests.support.results import sealed
 
 from .conftest import Twin
 
@@ -116,10 +117,10 @@ def test_two_images_with_files_of_one_name_are_told_apart(twin: Twin, tmp_path: 
     (tmp_path / "result.json").write_text(json.dumps(record), encoding="utf-8")
     for name, path in files.items():
         expected = read_correction(twin.result, twin.sensors[name])
-        assert np.array_equal(read_correction(tmp_path, read_sensor(path)).eop, expected.eop)  # type: ignore[union-attr]
+        assert np.array_equal(read_correction(sealed(tmp_path), read_sensor(path)).eop, expected.eop)  # type: ignore[union-attr]
     record["provenance"]["inputs"] = []
     (tmp_path / "result.json").write_text(json.dumps(record), encoding="utf-8")
-    code, text = refused(tmp_path, read_sensor(files["right"]))
+    code, text = refused(sealed(tmp_path), read_sensor(files["right"]))
     assert code == "ortho.which_image" and "left or right" in text
     assert read_correction(tmp_path, read_sensor(files["right"]), "right") is not None
 

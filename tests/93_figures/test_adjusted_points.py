@@ -20,6 +20,7 @@ import shapely
 from fg_orient.formats.point_clouds import steps
 from fg_orient.report.adjusted_points import PURPOSE
 from tests.support.command import Run
+from tests.support.results import sealed
 
 Columns = dict[str, Any]
 #: UTM of the twin.
@@ -251,6 +252,7 @@ def test_local_coordinates_have_no_crs(run: Run, result: Path, tmp_path: Path) -
     lines = [",".join("" if name in ("lon_deg", "lat_deg", "height_m") else row[name] for name in row) for row in table]
     (result / "points.csv").write_text("\n".join([",".join(table[0]), *lines]) + "\n", "utf-8")
     wanted = [[float(row[f"{a}_m"]) for a in "xyz"] for row in table]
+    sealed(result)
     for suffix in (".laz", ".ply", ".csv", ".gpkg"):
         ended = run("dsm-points", result, "--out", tmp_path / f"a{suffix}", "--control", "--json")
         assert (ended.code, ended.json["crs"], ended.json["heights"]) == (0, None, "")
@@ -267,7 +269,7 @@ def test_doubt_is_heard(run: Run, result: Path, tmp_path: Path) -> None:
     """The points are written; the first line after their purpose says it, and so does the exit code."""
     record = json.loads((result / "result.json").read_text("utf-8"))
     (result / "result.json").write_text(json.dumps(record | {"status": "not_trustworthy"}), "utf-8")
-    ended = run("dsm-points", result, "--out", tmp_path / "a.ply", "--crs", UTM)
+    ended = run("dsm-points", sealed(result), "--out", tmp_path / "a.ply", "--crs", UTM)
     assert ended.code == 4 and (tmp_path / "a.ply").is_file()
     assert "doubt" in ended.stderr and "not_trustworthy" in ended.stderr
     assert PURPOSE in ended.stdout.splitlines()[0]

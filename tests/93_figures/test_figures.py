@@ -20,6 +20,7 @@ from fg_orient.report import figures, maps, paper, plots
 from fg_orient.report.chart import Chart, Mark
 from fg_orient.result.plain import Table
 from fg_orient.result.record import Result, read_result
+from tests.support.results import sealed
 
 NAMES = set(figures.PLOTS)
 #: Of an adjustment without regularisation.
@@ -246,7 +247,7 @@ def test_hostile_names_are_words(adjusted: Path, result: Path, tmp_path: Path) -
     for name in ("residuals.csv", "eop.csv"):
         text = (result / name).read_text("utf-8").replace("\nleft,", f"\n{hostile},")
         (result / name).write_text(text, encoding="utf-8")
-    folder = read_result(result)
+    folder = read_result(sealed(result))
     with matplotlib.rc_context(paper.STYLE):
         figure = paper.figure_of(charts_of(folder, "residuals", folder.images))
         (tmp_path / "x.svg").write_bytes(paper.file_of(figure, "svg"))
@@ -273,7 +274,7 @@ def test_what_is_not_drawn_is_told(result: Path) -> None:
         kept = dict(arrays)
     kept["image_cofactors"][:] = np.nan
     np.savez(result / "arrays.npz", **kept)
-    folder = read_result(result)
+    folder = read_result(sealed(result))
     for name in ("map", "map_up", "correlations", "redundancy", "iterations"):
         assert charts_of(folder, name, folder.images) == [], name
     assert charts_of(folder, "histograms", ["left"])[0].x.words == "residual v/σ"
@@ -316,7 +317,7 @@ def test_refusals(run: Any, result: Path, tmp_path: Path, monkeypatch: pytest.Mo
     arrays = (result / "arrays.npz").read_bytes()
     (result / "arrays.npz").write_bytes(b"PK")
     ended = run("report", result, "--figures", "--json")
-    assert (ended.code, ended.json["errors"][0]["code"]) == (2, "report.damaged")
+    assert (ended.code, ended.json["errors"][0]["code"]) == (2, "manifest.incomplete")
     (result / "arrays.npz").write_bytes(arrays)
     with pytest.raises(InputError, match="svg or pdf"):
         figures.write_figures(result, formats=("png",))

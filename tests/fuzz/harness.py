@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import random
 import shutil
 import signal
@@ -177,7 +176,6 @@ class Session:
     def begin(self) -> Broken | str:
         """Read the seeds themselves."""
         found = outcome(lambda: self.reader.read(self.folder), sum(map(len, self.seeds.values())), limits=False)
-        gc.collect()
         return found
 
     def case(self, *, limits: bool = True) -> Broken | str:

@@ -17,10 +17,10 @@ NUMBERS: Final = (
 )  # fmt: skip
 #: Words that formats treat specially.
 WORDS: Final = (
-    "", " ", "\t", "\0", "\r", "\n", "\n\n", "#", "'", '"', '""', ",", ";", "|", "..", "../../etc/passwd", "/", "\\", "=1+1",
-    "@", "null", "true", "false", "None", "[]", "{}", "[", "]", "{", "}", "<", ">", "&", "<!DOCTYPE a>", "<!--",
-    "]]>", "\ufeff", "\u202e", "İ", "ß", "𝟙", "a" * 3000, "EPSG:4326", "EPSG:0", "EPSG:99999", "EPSG:32636+5773",
-    "control", "check", "tie", "fixed", "%s", "{0}", "\x1b[2J", "-----", "1 2 3", "inf,nan",
+    "", " ", "\t", "\x00", "\r", "\n", "\n\n", "#", "'", '"', '""', ",", ";", "|", "..", "../../etc/passwd", "/",
+    "\\", "=1+1", "@", "null", "true", "false", "None", "[]", "{}", "[", "]", "{", "}", "<", ">", "&", "<!DOCTYPE a>",
+    "<!--", "]]>", "\ufeff", "\u202e", "İ", "ß", "𝟙", "a" * 3000, "EPSG:4326", "EPSG:0", "EPSG:99999",
+    "EPSG:32636+5773", "control", "check", "tie", "fixed", "%s", "{0}", "\x1b[2J", "-----", "1 2 3", "inf,nan",
 )  # fmt: skip
 _NUMBER: Final = re.compile(rb"[-+]?[0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?")
 _WORD: Final = re.compile(rb"[A-Za-z_][\w.-]*")

@@ -32,15 +32,12 @@ class Reader:
         Reads them from the folder.
     only : str
         Pattern of the names of the files that are changed.
-    slow : bool
-        Its files take seconds to make, or a case takes more than some milliseconds.
     """
 
     name: str
     make: Make
     read: Callable[[Path], object]
     only: str = ""
-    slow: bool = False
 
     def changes(self, name: str) -> bool:
         """Whether a file is one of those that are changed."""
@@ -58,7 +55,7 @@ def _form(name: str) -> Any:
 # --- points and bundles -------------------------------------------------------------------------------
 
 
-def _exchange(name: str, paths: Sequence[str], makes: Iterable[Make], crs: str = "", slow: bool = False) -> Reader:
+def _exchange(name: str, paths: Sequence[str], makes: Iterable[Make], crs: str = "") -> Reader:
     """Reader of a format of points or bundles, and of its frame model."""
 
     def read(folder: Path) -> None:
@@ -66,7 +63,7 @@ def _exchange(name: str, paths: Sequence[str], makes: Iterable[Make], crs: str =
         from fg_orient.formats.registry import Holds, Settings
         from fg_orient.model.errors import FgOrientError
 
-        form = formats()[name]
+        form = _form(name)
         files = tuple(folder / path for path in paths)
         image = "left.tif" if Holds.IMAGE in form.holds and Holds.IMAGES not in form.holds else ""
         settings = Settings(crs=crs, image=image, incomplete=True)
@@ -81,7 +78,7 @@ def _exchange(name: str, paths: Sequence[str], makes: Iterable[Make], crs: str =
         for one in makes:
             one(folder)
 
-    return Reader(name, make, read, slow=slow)
+    return Reader(name, make, read)
 
 
 def _written(name: str, suffix: str, crs: str = UTM) -> Make:
@@ -89,10 +86,10 @@ def _written(name: str, suffix: str, crs: str = UTM) -> Make:
 
     def make(folder: Path) -> None:
         from fg_orient.formats.exchange.convert import write_survey
-        from fg_orient.formats.registry import Settings, formats
+        from fg_orient.formats.registry import Settings
         from tests.support.survey import random_survey
 
-        form = formats()[name]
+        form = _form(name)
         survey = random_survey(np.random.default_rng(1), form, form.crs or crs, plain=True)
         sizes = dict.fromkeys(survey.images, (12000, 12000))
         write_survey(survey, [folder / f"seed{suffix}"], form, Settings(image_sizes=sizes), overwrite=True)
@@ -148,7 +145,7 @@ def _points() -> list[Reader]:
 # --- RPC and image metadata ----------------------------------------------------------------------------
 
 
-def _rpc(name: str, file: str, make: Make | None = None, slow: bool = False) -> Reader:
+def _rpc(name: str, file: str, make: Make | None = None) -> Reader:
     def write(folder: Path) -> None:
         from fg_orient.formats.rpc import write_rpc
         from tests.support.rpc_model import synthetic_model
@@ -163,7 +160,7 @@ def _rpc(name: str, file: str, make: Make | None = None, slow: bool = False) -> 
         if file != "rpc.txt":
             read_sensor(folder / file, model="rpc")
 
-    return Reader(name, make or write, read, only=re.escape(file), slow=slow)
+    return Reader(name, make or write, read, only=re.escape(file))
 
 
 def _tags(folder: Path) -> None:
@@ -209,7 +206,7 @@ def _real(*patterns: str) -> Make:
     return make
 
 
-def _sensor_file(name: str, make: Make, only: str, file: str, slow: bool = False) -> Reader:
+def _sensor_file(name: str, make: Make, only: str, file: str) -> Reader:
     def read(folder: Path) -> None:
         from fg_orient.formats.metadata.dimap import read_dimap
         from fg_orient.formats.sensor import read_sensor
@@ -220,7 +217,7 @@ def _sensor_file(name: str, make: Make, only: str, file: str, slow: bool = False
         if not file.startswith("frame"):
             sensor.locate(np.array([1.0]), np.array([2.0]), height_m=100.0)
 
-    return Reader(name, make, read, only=only, slow=slow)
+    return Reader(name, make, read, only=only)
 
 
 def _dimap1(folder: Path) -> None:
@@ -496,7 +493,7 @@ def _read_office_layer(folder: Path) -> None:
 
 def _projects() -> list[Reader]:
     return [
-        Reader("project", _project, _read_project, slow=True),
+        Reader("project", _project, _read_project),
         Reader("parquet", _binary_tables, _read_binary("parquet"), only="parquet"),
         Reader("arrow", _binary_tables, _read_binary("arrow"), only="arrow"),
         Reader("tables", _tables, _read_tables, only="csv"),
@@ -517,7 +514,8 @@ def _crs(folder: Path) -> None:
     texts = {
         "code": "EPSG:32636+EGM96", "utm": "WGS84 UTM 32N",
         "wkt1": compound.to_wkt("WKT1_GDAL"), "wkt2": compound.to_wkt(),
-        "proj": pyproj.CRS("EPSG:5254").to_proj4(), "json": pyproj.CRS("EPSG:4979").to_json(),
+        "proj": "+proj=tmerc +lon_0=30 +k=1 +x_0=500000 +ellps=GRS80 +units=m +type=crs",
+         "json": pyproj.CRS("EPSG:4979").to_json(),
         "bound": "+proj=utm +zone=36 +ellps=WGS84 +towgs84=0,0,0,0,0,0,0 +type=crs", "vertical": "EGM2008 height",
     }  # fmt: skip
     for name, text in texts.items():
@@ -557,7 +555,7 @@ def _dem(folder: Path) -> None:
     ):
         with rasterio.open(
             folder / f"{name}.tif", "w", driver="GTiff", width=40, height=30, count=1, dtype="float32", crs="EPSG:4979",
-            nodata=-9999.0, transform=rasterio.transform.from_origin(31.5, 41.6, 0.01, 0.01), **how,
+            nodata=-9999.0, transform=rasterio.Affine(0.01, 0.0, 31.5, 0.0, -0.01, 41.6), **how,
         ) as out:  # fmt: skip
             out.write(heights, 1)
 
@@ -705,9 +703,9 @@ def _read_npz(folder: Path) -> None:
 
 def _results() -> list[Reader]:
     return [
-        Reader("result", _result, _read_result, slow=True), Reader("old-result", _old_result, _read_result, slow=True),
-        Reader("closerange-result", _closerange_result, _read_closerange_result, only="closerange.json", slow=True),
-        Reader("transformation", _transformation, _read_transformation, only="json", slow=True),
+        Reader("result", _result, _read_result), Reader("old-result", _old_result, _read_result),
+        Reader("closerange-result", _closerange_result, _read_closerange_result, only="closerange.json"),
+        Reader("transformation", _transformation, _read_transformation, only="json"),
         Reader("npz", _npz, _read_npz),
     ]  # fmt: skip
 

@@ -157,7 +157,7 @@ def _read_cameras(text: TextLines) -> dict[str, Interior]:
         cameras[cells[0]] = interior_of(
             cells[1], (width, height), values.tolist(), cells[0], file=text.path.name, place=f"line {number}"
         )
-    ids = np.array([cells[0] for _, cells in rows], str)
+    ids = [cells[0] for _, cells in rows]
     require_once(ids, "camera", text.path.name, lambda k: (f"line {rows[k][0]}", ids[k]))
     return cameras
 

@@ -226,7 +226,7 @@ def read_marks(path: Path) -> tuple[list[str], list[str], Array]:
     for k in np.flatnonzero(values[:, 2] <= 0.0)[:1]:
         text.refuse(rows[k][0], "sigma")
     images, points = ([cells[order.index(name)] for _, cells in rows] for name in ("image", "point"))
-    pairs = np.array([f"{point}\n{image}" for point, image in zip(points, images, strict=True)], str)
+    pairs = list(zip(points, images, strict=True))
     require_once(pairs, "mark", path.name, lambda k: ("", f"point {points[k]} in image {images[k]}"))
     return images, points, values
 
@@ -255,7 +255,7 @@ def _rows(path: Path, first: int, counts: tuple[int, ...], needed: str) -> dict[
         if values is None or len(values) not in counts or not cells[0] or (values[3:] <= 0.0).any():
             text.refuse(number, needed)
         rows.append((cells[0], values))
-    names = np.array([name for name, _ in rows], str)
+    names = [name for name, _ in rows]
     require_once(names, "name", path.name, lambda k: (f"line {content[k][0]}", names[k]))
     return dict(rows)
 

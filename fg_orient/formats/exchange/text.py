@@ -199,14 +199,21 @@ def whole(cell: str) -> int | None:
     return int(cell) if cell.isascii() and cell.isdigit() and 0 < len(cell) < 19 and int(cell) > 0 else None
 
 
-def require_once(values: npt.NDArray[Any], kind: str, file: str, at: Callable[[int], tuple[str, object]]) -> None:
+def require_once(
+    values: npt.NDArray[Any] | Sequence[object], kind: str, file: str, at: Callable[[int], tuple[str, object]]
+) -> None:
     """Refuse values (n,) that occur twice; ``at`` gives place and value of a row for the message.
+
+    Texts are a list: each text of an array takes the memory of the longest one.
 
     Raises
     ------
     InputError
         Names the first repetition.
     """
+    if not isinstance(values, np.ndarray):
+        number: dict[object, int] = {}
+        values = np.array([number.setdefault(value, len(number)) for value in values], np.intp)
     _, first = np.unique(values, return_index=True)
     if len(first) < len(values):
         place, value = at(int(np.setdiff1d(np.arange(len(values)), first)[0]))

@@ -74,9 +74,9 @@ def _xlsx(path: Path) -> dict[str, Rows]:
         raise InputError.of("office.no_openpyxl", file=path) from error
     import warnings
 
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), path.open("rb") as stream:  # openpyxl leaves a damaged file open
         warnings.simplefilter("ignore")  # styles and extensions that openpyxl does not support
-        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+        book = openpyxl.load_workbook(stream, read_only=True, data_only=True)
         try:
             sheets = {}
             for sheet in book.worksheets:

@@ -1,0 +1,27 @@
+"""Cases that fuzzing found: each file is put into the files of its reader, which then reads or refuses it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.fuzz.harness import Broken, outcome
+from tests.fuzz.readers import READERS
+
+pytestmark = pytest.mark.behaviour
+
+FOUND = Path(__file__).with_name("found")
+#: Files ``READER/NUMBER.NAME``; NAME is the file of the reader that they replace.
+CASES = sorted(path.relative_to(FOUND).as_posix() for path in FOUND.glob("*/*.*"))
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_found_case_is_read_or_refused(tmp_path: Path, case: str) -> None:
+    name, _, file = case.partition("/")
+    reader = READERS[name]
+    reader.make(tmp_path)
+    target = min(tmp_path.rglob(file.partition(".")[2]))
+    target.write_bytes((FOUND / case).read_bytes())
+    found = outcome(lambda: reader.read(tmp_path), target.stat().st_size)
+    assert not isinstance(found, Broken), found.text
