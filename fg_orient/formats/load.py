@@ -109,7 +109,7 @@ def parse_json(data: bytes, file: object, code: str, place: object = "") -> Any:
     except (orjson.JSONDecodeError, RecursionError) as error:
         raise InputError.of(code, file=file, place=place, value=error) from None
     level, most = [content], int(limit("json_depth"))
-    for _ in range(most + 1):
+    for _ in range(most):
         level = [
             item for one in level if isinstance(one, (dict, list))
             for item in (one.values() if isinstance(one, dict) else one) if isinstance(item, (dict, list))
