@@ -16,7 +16,7 @@ import numpy as np
 from factors._contract import Argument, Equation
 from factors.arrays import Array, Index
 from fg_orient.adjustment.border_matrix import triangle
-from fg_orient.adjustment.problem import Problem
+from fg_orient.adjustment.problem import Problem, State
 from fg_orient.model.block import ExtraObservation
 
 #: Condition of the image unknowns with all rows above which normal equations lose the weakest direction: the square of
@@ -46,6 +46,13 @@ def without_penalties(problem: Problem) -> Problem:
     """The problem without the rows of a regularisation."""
     others = tuple(e for e in problem.block.extra if not isinstance(e, Penalty))
     return replace(problem, block=replace(problem.block, extra=others))
+
+
+def penalty_squares(problem: Problem, state: State) -> float:
+    """Sum of squares of the rows of a regularisation at a state; they are not observations: 0 without one."""
+    if problem.regularisation is None:
+        return 0.0
+    return float(np.sum((problem.regularisation.rows @ problem.image_vector(state)) ** 2))
 
 
 def penalties(problem: Problem, rows: Any, source: str, condition: float) -> tuple[Penalty, ...]:

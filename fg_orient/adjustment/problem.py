@@ -265,9 +265,12 @@ class Problem:
         return 2 * len(self.observations) + 3 * int(self.observed.sum()) + priors + extra
 
     @property
-    def redundancy(self) -> int:
-        """Observations minus unknowns."""
-        return self.n_observations - self.n_unknowns
+    def redundancy(self) -> float:
+        """Observations minus unknowns, whole; with a penalty minus the trace of the hat matrix of the observations."""
+        whole, penalty = self.n_observations - self.n_unknowns, 0.0
+        if self.regularisation is not None:
+            penalty = self.regularisation.redundancy
+        return whole - penalty if penalty else whole
 
     def axes(self, ground_m: Array) -> Array:
         """Rotations (N, 3, 3) to East, North, Up at ECEF coordinates (N, 3); identities in a local system."""

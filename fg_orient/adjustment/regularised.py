@@ -42,6 +42,10 @@ class Regularisation:
         The reduced system in standard form, on which the rules of kappa work (penalty |y|^2); None for a large system.
     condition : float
         Condition of the reduced Jacobian with priors and penalty.
+    determined : float
+        Number of image unknowns that the rows determine: trace of ``R Q R^T`` at the start.
+    n_rows : int
+        Number of rows among the observations; fewer than k if they were compressed.
     """
 
     method: str
@@ -56,6 +60,17 @@ class Regularisation:
     null: Array
     standard: LinearSystem | None
     condition: float
+    determined: float
+    n_rows: int = 0
+
+    @property
+    def redundancy(self) -> float:
+        """Sum of the redundancy numbers of the rows, which is no redundancy of the observations; 0 of held directions.
+
+        With Q of all rows it is the trace of ``I - R Q R^T``. Without it the redundancy of a problem is the number of
+        its observations minus the trace of their hat matrix.
+        """
+        return self.n_rows - self.determined if self.method not in ("truncated", "minimum_norm") else 0.0
 
     @property
     def held(self) -> int:

@@ -28,7 +28,7 @@ from fg_orient.adjustment.loop import (
     IterationRecord,
     LoopResult,
 )
-from fg_orient.adjustment.penalty import needs_rows
+from fg_orient.adjustment.penalty import needs_rows, penalty_squares
 from fg_orient.adjustment.problem import Problem, State, no_point_is_named
 from fg_orient.adjustment.reduced_choice import is_wide
 from fg_orient.adjustment.resection import METHODS, resection_start
@@ -73,7 +73,7 @@ class Estimate:
     ----------
     state : State
     chi2 : float
-        Weighted sum of squares; under a loss with the weights at the state held fixed.
+        Weighted sum of squares of the observations, without a penalty; under a loss with the weights at the state.
     backend, solver : str
         "graph", "schur" or "dense"; linear solver of the dense backend, else "".
     linear : ExplicitSystem, SchurSystem, DenseSystem, SummedSystem or BorderMatrix
@@ -285,8 +285,9 @@ class _Job:
             weights, excess = weights_at(self.problem, state, backend.robust)
             weights, error = replace(weights, scale=self._scale), error - excess
         structure, solved = np.diff(self._marks)
+        chi2 = 2.0 * error - penalty_squares(self.problem, state)
         return Estimate(
-            state, 2.0 * error, result.converged, result.end, result.log, result.iterations or len(result.log),
+            state, chi2, result.converged, result.end, result.log, result.iterations or len(result.log),
             self.backend, solver, linear, float(structure), float(solved), weights,
             0 if self._resumed is None else len(self._resumed.log),
         )  # fmt: skip

@@ -146,7 +146,9 @@ def show(record: dict[str, Any]) -> None:
     whose = f" of GTSAM's {record['optimizer'].title()}" if record["backend"] == "graph" else ""
     regularised = regularised_words(record)
     say(f"{record['status'].replace('_', ' ')} after {record['iterations']} iterations{whose}{regularised}")
-    say(f"{record['n_image_points']} image points, {record['n_unknowns']} unknowns, redundancy {record['redundancy']}")
+    free = record["redundancy"]
+    free = f"{free:.1f}" if isinstance(free, float) else free
+    say(f"{record['n_image_points']} image points, {record['n_unknowns']} unknowns, redundancy {free}")
     tested = f"99.9 % interval {number(low)} .. {number(high)}" if low is not None else "not tested"
     say(f"sigma0 {number(record['sigma0'])} ({tested}), "
         f"{orientation_words(record)}")  # fmt: skip

@@ -174,7 +174,8 @@ def _image_points(given: Built, solution: Solution) -> dict[str, Array]:
 def result_of(given: Built, solution: Solution) -> BundleResult:
     """Result of a bundle from the solution of its block."""
     problem, state, built = solution.problem, solution.state, without_rejected(given, solution)
-    m0 = unit_weight(solution.chi2, solution.redundancy)
+    freedom = int(solution.redundancy)  # photos have no penalty
+    m0 = unit_weight(solution.chi2, freedom)
     if m0 is not None and solution.weights is not None:
         m0 = solution.weights.scale[0]
     figures, z = built.figures(problem, state), len(built.owners)
@@ -226,7 +227,7 @@ def result_of(given: Built, solution: Solution) -> BundleResult:
         labels=(*built.labels, *labels[z:]),
         cofactors=np.concatenate([np.maximum(orientation.diagonal()[:z], 0.0) / steps[:z] ** 2, spread[active].ravel(),
                                   shape_variance]),
-        m0=m0, redundancy=solution.redundancy, iterations=len(solution.log), backend=solution.backend,
+        m0=m0, redundancy=freedom, iterations=len(solution.log), backend=solution.backend,
         history=solution.log, others=others, others_whitened=whitened, others_redundancy=redundancy,
         point_cofactors=of_points, angle_cofactors=of_angles, orientation=orientation, orientation_labels=tuple(labels),
         orientation_units=units[: len(labels)], solution=solution, **_image_points(given, solution),

@@ -65,8 +65,8 @@ class AdjustmentResult:
         return self.problem.block
 
     @property
-    def redundancy(self) -> int:
-        """Observations minus unknowns."""
+    def redundancy(self) -> float:
+        """Observations minus unknowns; with a penalty observations minus the trace of their hat matrix."""
         return self.problem.redundancy
 
     @property

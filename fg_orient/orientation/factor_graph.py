@@ -11,6 +11,7 @@ import numpy as np
 
 from factors._preparation import working_clock
 from factors.arrays import Array
+from fg_orient.adjustment.penalty import penalty_squares
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.solve import Estimate, eliminates_points
@@ -146,8 +147,9 @@ class FactorGraph:
             linear = self._linear(values, state)
         converged = gradient <= REMAINING
         end = finding("loop.given" if converged else "loop.gradient_left", step=step, gradient=gradient)
+        chi2 = 2.0 * error - penalty_squares(self.prepared.problem, state)
         return self.prepared.conclude(Estimate(
-            state, 2.0 * error, converged, end, (), 0, "graph", "", linear, 0.0, working_clock() - begin
+            state, chi2, converged, end, (), 0, "graph", "", linear, 0.0, working_clock() - begin
         ))  # fmt: skip
 
     def gradient(self, values: gtsam.Values) -> float:

@@ -192,7 +192,7 @@ def _refuse(
     counts = {
         "n_observations": compiled.n_observations,
         "n_unknowns": compiled.n_unknowns,
-        "redundancy": compiled.redundancy,
+        "redundancy": compiled.n_observations - compiled.n_unknowns,
     }
     defect = {o.image: o.rank_defect for o in observability}
     raise RankDeficientError(

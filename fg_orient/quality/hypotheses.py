@@ -203,7 +203,7 @@ class GlobalTest:
     """
 
     statistic: float
-    redundancy: int
+    redundancy: float
     level: float
     limits: tuple[float, float]
     probability: float
@@ -214,7 +214,7 @@ class GlobalTest:
         return self.limits[0] <= self.statistic <= self.limits[1]
 
 
-def global_test(chi2: float, redundancy: int, level: float = 0.001) -> GlobalTest | None:
+def global_test(chi2: float, redundancy: float, level: float = 0.001) -> GlobalTest | None:
     """Test the variance factor by a two-sided chi-square test with a priori sigmas; None without redundancy.
 
     ``chi2`` is the weighted sum of squares of all residuals. InputError: the level is not between 0 and 1.

@@ -15,7 +15,7 @@ from scipy import sparse
 from factors.arrays import Array
 from fg_orient.adjustment.linear.kappa import BESIDE_PRIORS, Given, KappaChoice
 from fg_orient.adjustment.linear.kappa_graph import SAMPLED, on_curves
-from fg_orient.adjustment.linear.sampled import PROBES, SampledRidge
+from fg_orient.adjustment.linear.sampled import PROBES, SEED, SampledRidge, signs
 from fg_orient.adjustment.linear.system import MAX_UNKNOWNS
 from fg_orient.adjustment.normal_equations import NormalEquations
 from fg_orient.adjustment.penalty import without_penalties
@@ -38,9 +38,12 @@ def large_regularisation(problem: Problem) -> Regularisation:
     ):
         raise InputError.of("linear.too_large", option="regularisation", value=z, limit=MAX_UNKNOWNS)
     choice = _choice(problem) if options.kappa is None else KappaChoice(options.kappa, "")
+    probes = signs(z, PROBES, SEED)
+    solve = NormalEquations.of(problem, problem.start).factor(choice.kappa + float(options.priors))
+    determined = choice.kappa * float(np.mean(np.sum(probes * solve(probes), axis=0)))  # trace of R Q R^T
     return Regularisation(
         "tikhonov", choice.kappa, choice.rule, choice if choice.rule else None, np.zeros(0), z, np.inf, np.ones(z),
-        sparse.eye_array(z, format="csr") * np.sqrt(choice.kappa), np.zeros((z, 0)), None, np.nan,
+        sparse.eye_array(z, format="csr") * np.sqrt(choice.kappa), np.zeros((z, 0)), None, np.nan, determined,
     )  # fmt: skip
 
 

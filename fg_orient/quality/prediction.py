@@ -112,7 +112,7 @@ class Misclosures:
     images: tuple[int, ...]
     points: tuple[int, ...]
 
-    def consistency(self, cofactors: Cofactors, chi2: float, redundancy: int, test: str) -> ConsistencyTest:
+    def consistency(self, cofactors: Cofactors, chi2: float, redundancy: float, test: str) -> ConsistencyTest:
         """Test with the adjustment of the others: its cofactors, v^T v and redundancy."""
         none = not self.images and not self.points  # coordinates of a point without rays
         q = np.zeros((0, 0)) if none else cofactors.joint(self.images, self.points)
@@ -208,7 +208,7 @@ def _columns(full: Problem, one: Excluded) -> Array:
     return out[:, :2] if one.part == "position" else out[:, 2:]
 
 
-def _judged(v: Array, e: Array, s: Array, chi2: float, redundancy: int, test: str) -> ConsistencyTest:
+def _judged(v: Array, e: Array, s: Array, chi2: float, redundancy: float, test: str) -> ConsistencyTest:
     """Test in the adjustment with the observations: f increases by their number, v^T v by their sum."""
     residual, weighted = np.linalg.solve(s, v), np.linalg.solve(s, e)
     t, d, _ = hypotheses.quadratic(e.T @ residual, e.T @ weighted)

@@ -27,10 +27,11 @@ from typing import Final
 import numpy as np
 
 from factors.arrays import Array
+from fg_orient.adjustment.border_matrix import triangle
 from fg_orient.adjustment.linear.kappa import BESIDE_PRIORS, Given, KappaChoice, choose_kappa
 from fg_orient.adjustment.linear.shrinkage import SHRINKAGE, shrinkage_penalties
 from fg_orient.adjustment.linear.system import MAX_UNKNOWNS, LinearSystem, Rest, column_lengths
-from fg_orient.adjustment.penalty import NORMAL_LIMIT, penalties, without_penalties
+from fg_orient.adjustment.penalty import NORMAL_LIMIT, penalties, penalty_squares, without_penalties
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.regularised import Regularisation
 from fg_orient.adjustment.runtime import one_blas_thread
@@ -90,6 +91,7 @@ def with_regularisation(problem: Problem) -> Problem:
             "regularise.condition", option="backend", value="schur", condition=chosen.condition, limit=NORMAL_LIMIT
         )
     rows = penalties(problem, chosen.rows, SOURCE, chosen.condition)
+    chosen = replace(chosen, n_rows=sum(own.n_residuals for own in rows))
     return replace(problem, block=replace(problem.block, extra=(*problem.block.extra, *rows)), regularisation=chosen)
 
 
@@ -113,28 +115,43 @@ def _chosen(problem: Problem, system: LinearSystem) -> Regularisation:
     if options.regularisation in ("tikhonov", "truncated"):
         choice = None if options.kappa is not None else _by_rule(problem, standard)
         kappa = options.kappa if choice is None else choice.kappa
+    held, weights = np.arange(z) >= rank, np.zeros(z)  # of the directions
     if options.regularisation == "tikhonov":
         assert kappa is not None
-        held, rows = np.arange(z) >= rank, np.sqrt(kappa) * (np.diag(units) if penalty is None else penalty)
+        weights[:], rows = kappa, np.sqrt(kappa) * (np.diag(units) if penalty is None else penalty)
     else:
-        held, shrunk = np.arange(z) >= rank, np.zeros(rank)
         if options.regularisation == "truncated":
             assert kappa is not None
             held |= s**2 < kappa
         elif options.regularisation in SHRINKAGE:
-            shrunk = shrinkage_penalties(options.regularisation, standard)[0]
-            held[:rank] |= np.isinf(shrunk)
-        weight = np.sqrt(s[held].max(initial=0.0) / HELD) / s[0]
-        rows = min(max(weight, 1.0), STIFFEST) * s[0] * vt[held] * units
-        own = np.flatnonzero((shrunk > 0.0) & ~held[:rank])
-        rows = np.vstack([rows, np.sqrt(shrunk[own])[:, None] * vt[own] * units])
-    prior = np.eye(z) if options.priors else np.zeros((0, z))
-    values = np.linalg.svd(np.vstack([design, rows, prior]), compute_uv=False)
-    condition = float(values[0] / values[-1]) if values[-1] > 0.0 else np.inf
+            weights[:rank] = shrinkage_penalties(options.regularisation, standard)[0]
+            held |= np.isinf(weights)
+        stiff = np.sqrt(s[held].max(initial=0.0) / HELD) / s[0]
+        weights[held] = (min(max(stiff, 1.0), STIFFEST) * s[0]) ** 2
+        own = np.flatnonzero(weights)
+        rows = np.sqrt(weights[own])[:, None] * vt[own] * units
+    if penalty is None and options.regularised_units == "prior_sigmas":  # all rows have the same right directions
+        squares = s**2 + weights + float(options.priors)
+        condition, determined = _ratio(np.sqrt(squares)), float(np.sum(weights / squares))
+    else:
+        condition, determined = _with_all_rows(design, rows, priors=options.priors)
     return Regularisation(
         options.regularisation, kappa, "" if choice is None else choice.rule, choice, s, rank, gap, units, rows,
-        vt[held].T, standard, condition,
+        vt[held].T, standard, condition, determined,
     )  # fmt: skip
+
+
+def _ratio(values: Array) -> float:
+    """Largest over least value; inf for a least value of zero."""
+    return float(values.max() / values.min()) if values.min() > 0.0 else np.inf
+
+
+def _with_all_rows(design: Array, rows: Array, *, priors: bool) -> tuple[float, float]:
+    """Condition of design, rows R and priors together, with ``Q^-1 = B^T B``, and the trace of ``R Q R^T``."""
+    z = design.shape[1]
+    _, s, vt = np.linalg.svd(triangle(np.vstack([design, rows, np.eye(z) if priors else np.zeros((0, z))])))
+    condition = _ratio(s)
+    return condition, float(np.sum((rows @ vt.T / s) ** 2)) if np.isfinite(condition) else float(z)
 
 
 def _units(problem: Problem, system: LinearSystem) -> Array:
@@ -233,10 +250,11 @@ def findings(problem: Problem) -> list[Finding]:
 
 
 def share_of_penalty(problem: Problem, state: State, chi2: float) -> float | None:
-    """Share of the penalty in the weighted sum of squares of a solution; None without a regularisation."""
+    """Share of the penalty in the minimised sum of squares, chi2 and the penalty; None without a regularisation."""
     if problem.regularisation is None:
         return None
-    return float(np.sum((problem.regularisation.rows @ problem.image_vector(state)) ** 2)) / chi2
+    penalty = penalty_squares(problem, state)
+    return penalty / (chi2 + penalty)
 
 
 def kappa_text(chosen: Regularisation) -> str | None:

@@ -166,7 +166,7 @@ class Round:
     number : int
         From 1.
     sigma0 : float
-    redundancy : int
+    redundancy : float
     n_tested : int
     n_suspicious : int
     left_out, put_back : str
@@ -175,7 +175,7 @@ class Round:
 
     number: int
     sigma0: float
-    redundancy: int
+    redundancy: float
     n_tested: int
     n_suspicious: int
     left_out: str = ""

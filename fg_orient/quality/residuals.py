@@ -144,7 +144,7 @@ class ResidualCofactors:
 
     @property
     def redundancy_sum(self) -> float:
-        """Sum of all redundancy numbers; apart from rounding ``problem.redundancy``."""
+        """Sum of all redundancy numbers: ``problem.redundancy``, and with a penalty those of its rows too."""
         blocks = sum(float(np.einsum("nii->", block)) for block in (self.image, self.control))
         return blocks + sum(float(np.sum(numbers)) for numbers in (self.prior, *self.extra))
 

@@ -65,6 +65,8 @@ class Resolution:
         Largest bias by a true deviation of one prior sigma in the directions without observations.
     rmse : (z,) array
         Root mean square error of the simulation.
+    gain : (z, r) array
+        Q A^T: effect of the observations.
     """
 
     matrix: Array
@@ -74,6 +76,7 @@ class Resolution:
     bias: Array
     bias_bound: Array
     rmse: Array
+    gain: Array
 
 
 def resolution(problem: Problem, state: State) -> Resolution:
@@ -101,7 +104,7 @@ def of_rows(design: Array, prior: Array, chosen: Regularisation, x: Array) -> Re
     return Resolution(
         gain @ design, np.asarray(np.linalg.svd(observed, compute_uv=False) ** 2), np.linalg.norm(inverse, axis=1),
         np.hypot(np.linalg.norm(gain, axis=1), np.linalg.norm(inverse @ of_prior.T, axis=1)),
-        -pull @ x, np.linalg.norm(pull @ null, axis=1), np.sqrt(np.mean(error**2, axis=1)),
+        -pull @ x, np.linalg.norm(pull @ null, axis=1), np.sqrt(np.mean(error**2, axis=1)), gain,
     )  # fmt: skip
 
 

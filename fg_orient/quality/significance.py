@@ -117,7 +117,7 @@ class Significance:
         Each coefficient over all images (if several), each component, each degree of one kind (``parameters.Term``).
     """
 
-    redundancy: int
+    redundancy: float
     level: float
     coefficients: tuple[CoefficientTest, ...]
     groups: tuple[GroupTest, ...]
