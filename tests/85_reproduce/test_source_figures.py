@@ -13,7 +13,8 @@ from pyproj import Transformer
 
 from fg_orient.model.names import Role
 from fg_orient.report.chart import Chart, short
-from fg_orient.studies.reproduce.figures import figures, places_km
+from fg_orient.studies.error_maps import places_km
+from fg_orient.studies.reproduce.figures import figures
 from fg_orient.studies.reproduce.folder import reproduce_to
 from fg_orient.studies.reproduce.reproduction import Reproduction, reproduce
 from fg_orient.studies.tables_twin import twin

@@ -14,23 +14,18 @@ from typing import Final
 
 import numpy as np
 
-from factors.arrays import Array
 from fg_orient.adjustment.runtime import one_blas_thread
-from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
-from fg_orient.model.block import Block
 from fg_orient.model.errors import FgOrientError
-from fg_orient.model.names import EOP_SETS, CellKey, Role
-from fg_orient.report.chart import SERIES, Axis, Chart, broad, large, round_down, short
+from fg_orient.model.names import EOP_SETS, CellKey
+from fg_orient.report.chart import SERIES, Axis, Chart, broad
 from fg_orient.report.maps import KM_PER_DEGREE, shrink_at
+from fg_orient.studies.error_maps import empty_map, error_map, errors_of, places_km
 from fg_orient.studies.reproduce.reproduction import Reproduction, Row
 from fg_orient.studies.reproduce.spot6 import NO_POINTS, control_points
 from fg_orient.studies.tables_twin import POINT_SETS, twin
 from fg_orient.studies.two_stage import TwoStage
 from fg_orient.studies.two_stage_results import AxisErrors
 
-#: Length of a large vector as a share of the width of a panel.
-SHARE: Final = 0.12
-KM: Final = 1e3
 #: Panels of T-Fig. 4.3: rule of kappa and EOP set.
 TIKHONOV: Final = (("hkb", 5), ("lw", 5), ("od", 5), ("od", 13), ("od", 15), ("od", 17), ("od", 19), ("od", 20))
 #: Panels of T-Fig. 4.4: tables 4.28 to 4.34 have one solver each.
@@ -103,7 +98,7 @@ def _spot6() -> SourceFigure:
         return SourceFigure(name, title, missing=NO_POINTS)
     lon, lat, _ = points.ground.T
     place = KM_PER_DEGREE * np.column_stack([shrink_at(float(lat.mean())) * (lon - lon.mean()), lat - lat.mean()])
-    chart = _map(place, title)
+    chart = empty_map(place, title)
     chart.add("dots", "control", *place.T, label=f"control ({len(place)})")
     return SourceFigure(name, title, "The authors' points, from their middle.", (chart,))
 
@@ -151,29 +146,9 @@ def _of_bundle(run: TwoStage, eop_set: int | None, solver: str, title: str = "")
     return _panel(run, errors, words)
 
 
-def places_km(block: Block) -> dict[str, Array]:
-    """East and north (2,) of the control and check points of a block, km from their mean."""
-    ids = [*np.array(block.points.ids)[block.points.where(Role.CONTROL)].tolist(), *block.withheld.ids]
-    known = block.points.known.ecef_m[block.points.where(Role.CONTROL)]
-    ecef = np.vstack([known, block.withheld.open().ecef_m])
-    middle = ecef.mean(axis=0)
-    lon, lat, _ = ecef_to_geodetic(middle)
-    enu = (ecef - middle) @ enu_from_ecef(lon, lat).reshape(3, 3).T
-    return dict(zip(ids, enu[:, :2] / KM, strict=True))
-
-
-def _map(place: Array, title: str) -> Chart:
-    low, high = place.min(axis=0), place.max(axis=0)
-    half = 0.5 * 1.15 * float(max((high - low).max(), 1e-3))
-    east, north = (0.5 * (low + high)).tolist()
-    x = Axis("east, km", (east - half, east + half), about=4)
-    y = Axis("north, km", (north - half, north + 1.3 * half), about=4)  # with room for the legend
-    return Chart(title, x, y, title=title, aspect=1.0)
-
-
 def _layout(run: TwoStage, title: str) -> Chart:
     place = places_km(run.block)
-    chart = _map(np.array([*place.values()]), title)
+    chart = empty_map(np.array([*place.values()]), title)
     for role, ids in (("control", run.control_ids), ("check", run.check_ids)):
         mine = np.array([place[name] for name in ids if name in place]).reshape(-1, 2)
         chart.add("dots", role, *mine.T, label=f"{role} ({len(mine)})")
@@ -181,26 +156,8 @@ def _layout(run: TwoStage, title: str) -> Chart:
 
 
 def _panel(run: TwoStage, errors: AxisErrors, title: str) -> Chart:
-    """Horizontal error vectors, computed minus measured, with the largest RMSE of an axis of each role."""
-    place = places_km(run.block)
-    chart = _map(np.array([*place.values()]), title)
-    lon, lat, _ = ecef_to_geodetic(run.block.points.known.ecef_m[run.block.points.where(Role.CONTROL)].mean(axis=0))
-    turn = enu_from_ecef(lon, lat).reshape(3, 3)[:2]
-    drawn = []
-    for role, ids, away, rmse in (("control", errors.gcp_ids, errors.gcp_m, errors.gcp_rmse),
-                                  ("check", errors.icp_ids, errors.icp_m, errors.icp_rmse)):  # fmt: skip
-        vectors = -away @ turn.T
-        drawn.append(vectors)
-        worst = float(rmse.max()) if len(rmse) else math.nan
-        at = np.array([place[name] for name in ids]).reshape(-1, 2)
-        label = f"{role}: {short(worst)} m" if math.isfinite(worst) else f"{role}: not determined"
-        chart.add("dots", role, *at.T, label=label, vectors=vectors)
-    size = large(np.vstack(drawn))
-    if math.isfinite(size) and size > 0.0:
-        chart.per_width = size / SHARE
-        unit = round_down(0.25 * chart.per_width)
-        chart.bars = [(unit / chart.per_width, f"{unit:g} m")]
-    return chart
+    """Horizontal error vectors with the largest RMSE of an axis of each role."""
+    return error_map(places_km(run.block), errors_of(run.block, errors), title)
 
 
 # --- Ayhan 1996 -----------------------------------------------------------------------------------
@@ -285,7 +242,7 @@ def _ipbuker(result: Reproduction) -> Iterable[SourceFigure]:
 def _shore() -> Chart:
     """Schematic layout: sheets of 7.5' at 41 degrees of latitude, 10.5 km by 13.9 km."""
     wide, tall, rng = 10.5, 13.9, np.random.default_rng(1994)
-    chart = _map(np.array([[0.0, 0.0], [2.0 * wide, 2.0 * tall]]), "schematic")
+    chart = empty_map(np.array([[0.0, 0.0], [2.0 * wide, 2.0 * tall]]), "schematic")
     for east in (0.0, wide):
         for north in (0.0, tall):
             corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * (wide, tall) + (east, north)
