@@ -90,6 +90,11 @@ def save_table(path: str | Path, columns: Mapping[str, Column], comments: Sequen
         write_table(temporary, columns, comments)
 
 
+def csv_table(columns: Mapping[str, Column]) -> bytes:
+    """Text of a CSV table as :func:`write_table` writes it."""
+    return b"".join(_csv(columns))
+
+
 def comment_lines(comments: Sequence[str]) -> list[str]:
     """Comments as lines of a text file; ValueError for a comment of several lines."""
     if any("\n" in line or "\r" in line for line in comments):

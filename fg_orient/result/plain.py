@@ -18,7 +18,7 @@ import numpy as np
 
 from factors.arrays import Array, Index
 from fg_orient.formats.faults import Faults
-from fg_orient.formats.table_write import WORDS, Column, write_table
+from fg_orient.formats.table_write import WORDS, Column, csv_table, write_table
 from fg_orient.formats.tables import note_repeated, read_columns
 from fg_orient.model.errors import InputError
 
@@ -115,6 +115,13 @@ def rows_of(columns: Mapping[str, Any]) -> list[dict[str, Any]]:
 def write_rows(path: Path, names: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     """Write a table of rows."""
     table_of_rows(names, rows).write(path)
+
+
+def csv_of_records(records: Sequence[Mapping[str, Any]]) -> bytes:
+    """Text of a CSV table of records with the same keys; empty without records."""
+    if not records:
+        return b""
+    return csv_table(table_of_rows(tuple(records[0]), (tuple(record.values()) for record in records)).columns)
 
 
 def write_records(path: Path, records: Sequence[Mapping[str, Any]]) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import shutil
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -15,7 +13,7 @@ from fg_orient.model.errors import as_record
 from fg_orient.model.installation import stamp
 from fg_orient.model.names import Progress
 from fg_orient.report.figures import CAPTIONS_FILE, draw_figures, require_matplotlib
-from fg_orient.result.plain import dumps, plain
+from fg_orient.result.plain import csv_of_records, dumps, plain
 from fg_orient.studies.comparison.scale import scale, sizes_of
 from fg_orient.studies.comparison.scale_page import captions, charts, growth_files, page
 
@@ -69,7 +67,7 @@ def scale_to(
         "command": " ".join(stamp(command)["command"]), "out": target.name, "provenance": stamp(command),
         **as_record([]),
     })  # fmt: skip
-    files = {name: _table(record[key]) for key, name in TABLES.items()}
+    files = {name: csv_of_records(record[key]) for key, name in TABLES.items()}
     files |= {"result.json": (dumps(record, indent=1) + "\n").encode(), "scale.md": page(record).encode()}
     grown = growth_files(record)
     draw_figures(
@@ -78,13 +76,3 @@ def scale_to(
     )  # fmt: skip
     shutil.rmtree(kept, ignore_errors=True)
     return record | {"out": str(out)}
-
-
-def _table(rows: Sequence[Mapping[str, Any]]) -> bytes:
-    """CSV table of records with the same keys; empty cells for missing numbers."""
-    stream = io.StringIO()
-    if rows:
-        writer = csv.DictWriter(stream, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows({k: "" if v is None else v for k, v in row.items()} for row in rows)
-    return stream.getvalue().encode()
