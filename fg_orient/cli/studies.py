@@ -28,14 +28,14 @@ FASTEST: Final = 1
 #: Short words for the status of a solution.
 STATUS: Final = {"converged": "good", "not_trustworthy": "doubtful", "not_converged": "failed"}
 #: Columns that name an engine.
-KEY: Final = ("backend", "type", "solver", "optimizer")
+KEY: Final = ("backend", "type", "solver", "optimizer", "regularisation")
 
 if TYPE_CHECKING:
     from fg_orient.studies.reproduce.reproduction import Reproduction
 
 
 @command(
-    Options, only=("look_polynomial", "memory_limit_gb"),
+    Options, only=("look_polynomial", "memory_limit_gb", "priors"),
     named={"eop_set": "--eop-sets", "cluster": "--scheduler", "time_limit_s": "--time-limit"},
 )  # fmt: skip
 def compare(
@@ -51,6 +51,12 @@ def compare(
     types: Annotated[
         str, option("Pre-adjustments as published: 1 look angles, 2 look angles and EOPs.", "1,2")
     ] = "1,2",
+    regularisations: Annotated[
+        str,
+        option(
+            "none, METHOD, METHOD:RULE or METHOD:KAPPA, or all: none,tikhonov:gcv; default: the project's.", "NAMES"
+        ),
+    ] = "",
     as_run: Annotated[
         bool, option("Compute the published procedure as the authors' program does.", flag="--as-run")
     ] = False,
@@ -73,7 +79,8 @@ def compare(
     if scale:
         given = {"eop_sets": eop_sets != ALL_SETS, "solvers": solvers != "published", "types": types != "1,2",
                  "target": target is not None, "as_run": as_run, "project": project is not None,
-                 "look_polynomial": "look_polynomial" in options}  # fmt: skip
+                 "regularisations": bool(regularisations),
+                 **{name: name in options for name in ("look_polynomial", "priors")}}  # fmt: skip
         if useless := [name for name, is_given in given.items() if is_given]:
             given_at = {"place": "PROJECT.toml"} if useless[0] == "project" else {"option": useless[0]}
             raise InputError.of("compare.with_scale", **given_at)
@@ -84,7 +91,8 @@ def compare(
     if project is None or sizes:
         raise InputError.of("compare.no_project", place="PROJECT.toml" if project is None else "sizes")
     options = {
-        "eop_sets": eop_sets, "solvers": solvers, "backends": backends, "types": types, "as_run": as_run,
+        "eop_sets": eop_sets, "solvers": solvers, "backends": backends, "types": types,
+        "regularisations": regularisations or None, "as_run": as_run,
         "target_m": target, "time_limit_s": time_limit, "workers": workers, "cluster": scheduler, **options,
     }  # fmt: skip
     require_project(project)
@@ -110,13 +118,20 @@ def _show_comparison(record: dict[str, Any]) -> None:
         of_engines = ("engine", "sets", "control m", "check m")
         _show_table(f"sets at the target of {record['target_m']:.3g} m", of_engines, _published_rows(record))
     else:
-        sets = sorted(record["sets"], key=lambda s: (s["eop_set"] != chosen, s["check_rmse_3d_m"] or math.inf))
+        own = chosen, record["advice"]["regularisation"]
+        sets = sorted(record["sets"], key=lambda s: (
+            (s["eop_set"], s["regularisation"]) != own, s["check_rmse_3d_m"] or math.inf
+        ))  # fmt: skip
         heads = ("set", "unknowns", "check m", "ratio", "sigma0", "AICc", "BIC", "status")
         shown = [_set_row(one) for one in sets[:SHOWN]]
         _show_table(f"EOP sets, the recommended one first: {len(shown)} of {len(sets)}", heads, shown)
         say("check: 3-D RMSE at check points; ratio: their errors over the predicted ones")
+        if any(s["regularisation"] != "none" for s in record["sets"]):
+            say("regularised estimates are biased: they have no ratio and no AICc")
         measures = ("engine", "processor s", "memory MB", "forward error", "differs m")
-        _show_table(f"engines with set {chosen}, the fastest of each kind", measures, _engine_rows(record, chosen))
+        _show_table(
+            f"engines with set {_set_name(*own)}, the fastest of each kind", measures, _engine_rows(record, *own)
+        )
     say(f"report: {Path(record['out']) / 'report.html'}")
 
 
@@ -161,13 +176,19 @@ def _show_table(title: str, heads: tuple[str, ...], rows: list[tuple[object, ...
 def _set_row(one: dict[str, Any]) -> tuple[object, ...]:
     numbers = (_number(one[name]) for name in ("prediction_factor", "sigma0", "aicc", "bic"))
     status = "no solution" if one["failure"] else STATUS.get(one["status"], one["status"])
-    return f"{one['eop_set']} {one['name']}", one["image_unknowns"], _metres(one["check_rmse_3d_m"]), *numbers, status
+    name = _set_name(f"{one['eop_set']} {one['name']}", one["regularisation"])
+    return name, one["image_unknowns"], _metres(one["check_rmse_3d_m"]), *numbers, status
 
 
-def _engine_rows(record: dict[str, Any], eop_set: int) -> list[tuple[object, ...]]:
+def _set_name(name: object, regularisation: str) -> str:
+    """Name of a set with its regularisation."""
+    return f"{name}" if regularisation == "none" else f"{name} {regularisation}"
+
+
+def _engine_rows(record: dict[str, Any], eop_set: int, regularisation: str) -> list[tuple[object, ...]]:
     """Fastest engines of each backend with a set; one row for a backend without a solution."""
     names = {tuple(s[k] for k in KEY): s["name"] for s in record["summary"]}
-    own = [r for r in record["rows"] if r["eop_set"] == eop_set and r["backend"] != "faithful"]
+    own = [r for r in record["rows"] if (r["eop_set"], r["regularisation"]) == (eop_set, regularisation)]
     out: list[tuple[object, ...]] = []
     for backend in dict.fromkeys(r["backend"] for r in reversed(own)):
         of_backend = [r for r in own if r["backend"] == backend]

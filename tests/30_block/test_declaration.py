@@ -225,7 +225,7 @@ exec(compile(source.replace(end, row + end), spec.origin, "exec"), module.__dict
 import fg_orient as fg
 from tests.support.command import in_process
 from fg_orient.model.parameters import chosen_codes, eop_set_number
-from fg_orient.studies.comparison.model import eop_sets
+from fg_orient.studies.comparison.selections import eop_sets
 from fg_orient.studies.tables_spot5 import PUBLISHED_SETS
 print(chosen_codes(fg.Options(eop_set=21)) == tuple(3 * c + k for c in range(6) for k in (0, 1)))
 default = inspect.signature(fg.compare).parameters["eop_sets"].default

@@ -10,10 +10,11 @@ import pytest
 import fg_orient as fg
 from fg_orient.model.block import Block
 from fg_orient.simulate.mixed import MixedOptions, mixed_block
-from fg_orient.studies.comparison.advice import SetResult, advise, best_engine, best_set, predicted_rmse
+from fg_orient.studies.comparison.advice import advise, best_engine, best_set
 from fg_orient.studies.comparison.compare import compare
 from fg_orient.studies.comparison.model import OWN_CHOICE, Row
 from fg_orient.studies.comparison.report import verdict
+from fg_orient.studies.comparison.set_results import SetResult, predicted_rmse
 
 LABELS = {"gtsam": "GTSAM", "qr": "QR"}
 
@@ -26,7 +27,12 @@ def result(eop_set: int, rmse: float, aicc: float, **more: object) -> SetResult:
 
 def row(backend: str, seconds: float, **more: object) -> Row:
     solver = {"dense": "qr", "schur": "dense"}.get(backend, "gtsam")
-    given = {"optimizer": "gauss-newton", "difference_sigmas": 1e-12, "difference_m": 1e-9} | more
+    given = {
+        "optimizer": "gauss-newton",
+        "regularisation": "none",
+        "difference_sigmas": 1e-12,
+        "difference_m": 1e-9,
+    } | more
     return Row(1, "S1", solver, backend, processor_s=seconds, **given)  # type: ignore[arg-type]
 
 
@@ -80,7 +86,7 @@ def test_default_engine_unless_another_is_much_faster(graph_s: float, schur_s: f
 def test_limit_of_the_predicted_rmse_against_a_simulation(twin: Block) -> None:
     """5 % of draws from the joint covariance of the check points are above the limit of the worst axis."""
     check = fg.adjust(twin, eop_set=2).accuracy.check
-    predicted, limit, freedom = predicted_rmse(check)
+    predicted, limit, freedom = predicted_rmse(check, check.covariance_m2)
     c, n = check.covariance_m2, len(check)
     assert c is not None and check.joint is not None
     turn = np.zeros((3 * n, 3 * n))

@@ -28,8 +28,12 @@ from fg_orient.studies.comparison.report import ranges, render, three_digits, ve
 
 FIGURES = {
     "heatmap_control.svg", "heatmap_check.svg", "conditions.svg", "spectra.svg", "l_curves.svg", "seconds.svg",
+    "error_vectors_solvers.svg", "error_vectors_sets.svg",
 }  # fmt: skip
-TABLES = {"compare.csv", "sets.csv", "spectra.csv", "directions.csv", "l_curves.csv", "result.json", "report.html"}
+TABLES = {
+    "compare.csv", "sets.csv", "spectra.csv", "directions.csv", "l_curves.csv", "error_vectors.csv", "result.json",
+    "report.html",
+}  # fmt: skip
 #: Keys that design and documentation promise.
 ROW_KEYS = {
     "eop_set", "solver", "backend", "control_rmse_m", "check_rmse_m", "cond_raw", "cond_scaled", "rank", "reached",
@@ -266,7 +270,10 @@ def test_without_matplotlib(run: Any, project: Path, tmp_path: Path, monkeypatch
     ended = run("compare", project, "--eop-sets", "2", "--backends", "graph", "--out", out)
     assert ended.code == 0
     assert [line for line in ended.stdout.splitlines() if "matplotlib is not installed" in line]
-    assert {p.name for p in out.iterdir()} == TABLES - {"l_curves.csv"}  # of the published procedure alone
+    assert {p.name for p in out.iterdir()} == TABLES - {
+        "l_curves.csv",
+        "error_vectors.csv",
+    }  # of the published procedure alone
     assert "svg" not in structure((out / "report.html").read_text("utf-8")).tags
 
 

@@ -10,7 +10,7 @@ import pytest
 import fg_orient as fg
 from fg_orient.adjustment.linear.registry import solvers
 from fg_orient.model.block import Block
-from fg_orient.studies.comparison import model as selection
+from fg_orient.studies.comparison import selections as selection
 
 pytestmark = pytest.mark.behaviour
 

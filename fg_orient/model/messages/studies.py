@@ -205,6 +205,12 @@ compare.full: not tried: the reduced matrix has no band that is narrower than th
     -> the rows of the other methods have it
 compare.not_eliminated: not tried: without priors the graph does not eliminate points
     -> the rows of the explicit graph have it
+compare.ill_conditioned: not tried: the regularised equations have the condition {condition:.1e}, above {limit:.0e},
+    and normal equations lose the weakest direction
+    -> the rows of full matrices and of the explicit graph have it
+compare.regularisation: unknown regularisation
+    -> give METHOD, METHOD:RULE or METHOD:KAPPA, for a method without kappa METHOD:CUT with a cut of the rank below 1.
+    Methods are {methods}; rules are {rules}
 compare.no_reference (note): forward errors are not computed, because python-flint is not installed
     -> install the extra: pip install "fg-orient[reference]"
 compare.damped: left out: regularised steps converge more slowly to the same minimum

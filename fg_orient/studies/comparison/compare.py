@@ -1,4 +1,4 @@
-"""Comparison of every EOP set with every engine and solver, set by set."""
+"""Comparison of every EOP set with every regularisation, engine and solver, set by set."""
 
 from __future__ import annotations
 
@@ -24,10 +24,12 @@ from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import ALL_SETS, EOP_SETS, TIME_LIMIT_S, Progress, Role
 from fg_orient.studies.comparison import model
-from fg_orient.studies.comparison.advice import SetResult, advise
+from fg_orient.studies.comparison.advice import advise
 from fg_orient.studies.comparison.engines import Adjustments
-from fg_orient.studies.comparison.model import SELECTIONS, Comparison, Row
+from fg_orient.studies.comparison.model import Comparison, Row
 from fg_orient.studies.comparison.published_rows import Published
+from fg_orient.studies.comparison.selections import SELECTIONS, regularisation_of, regularised
+from fg_orient.studies.comparison.set_results import SetResult
 from fg_orient.studies.comparison.work import Limits
 
 
@@ -38,6 +40,7 @@ def compare(
     solvers: str | Iterable[str] = "all",
     backends: str | Iterable[str] = model.BACKENDS,
     types: str | int | Iterable[int | str] = model.TYPES,
+    regularisations: str | Iterable[str] | None = None,
     as_run: bool = False,
     look_polynomial: int | None = None,
     target_m: float | None = None,
@@ -47,7 +50,7 @@ def compare(
     folder: str | Path | None = None,
     callback: Progress | None = None,
 ) -> Comparison:
-    """Compare EOP sets, and all engines with each set, on one block; recommend a set and an engine.
+    """Compare EOP sets, and all regularisations and engines with each set, on one block; recommend one of each.
 
     Parameters
     ----------
@@ -63,6 +66,10 @@ def compare(
         points eliminated in the factors).
     types : str or iterable
         Pre-adjustments of the published procedure: 1 look angles, 2 look angles and EOPs.
+    regularisations : str or iterable, optional
+        Regularisations of the image unknowns, of all engines but "faithful": "none", "METHOD", "METHOD:RULE" or
+        "METHOD:NUMBER" such as "tikhonov:gcv", "truncated:0.1" (kappa) or "minimum_norm:1e-5" (cut of the rank), or
+        "all"; default: that of the block. What a word leaves out is an option of the block.
     as_run : bool
         The published procedure as the authors' program works.
     look_polynomial : int, optional
@@ -96,23 +103,27 @@ def compare(
     numbers, names = SELECTIONS["eop_sets"](eop_sets), SELECTIONS["solvers"](solvers)
     engines, kinds = SELECTIONS["backends"](backends), SELECTIONS["types"](types)
     given, limit_s = SELECTIONS["target_m"](target_m), SELECTIONS["time_limit_s"](time_limit_s)
+    words = SELECTIONS["regularisations"](regularisations)
     _require_control(block)
     degree = block.options.look_polynomial if look_polynomial is None else look_polynomial
     block = replace(block, options=replace(block.options, look_polynomial=degree))
     numbers, repeated = _distinct(block, numbers)
+    chosen = (block.options,) if words is None else [regularised(block.options, word) for word in words]
+    treated = {regularisation_of(options): None for options in chosen}
     plan = Comparison(
         block, (), (), math.nan, numbers, names, engines, kinds, as_run, 0.0,
         model.GRAPH_LABELS | {name: known_solvers()[name].label for name in names}, repeated=repeated,
-        time_limit_s=limit_s,
+        time_limit_s=limit_s, regularisations=tuple(treated),
     )  # fmt: skip
-    per_set = sum(_rows_of(one, len(kinds), len(names)) for one in engines)
+    per_set = sum(_rows_of(one, len(kinds), len(names)) * (1 if one == "faithful" else len(treated)) for one in engines)
     done, total = count(1), per_set * len(numbers)
 
     def of_row(row: Row) -> None:
         kind = f" type {row.type}" if row.type else ""
         what = f"set {row.eop_set} {row.eop_set_name}, {row.backend}{kind}, {row.solver}"
+        words = model.regularisation_words(row.regularisation)
         if callback:
-            callback(next(done), total, what)
+            callback(next(done), total, f"{what}, {words}" if words else what)
 
     def of_set(sets: int, _: int, number: int) -> None:
         if callback:
@@ -125,20 +136,23 @@ def compare(
     )  # fmt: skip
     rows = [Row(**row | {"notes": tuple(row["notes"])}) for one in results for row in one["rows"]]
     sets = tuple(SetResult(**one) for part in results for one in part["sets"])
-    advice = advise(sets, rows, plan.labels)
-    target, source = _target(block, given, next((s for s in sets if s.eop_set == advice.eop_set), None))
+    advice = advise(sets, rows, plan.labels, priors=block.options.priors)
+    target, source = _target(block, given, next((s for s in sets if s.key == advice.set_key), None))
     return replace(
         plan, seconds=working_clock() - start, sets=sets, advice=advice, target_m=target, target_from=source,
         rows=tuple(replace(row, reached=reached(row, target)) for row in rows),
         spectra=tuple(model.Spectrum(**spectrum) for one in results for spectrum in one["spectra"]),
         directions=tuple(model.Direction(**direction) for one in results for direction in one["directions"]),
         curves=tuple(model.Curve.from_dict(curve) for one in results for curve in one["curves"]),
+        vectors=tuple(model.ErrorVectors.from_dict(own) for one in results for own in one["vectors"]),
     )  # fmt: skip
 
 
 def _key(plan: Comparison) -> str:
     """Digest of the inputs of the rows of a set."""
-    block, selections = plan.block, (plan.solvers, plan.backends, plan.types, plan.as_run, plan.time_limit_s)
+    block, selections = plan.block, (
+        plan.solvers, plan.backends, plan.types, plan.regularisations, plan.as_run, plan.time_limit_s,
+    )  # fmt: skip
     o, known = block.observations, block.points.known
     points = block.points.ids, block.points.roles
     digest = hashlib.sha256(repr((selections, block.options, block.sources, points)).encode())
@@ -150,7 +164,7 @@ def _key(plan: Comparison) -> str:
 
 
 def _one_set(plan: Comparison, report: Callable[[Row], None] | None, number: int) -> dict[str, Any]:
-    """Rows, spectra, directions and curves of one set, as plain values for a study."""
+    """Rows, spectra, directions, curves and error vectors of one set, as plain values for a study."""
     rows: list[Row] = []
 
     def add(row: Row) -> None:
@@ -161,7 +175,9 @@ def _one_set(plan: Comparison, report: Callable[[Row], None] | None, number: int
     # each row opens the check points after its own adjustment, but their file is read only once
     withheld = replace(plan.block.withheld, reader=functools.cache(plan.block.withheld.reader))
     block = replace(plan.block, withheld=withheld)
-    parts: dict[str, list[Any]] = {"rows": rows, "spectra": [], "directions": [], "curves": [], "sets": []}
+    parts: dict[str, list[Any]] = {
+        "rows": rows, "spectra": [], "directions": [], "curves": [], "sets": [], "vectors": [],
+    }  # fmt: skip
     limits = Limits.of(block.options.memory_limit_gb, plan.time_limit_s)
     with one_blas_thread():
         if "faithful" in plan.backends:
@@ -170,13 +186,17 @@ def _one_set(plan: Comparison, report: Callable[[Row], None] | None, number: int
                 add(published.run(kind, name))
             parts["spectra"] += published.spectra
             parts["curves"] += published.curves
+            parts["vectors"] += published.vectors
         if adjusting := [name for name in plan.backends if name != "faithful"]:
-            block_with_set = Adjustments(block, number, limits)
-            for engine in (one for name in adjusting for one in block_with_set.engines(name, plan.solvers)):
-                add(block_with_set.run(engine))
-            parts["spectra"] += block_with_set.spectra
-            parts["directions"] += block_with_set.directions
-            parts["sets"].append(block_with_set.result)
+            for word in plan.regularisations:
+                treated = replace(block, options=regularised(block.options, word))
+                one = Adjustments(treated, number, limits)
+                for engine in (engine for name in adjusting for engine in one.engines(name, plan.solvers)):
+                    add(one.run(engine))
+                known = {(s.system, s.scaling) for s in parts["spectra"]}
+                parts["spectra"] += [s for s in one.spectra if (s.system, s.scaling) not in known]
+                parts["directions"] += [] if parts["sets"] else one.directions  # of the observations alone
+                parts["sets"].append(one.result)
     return {name: [asdict(one) for one in part] for name, part in parts.items()}
 
 

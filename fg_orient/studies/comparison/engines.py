@@ -19,6 +19,7 @@ from fg_orient.adjustment.graph import GraphBackend
 from fg_orient.adjustment.images_first import images_first
 from fg_orient.adjustment.linear.system import singular_values
 from fg_orient.adjustment.loop import LoopResult
+from fg_orient.adjustment.penalty import penalty_squares, without_penalties
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.solve import eliminates_points, first_sentence
 from fg_orient.model.block import Block
@@ -33,15 +34,17 @@ from fg_orient.quality.accuracy import PointDifferences
 from fg_orient.quality.deficiency import judge_observability
 from fg_orient.quality.observability import affordable, analyse_block
 from fg_orient.studies.comparison import reference, work
-from fg_orient.studies.comparison.advice import SetResult, of_failure, of_solution
 from fg_orient.studies.comparison.model import (
     AXES,
     GRAPH_SOLVER,
+    UNREGULARISED,
     Direction,
     Row,
     Spectrum,
 )
 from fg_orient.studies.comparison.published_rows import axes, conditioning, one_line, row, spectra_of
+from fg_orient.studies.comparison.selections import regularisation_of
+from fg_orient.studies.comparison.set_results import SetResult, of_failure, of_solution
 from fg_orient.studies.comparison.solving import Engine, Engines, timed
 from fg_orient.studies.comparison.work import Limits, Sparsity
 
@@ -55,6 +58,7 @@ class Adjustments:
     Parameters
     ----------
     block : Block
+        Its options choose the regularisation.
     eop_set : int
     limits : Limits
 
@@ -66,7 +70,7 @@ class Adjustments:
 
     def __init__(self, block: Block, eop_set: int, limits: Limits) -> None:
         self.block, self.eop_set = replace(block, options=replace(block.options, eop_set=eop_set)), eop_set
-        self._limits = limits
+        self._limits, self.regularisation = limits, regularisation_of(self.block.options)
         self.failure, self.solution = "", cast(Solution | None, None)
         try:
             with np.errstate(all="ignore"), measured() as effort:
@@ -75,25 +79,28 @@ class Adjustments:
             self.result: SetResult = of_solution(eop_set, self.solution, effort.processor_s)
         except FgOrientError as error:
             self.failure, self.problem = one_line(error), compile_problem(self.block)
-            self.result = of_failure(eop_set, self.failure, self.problem)
+            self.result = of_failure(eop_set, self.failure, self.problem, self.regularisation)
         self.sparsity = Sparsity(self.problem)
         self.spectra: tuple[Spectrum, ...] = ()
         self.directions = directions_of(self.problem)
         self.matrix: dict[str, Any] = {"order": self.problem.n_unknowns}
         # five decompositions, and the matrix; the largest part of the time of small blocks
         svd = replace(self.sparsity.dense("svd"), seconds=5.0 * self.sparsity.dense("svd").operations / work.RATE)
-        if not limits.reason("svd", svd):
+        penalty_is_unknown = self.failure and self.regularisation != UNREGULARISED
+        if not limits.reason("svd", svd) and not penalty_is_unknown:
             self._describe()
 
     def _describe(self) -> None:
         """Singular values at the start: with and without priors; raw, columns of unit length, prior sigmas."""
         design = self._at_start[1]
+        is_regularised = self.regularisation != UNREGULARISED
+        system = f"adjustment, {self.regularisation}" if is_regularised else "adjustment"
         physical = _per_physical_unit(self.problem, design)
-        raw, columns = spectra_of(physical, self.eop_set, "adjustment")
-        spectra = [raw, columns, Spectrum(self.eop_set, "adjustment", "priors", singular_values(design))]
+        raw, columns = spectra_of(physical, self.eop_set, system)
+        spectra = [raw, columns, Spectrum(self.eop_set, system, "priors", singular_values(design))]
         self.matrix |= conditioning(raw, columns, len(design))
-        if self.block.options.priors:
-            free = _without_priors(self.problem, design)
+        if self.block.options.priors or is_regularised:
+            free = _without_priors(self.problem)
             spectra += spectra_of(_per_physical_unit(self.problem, free), self.eop_set, "no priors")
             spectra.append(Spectrum(self.eop_set, "no priors", "priors", singular_values(free)))
         self.spectra = tuple(spectra)
@@ -110,8 +117,8 @@ class Adjustments:
     def run(self, engine: Engine) -> Row:
         """Row of an engine."""
         new = partial(
-            row, self.eop_set, engine.solver, engine.backend, optimizer=engine.optimizer,
-            notes=(engine.note,) if engine.note else (), **self.matrix,
+            row, self.eop_set, engine.solver, engine.backend, optimizer=engine.optimizer, kappa=self.result.kappa,
+            regularisation=self.regularisation, notes=(engine.note,) if engine.note else (), **self.matrix,
         )  # fmt: skip
         if reason := self.failure or engine.impossible:
             return new(failure=reason, left_out=not self.failure)
@@ -139,7 +146,8 @@ class Adjustments:
         problem, state = self.problem, result.state
         accuracy = accuracy_at(problem, state)
         redundancy = problem.redundancy
-        sigma0 = float(np.sqrt(2.0 * result.error / redundancy)) if redundancy > 0 else np.nan
+        squares = 2.0 * result.error - penalty_squares(problem, state)
+        sigma0 = float(np.sqrt(squares / redundancy)) if redundancy > 0 else np.nan
         out = {"sigma0": sigma0, **_accuracy("control", accuracy.control), **_accuracy("check", accuracy.check)}
         if self.solution is None or self.solution.status is Status.NOT_CONVERGED:
             return out
@@ -232,8 +240,8 @@ def _per_physical_unit(compiled: Problem, design: Array) -> Array:
     return design / scale
 
 
-def _without_priors(compiled: Problem, design: Array) -> Array:
-    """Drop the prior rows: compile the same block without them."""
-    options = replace(compiled.block.options, priors=False)
-    free = replace(compiled, block=replace(compiled.block, options=options))
+def _without_priors(compiled: Problem) -> Array:
+    """Rows of the observations alone: the same block without priors and penalty."""
+    options, plain = replace(compiled.block.options, priors=False), without_penalties(compiled)
+    free = replace(plain, block=replace(plain.block, options=options))
     return assemble(free, free.start)[1]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, astuple, fields, replace
+from dataclasses import asdict, astuple, fields
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,26 +13,42 @@ from fg_orient.formats.atomic import Contents, require_free, staged_folder, writ
 from fg_orient.formats.project import read_project
 from fg_orient.model.errors import Finding, NoSolutionError, as_record, finding
 from fg_orient.model.names import Progress
+from fg_orient.model.parameters import with_options
 from fg_orient.report.paper import available
 from fg_orient.result.plain import dumps, plain, write_rows
 from fg_orient.result.provenance import provenance
 from fg_orient.studies.comparison import plots, reference
-from fg_orient.studies.comparison.advice import SetResult
 from fg_orient.studies.comparison.compare import compare
-from fg_orient.studies.comparison.model import COLUMNS, SELECTIONS, Comparison
+from fg_orient.studies.comparison.model import COLUMNS, Comparison
 from fg_orient.studies.comparison.report import render, summaries, verdict
+from fg_orient.studies.comparison.selections import SELECTIONS
+from fg_orient.studies.comparison.set_results import SetResult
 
 SCHEMA_VERSION: Final = 2
+#: Options of a comparison that replace those of the project file.
+OF_BLOCK: Final = ("memory_limit_gb", "priors")
 #: Contents of a comparison folder.
 COMPARISON: Final = Contents(
     "compare.csv",
-    ("compare.csv", "sets.csv", "spectra.csv", "directions.csv", "l_curves.csv", "result.json", "*.svg", "report.html"),
+    (
+        "compare.csv",
+        "sets.csv",
+        "spectra.csv",
+        "directions.csv",
+        "l_curves.csv",
+        "error_vectors.csv",
+        "result.json",
+        "*.svg",
+        "report.html",
+    ),
 )
 SET_COLUMNS: Final = tuple(f.name for f in fields(SetResult))
 SPECTRUM_COLUMNS: Final = ("eop_set", "system", "scaling", "index", "singular_value")
 DIRECTION_COLUMNS: Final = ("eop_set", "image", "direction", "held_by")
 #: ``rule``: empty for a point of the curve, else the rule that chose this kappa.
 CURVE_COLUMNS: Final = ("eop_set", "type", "rule", "kappa", "residual_norm", "solution_norm")
+#: Computed minus measured, at the middle of the control points.
+VECTOR_COLUMNS: Final = ("eop_set", "type", "solver", "role", "id", "east_m", "north_m", "up_m")
 
 
 def compare_project(
@@ -55,8 +71,8 @@ def compare_project(
     overwrite : bool
         Replace an existing comparison folder when the new one is complete.
     options : mapping, optional
-        Arguments of :func:`fg_orient.compare`. With workers, a hidden folder next to ``out`` contains the finished
-        sets until ``out`` is written.
+        Arguments of :func:`fg_orient.compare`, and :data:`OF_BLOCK`. With workers, a hidden folder next to ``out``
+        contains the finished sets until ``out`` is written.
     callback : callable, optional
         Called with (done, of, text) after each adjustment.
     command : sequence of str
@@ -79,10 +95,8 @@ def compare_project(
     given = dict(options or {})
     for name in [name for name in SELECTIONS if name in given]:  # before any file is read
         SELECTIONS[name](given[name])
-    memory_limit = given.pop("memory_limit_gb", None)
-    block = read_project(project)
-    if memory_limit is not None:
-        block = replace(block, options=replace(block.options, memory_limit_gb=memory_limit))
+    of_block = {name: given.pop(name, None) for name in OF_BLOCK}
+    block = with_options(read_project(project), "compare", **of_block)
     read_s = working_clock() - start
     shared = given.get("workers", 0) > 1 or given.get("cluster") is not None
     kept = Path(out).absolute().with_name(f".{Path(out).name}.sets") if shared else None
@@ -127,6 +141,12 @@ def write_folder(folder: Path, comparison: Comparison, record: Mapping[str, Any]
     )
     if comparison.curves:
         write_rows(folder / "l_curves.csv", CURVE_COLUMNS, _curve_rows(comparison))
+    if comparison.vectors:
+        write_rows(folder / "error_vectors.csv", VECTOR_COLUMNS, (
+            (of_row.eop_set, of_row.type, of_row.solver, role, name, *error)
+            for of_row in comparison.vectors for role, names in of_row.ids.items()
+            for name, error in zip(names, of_row.enu_m[role].tolist(), strict=True)
+        ))  # fmt: skip
     for name, text in figures.items():
         (folder / name).write_text(text, encoding="utf-8")
     (folder / "result.json").write_text(dumps(record, indent=1) + "\n", encoding="utf-8")
@@ -167,6 +187,7 @@ def _record(comparison: Comparison, project: Path, out: Path, command: Sequence[
         "solvers": comparison.solvers,
         "backends": comparison.backends,
         "types": comparison.types,
+        "regularisations": comparison.regularisations,
         "as_run": comparison.as_run,
         "look_polynomial": comparison.block.options.look_polynomial,
         "summary": [asdict(line) for line in summaries(comparison)],

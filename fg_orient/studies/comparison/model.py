@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, get_args
 
 import numpy as np
 
 from factors.arrays import Array
-from fg_orient.adjustment.linear import registry
 from fg_orient.adjustment.linear.l_curve import Choice, LCurve
 from fg_orient.model.block import Block
-from fg_orient.model.errors import InputError
 from fg_orient.model.names import TIME_LIMIT_S
 from fg_orient.model.options import Optimizer
-from fg_orient.model.parameters import eop_set_number
 
 if TYPE_CHECKING:
-    from fg_orient.studies.comparison.advice import Advice, SetResult
+    from fg_orient.studies.comparison.advice import Advice
+    from fg_orient.studies.comparison.set_results import SetResult
 
 #: Engines: the published procedure; :func:`fg_orient.adjust` on full matrices, on arrays with eliminated points, on the
 #: graph with a factor for each image point, on the graph with eliminated points.
@@ -41,6 +38,8 @@ GRAPH_SOLVER: Final = "gtsam"
 LOOP_SOLVER: Final = "gtsam_loop"
 GRAPH_LABELS: Final = {GRAPH_SOLVER: "GTSAM", LOOP_SOLVER: "GTSAM elimination, our loop"}
 AXES: Final = ("x", "y", "z")
+#: Column ``regularisation`` of an adjustment without one.
+UNREGULARISED: Final = "none"
 #: Note of a row of the Schur backend with the method that the program itself takes.
 OWN_CHOICE: Final = "the program's own choice"
 #: A singular value below eps times the largest is rounding: this condition number of N means "at least this".
@@ -64,6 +63,9 @@ class Row:
         Pre-adjustment of the published procedure: 1 look angles, 2 look angles and EOPs.
     optimizer : str
         "" for the published procedure.
+    regularisation : str
+        Of the unknowns of the images: "none", the method with its rule or kappa ("tikhonov:gcv", "truncated:0.1"), or
+        with the cut of its rank ("minimum_norm:1e-09"); "" for the published procedure, whose solvers regularise.
     control_rmse_m, check_rmse_m : float
         Largest of the three ECEF axes, as published (Terlemezoğlu 2019, eq. 2.72); nan without points.
     control_rmse_x_m ... check_rmse_z_m : float
@@ -74,9 +76,9 @@ class Row:
     rank, order : int or None
         Numerical rank of A in raw units, and the number of unknowns.
     kappa : float
-        Regularisation parameter, for Tikhonov solvers of the published procedure.
+        Parameter of the regularisation, or of a Tikhonov solver of the published procedure.
     sigma0 : float
-        A posteriori standard deviation of unit weight; nan for the published procedure.
+        A posteriori standard deviation of unit weight, without the rows of a penalty; nan for the published procedure.
     m0_rad : float
         ``sqrt(v^T v / redundancy)`` of the look angles, for the published procedure.
     iterations : int
@@ -97,7 +99,8 @@ class Row:
         Both RMSE are at most the target (control points alone without check points).
     difference_sigmas, difference_m : float
         Largest difference of an orientation unknown in prior sigmas, and of a coordinate of a ground point, from
-        :func:`fg_orient.adjust` with the options of the block; nan if one of the two solutions is missing.
+        :func:`fg_orient.adjust` with the options of the block and the same regularisation; nan if one of the two
+        solutions is missing.
     failure : str
         Reason for a missing solution; "" if there is one.
     left_out : bool
@@ -112,6 +115,7 @@ class Row:
     backend: str
     type: int | None = None
     optimizer: str = ""
+    regularisation: str = ""
     control_rmse_m: float = _NAN
     check_rmse_m: float = _NAN
     control_rmse_x_m: float = _NAN
@@ -145,7 +149,7 @@ class Row:
     @property
     def key(self) -> Key:
         """Engine."""
-        return Key(self.backend, self.type, self.solver, self.optimizer)
+        return Key(self.backend, self.type, self.solver, self.optimizer, self.regularisation)
 
     def as_dict(self) -> dict[str, Any]:
         """Columns by name."""
@@ -164,7 +168,8 @@ class Spectrum:
     eop_set : int
     system : str
         "published 1", "published 2" (bundle after the pre-adjustment of type 1, 2), "adjustment" (of
-        :func:`fg_orient.adjust`, priors included) or "no priors" (the same without its priors).
+        :func:`fg_orient.adjust`, priors included), "adjustment, tikhonov:gcv" (with the penalty of a regularisation)
+        or "no priors" (without priors and penalty).
     scaling : str
         "raw" (m, m/s, rad), "columns" (unit length) or "priors" (unknowns in prior sigmas, as solved).
     values : (u,) array
@@ -227,6 +232,35 @@ class Curve:
 
 
 @dataclass(frozen=True)
+class ErrorVectors:
+    """Errors of points after the published procedure with one set, pre-adjustment and solver.
+
+    Parameters
+    ----------
+    eop_set, type, solver : int, int, str
+        Its row.
+    ids : dict
+        Role ("control", "check") to the ids of its points.
+    enu_m : dict
+        Role to errors (n, 3), computed minus measured, East, North, Up at the middle of the control points.
+    """
+
+    eop_set: int
+    type: int
+    solver: str
+    ids: dict[str, tuple[str, ...]]
+    enu_m: dict[str, Array]
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> ErrorVectors:
+        """Errors of their ``dataclasses.asdict``."""
+        ids = {role: tuple(own) for role, own in values["ids"].items()}
+        return cls(**values | {
+            "ids": ids, "enu_m": {r: np.reshape(v, (-1, 3)) for r, v in values["enu_m"].items()},
+        })  # fmt: skip
+
+
+@dataclass(frozen=True)
 class Comparison:
     """Result of :func:`fg_orient.compare`.
 
@@ -238,7 +272,7 @@ class Comparison:
     spectra : tuple of Spectrum
     target_m : float
         RMSE to reach.
-    eop_sets, solvers, backends, types : tuples
+    eop_sets, solvers, backends, types, regularisations : tuples
         Selections of the caller.
     as_run : bool
         The published procedure as the authors' program works.
@@ -253,13 +287,15 @@ class Comparison:
     target_from : str
         "given", "predicted" (limit of the RMSE at the check points) or "pixel".
     sets : tuple of SetResult
-        The adjustment with each set as by :func:`fg_orient.adjust`.
+        The adjustment with each set and regularisation as by :func:`fg_orient.adjust`.
     advice : Advice or None
-        Recommended set and engine.
+        Recommended set, regularisation and engine.
     directions : tuple of Direction
         Directions that no observation determines, set by set.
     curves : tuple of Curve
         L-curves of the published procedure, if Tikhonov solvers are selected.
+    vectors : tuple of ErrorVectors
+        Of each row of the published procedure with a solution.
     """
 
     block: Block
@@ -280,6 +316,8 @@ class Comparison:
     advice: Advice | None = None
     directions: tuple[Direction, ...] = ()
     curves: tuple[Curve, ...] = ()
+    regularisations: tuple[str, ...] = (UNREGULARISED,)
+    vectors: tuple[ErrorVectors, ...] = ()
 
     @property
     def table(self) -> Any:
@@ -303,9 +341,14 @@ class Key(NamedTuple):
     type: int | None
     solver: str
     optimizer: str
+    regularisation: str = ""
 
     def name(self, labels: Mapping[str, str]) -> str:
         """Name in words; ``labels``: solver name to its label."""
+        words = regularisation_words(self.regularisation)
+        return self._of_engine(labels) + (f", {words}" if words else "")
+
+    def _of_engine(self, labels: Mapping[str, str]) -> str:
         label = labels.get(self.solver, self.solver)
         optimizer = OPTIMIZER_WORDS.get(self.optimizer, self.optimizer)
         match self.backend:
@@ -319,6 +362,14 @@ class Key(NamedTuple):
             case "faithful":
                 return f"published {self.type} · {label}"
         return f"{self.backend} · {label}"
+
+
+def regularisation_words(word: str) -> str:
+    """Words on a regularisation: "tikhonov (gcv)"; "" without one."""
+    method, _, value = word.partition(":")
+    if method in ("", UNREGULARISED):
+        return ""
+    return method.replace("_", " ") + (f" ({value})" if value else "")
 
 
 def groups(rows: Sequence[Row]) -> dict[Key, list[Row]]:
@@ -337,81 +388,3 @@ def tried(comparison: Comparison) -> dict[Key, list[Row | None]]:
             by_set = {row.eop_set: row for row in rows}
             out[key] = [by_set.get(number) for number in comparison.eop_sets]
     return out
-
-
-T = TypeVar("T")
-
-
-def _words(given: Any) -> list[str]:
-    """Words of a selection: a number, words between commas, or a list of both."""
-    if isinstance(given, int):
-        return [str(given)]
-    return [str(word).strip() for word in (given.split(",") if isinstance(given, str) else given)]
-
-
-def _once(chosen: Iterable[T], option: str, given: object) -> tuple[T, ...]:
-    """Drop repetitions; raise InputError for an empty selection."""
-    out = tuple(dict.fromkeys(chosen))
-    if not out:
-        raise InputError.of("compare.nothing", option=option, value=given)
-    return out
-
-
-def _chosen(given: Any, members: Mapping[str, Sequence[T]], option: str, code: str) -> tuple[T, ...]:
-    """Members of the words of a selection; each once. InputError with this code for an unknown word."""
-    words = _words(given)
-    for word in words:
-        if word not in members:
-            raise InputError.of(code, option=option, value=word, known=", ".join(members))
-    return _once((member for word in words for member in members[word]), option, given)
-
-
-def eop_sets(given: str | int | Iterable[int | str]) -> tuple[int, ...]:
-    """Numbers of the EOP sets in "1-20", "5,13,PUA" or a list of numbers and names; each once."""
-    chosen: list[int] = []
-    for word in _words(given):
-        first, dash, last = word.partition("-")
-        numbers = range(eop_set_number(first), eop_set_number(last if dash else first) + 1)
-        if not numbers:
-            raise InputError.of("compare.nothing", option="eop_sets", value=word)
-        chosen += numbers
-    return _once(chosen, "eop_sets", given)
-
-
-def solver_names(given: str | Iterable[str]) -> tuple[str, ...]:
-    """Names of the solvers in "all", "published", "svd,qr" or a list of names; each once."""
-    known = registry.solvers()
-    groups = {"all": list(known), "published": [name for name, one in known.items() if one.published]}
-    return _chosen(given, {name: [name] for name in known} | groups, "solvers", "linear.solver")
-
-
-def backend_names(given: str | Iterable[str]) -> tuple[str, ...]:
-    """Names of the backends in "faithful,graph" or a list, in the order of ``BACKENDS``."""
-    chosen = _chosen(given, {name: [name] for name in BACKENDS}, "backends", "adjust.backend")
-    return tuple(sorted(chosen, key=BACKENDS.index))
-
-
-def types(given: str | int | Iterable[int | str]) -> tuple[int, ...]:
-    """Types of pre-adjustment in "1,2" or a list, in order."""
-    return tuple(sorted(_chosen(given, {str(kind): [kind] for kind in TYPES}, "types", "compare.type")))
-
-
-def target(given: float | None) -> float | None:
-    """Length to reach, m; None as given."""
-    if given is not None and not (math.isfinite(given) and given > 0.0):
-        raise InputError.of("compare.target", option="target", value=given)
-    return given
-
-
-def time_limit(given: float) -> float:
-    """Limit of the processor time, s."""
-    if not given > 0.0:
-        raise InputError.of("compare.time_limit", option="time_limit_s", value=given)
-    return given
-
-
-#: Arguments of ``compare`` to functions that check them and raise InputError.
-SELECTIONS: Final[dict[str, Callable[[Any], Any]]] = {
-    "eop_sets": eop_sets, "solvers": solver_names, "backends": backend_names, "types": types, "target_m": target,
-    "time_limit_s": time_limit,
-}  # fmt: skip

@@ -17,7 +17,15 @@ from fg_orient.adjustment.linear.registry import solver
 from fg_orient.model.names import EOP_SETS
 from fg_orient.report.chart import BLUE, GREY, INK, ORANGE, SERIES, Axis, Chart, broad, decades, limits_of, short
 from fg_orient.report.paper import STYLE, available, file_of, new_figure, panels_of
-from fg_orient.studies.comparison.model import LARGEST_CONDITION, Comparison, groups, tried
+from fg_orient.studies.comparison.model import (
+    LARGEST_CONDITION,
+    Comparison,
+    ErrorVectors,
+    groups,
+    regularisation_words,
+    tried,
+)
+from fg_orient.studies.error_maps import RoleErrors, error_map, places_km
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,6 +48,8 @@ _SYSTEMS: Final = {
     ("no priors", "priors"): ("prior units, without priors", "series-2"),
     ("adjustment", "priors"): ("prior units, with priors (as solved)", "series-0"),
 }
+#: Kinds of mark of the systems with a penalty.
+_REGULARISED: Final = ("series-4", "series-5", "control", "check", "station", "tie")
 
 
 def figures(comparison: Comparison) -> dict[str, str]:
@@ -52,6 +62,8 @@ def figures(comparison: Comparison) -> dict[str, str]:
         "conditions.svg": _conditions,
         "spectra.svg": _spectra,
         "l_curves.svg": _l_curves,
+        "error_vectors_solvers.svg": _vectors_of_solvers,
+        "error_vectors_sets.svg": _vectors_of_sets,
         "seconds.svg": _seconds,
     }
     import matplotlib
@@ -134,8 +146,7 @@ def _conditions(comparison: Comparison) -> Figure | None:
     x = Axis("EOP set", (-0.6, len(sets) - 0.4), names=[str(n) for n in sets])
     y = Axis("condition number of N", decades([*values, LARGEST_CONDITION]), log=True)
     chart = broad("condition numbers", x, y)
-    for key in wanted:
-        label, kind = _SYSTEMS[key]
+    for key, (label, kind) in wanted.items():
         conditions = {s.eop_set: s.condition for s in comparison.spectra if (s.system, s.scaling) == key}
         chart.add("dots", kind, [sets.index(n) for n in conditions], list(conditions.values()), label=label)
     chart.across("limit", 1e16, label="1e16: limit of the publication")
@@ -143,11 +154,16 @@ def _conditions(comparison: Comparison) -> Figure | None:
     return panels_of([chart], 7.2, 3.6)
 
 
-def _systems(comparison: Comparison) -> list[tuple[str, str]]:
-    """Systems to draw; of the two published types the first."""
+def _systems(comparison: Comparison) -> dict[tuple[str, str], tuple[str, str]]:
+    """Systems to draw with words and kind of mark; of the two published types the first."""
     present = {(s.system, s.scaling) for s in comparison.spectra}
-    keys = [key for key in _SYSTEMS if key in present]
-    return [k for k in keys if k[0] != "published 2" or ("published 1", k[1]) not in present]
+    treated = [word for word in comparison.regularisations if regularisation_words(word)]
+    known = _SYSTEMS | {
+        (f"adjustment, {word}", "priors"): (f"prior units, {regularisation_words(word)}", kind)
+        for word, kind in zip(treated, _REGULARISED, strict=False)
+    }
+    drawn = [k for k in known if k in present and (k[0] != "published 2" or ("published 1", k[1]) not in present)]
+    return {key: known[key] for key in drawn}
 
 
 def _spectra(comparison: Comparison) -> Figure | None:
@@ -166,7 +182,7 @@ def _spectra(comparison: Comparison) -> Figure | None:
         chart = Chart("singular values", Axis("first to last", about=1), y, title=title)
         for s, share in zip(drawn, shares, strict=True):
             if s.eop_set == number:
-                label, kind = _SYSTEMS[s.system, s.scaling]
+                label, kind = wanted[s.system, s.scaling]
                 chart.add("line", kind, np.linspace(0, 1, len(share)), share, label=label)
         charts.append(chart)
     return panels_of(charts, 1.75, 1.6)
@@ -194,6 +210,42 @@ def _l_curves(comparison: Comparison) -> Figure | None:
             chart.x, chart.y = Axis("|Ax − l|", across, log=True), Axis("|x|: m, m/s, rad", up, log=True)
         charts.append(chart)
     return panels_of(charts, 1.75, 1.8)
+
+
+def _vectors_of_solvers(comparison: Comparison) -> Figure | None:
+    """Error vectors of the published procedure with the recommended or first set, a map for each type and solver."""
+    if not comparison.vectors:
+        return None
+    sets = {one.eop_set for one in comparison.vectors}
+    wanted = None if comparison.advice is None else comparison.advice.eop_set
+    number = wanted if wanted in sets else min(sets)
+    return _maps(comparison, [
+        (one, f"{one.type} {comparison.labels.get(one.solver, one.solver)}")
+        for one in sorted(comparison.vectors, key=lambda own: own.type) if one.eop_set == number
+    ])  # fmt: skip
+
+
+def _vectors_of_sets(comparison: Comparison) -> Figure | None:
+    """Error vectors with the solver of the published procedure that solves most sets, a map for each type and set."""
+    solved = [one.solver for one in comparison.vectors]
+    if not solved or len(comparison.eop_sets) == 1:
+        return None
+    solver_name = max(comparison.solvers, key=solved.count)
+    return _maps(comparison, [
+        (one, f"{one.type} set {one.eop_set} {EOP_SETS[one.eop_set].name}")
+        for one in sorted(comparison.vectors, key=lambda own: own.type) if one.solver == solver_name
+    ])  # fmt: skip
+
+
+def _maps(comparison: Comparison, chosen: list[tuple[ErrorVectors, str]]) -> Figure | None:
+    """Maps of error vectors with their titles, of those with a row."""
+    places, charts = places_km(comparison.block), []
+    for one, title in chosen:
+        for row in comparison.select(eop_set=one.eop_set, backend="faithful", type=one.type, solver=one.solver):
+            rmse = {"control": row.control_rmse_m, "check": row.check_rmse_m}
+            roles = {role: RoleErrors(names, one.enu_m[role], rmse[role]) for role, names in one.ids.items()}
+            charts.append(error_map(places, roles, title, numbers=False))
+    return panels_of(charts, 2.2, 2.6) if charts else None
 
 
 def _seconds(comparison: Comparison) -> Figure | None:

@@ -16,8 +16,9 @@ from fg_orient.model.machine import measured
 from fg_orient.model.names import EOP_SETS
 from fg_orient.model.parameters import eop_codes
 from fg_orient.studies.comparison import reference, work
-from fg_orient.studies.comparison.model import AXES, Curve, Row, Spectrum
+from fg_orient.studies.comparison.model import AXES, Curve, ErrorVectors, Row, Spectrum
 from fg_orient.studies.comparison.work import Limits
+from fg_orient.studies.error_maps import errors_of
 from fg_orient.studies.two_stage import Kind, TwoStage
 from fg_orient.studies.two_stage_results import TwoStageResult
 
@@ -69,7 +70,7 @@ class Published:
 
     def __init__(self, block: Block, eop_set: int, as_run: bool, limits: Limits) -> None:
         self.eop_set, self.failure, self._limits = eop_set, "", limits
-        self.spectra, self.curves = list[Spectrum](), list[Curve]()
+        self.spectra, self.curves, self.vectors = list[Spectrum](), list[Curve](), list[ErrorVectors]()
         try:
             self.stage = TwoStage(block, as_run=as_run)
             self.order = len(block.images) * len(eop_codes(eop_set)) + 3 * len(self.stage.check_ids)
@@ -93,6 +94,12 @@ class Published:
                 bundle = self.stage.bundle(self.eop_set, cast(Kind, kind), solver)
         except FgOrientError as error:
             return new(failure=one_line(error))
+        if not bundle.failure:
+            errors = errors_of(self.stage.block, bundle.accuracy)
+            self.vectors.append(ErrorVectors(
+                self.eop_set, kind, solver, {role: tuple(own.ids) for role, own in errors.items()},
+                {role: own.enu_m for role, own in errors.items()},
+            ))  # fmt: skip
         return new(processor_s=effort.processor_s, peak_bytes=effort.peak_bytes, **self._values(bundle, kind))
 
     def _values(self, bundle: TwoStageResult, kind: int) -> dict[str, Any]:

@@ -14,17 +14,19 @@ from fg_orient.report.chart import INK, short
 from fg_orient.report.page import environment
 from fg_orient.report.paper import PAPER
 from fg_orient.result.plain import dumps
-from fg_orient.studies.comparison.advice import SetResult
 from fg_orient.studies.comparison.model import (
     LARGEST_CONDITION,
     REDUCED_LABELS,
+    UNREGULARISED,
     Comparison,
     Direction,
     Key,
     Row,
     groups,
+    regularisation_words,
     tried,
 )
+from fg_orient.studies.comparison.set_results import SetResult
 
 #: Upper ends of the steps, as multiples of the target, and their classes: blue at the target, orange beyond.
 STEPS: Final = ((0.01, "b3"), (0.1, "b2"), (1.0, "b1"), (10.0, "o1"), (100.0, "o2"), (math.inf, "o3"))
@@ -102,7 +104,7 @@ def render(comparison: Comparison, record: Mapping[str, Any], figures: Mapping[s
     from markupsafe import Markup
 
     shell = environment()
-    shell.filters |= {"short": three_digits, "ranges": ranges}
+    shell.filters |= {"short": three_digits, "ranges": ranges, "treated": regularisation_words}
     drawn = {name.partition(".")[0]: text for name, text in figures.items() if not name.startswith("heatmap")}
     names = {row.eop_set: row.eop_set_name for row in comparison.rows}
     condition_heads, conditions = _conditions(comparison)
@@ -112,6 +114,7 @@ def render(comparison: Comparison, record: Mapping[str, Any], figures: Mapping[s
         counts=counts(comparison),
         figures={name: Markup(inline(text, name)) for name, text in drawn.items()}, outcomes=OUTCOMES,
         heats={role: rows for role in ("control", "check") if (rows := heat_map(comparison, role))},
+        regularised=[s for s in record["sets"] if s["regularisation"] != UNREGULARISED],
         summaries=summaries(comparison), steps=steps(comparison.target_m), conditions=conditions,
         condition_heads=condition_heads, directions=_directions(comparison),
         sets={number: (name, _lines(comparison, number)) for number, name in names.items()},
@@ -153,7 +156,8 @@ def _chosen(comparison: Comparison) -> list[dict[str, Any]]:
     advice = comparison.advice
     if advice is None or advice.eop_set is None:
         return []
-    rows = [line for line in _lines(comparison, advice.eop_set) if line["backend"] != "faithful"]
+    rows = [line for line in _lines(comparison, advice.eop_set)
+            if line["backend"] != "faithful" and line["regularisation"] == advice.regularisation]  # fmt: skip
     return [line | {"recommended": Key(*(line[k] for k in Key._fields)) == advice.key} for line in rows]
 
 
@@ -204,7 +208,7 @@ class Summary:
 
     Parameters
     ----------
-    backend, type, solver, optimizer : str, int or None, str, str
+    backend, type, solver, optimizer, regularisation : str, int or None, str, str, str
     label, name : str
         Of the solver; of the engine.
     tried, solved, reached : int
@@ -221,6 +225,7 @@ class Summary:
     type: int | None
     solver: str
     optimizer: str
+    regularisation: str
     label: str
     name: str
     tried: int
@@ -259,7 +264,7 @@ def _largest(values: Iterable[float]) -> float:
 def verdict(comparison: Comparison) -> dict[str, Any]:
     """Recommendation: ``kind`` (good, warn, bad), and sentences: ``title``, ``text`` (reasons), ``details``."""
     advice, details = comparison.advice, _details(comparison)
-    best = next((s for s in comparison.sets if advice is not None and s.eop_set == advice.eop_set), None)
+    best = next((s for s in comparison.sets if advice is not None and s.key == advice.set_key), None)
     if advice is None or best is None:
         if any(not row.failure for row in comparison.rows):  # of the published procedure
             return {"kind": "warn", "title": details[0] if details else "", "text": details[1:], "details": []}
@@ -278,7 +283,9 @@ def verdict(comparison: Comparison) -> dict[str, Any]:
     if best.status == Status.NOT_TRUSTWORTHY:
         text.append(f"Not trustworthy: {best.reason}.")
     good = row is not None and row.reached and best.status == Status.CONVERGED
-    title = f"Take EOP set {best.eop_set} ({best.name}){engine}"
+    own = regularisation_words(best.regularisation)
+    regularised = f", regularised by {own}," if own and row is None else ""
+    title = f"Take EOP set {best.eop_set} ({best.name}){regularised}{engine}"
     return {"kind": "good" if good else "warn", "title": title, "text": text, "details": details}
 
 
@@ -288,10 +295,12 @@ def _capital(text: str) -> str:
 
 def _accuracy_words(comparison: Comparison, best: SetResult, row: Row | None) -> list[str]:
     """Accuracy of the recommended row beside the target, and the source of the target."""
-    target = comparison.target_m
+    target, predicted = comparison.target_m, f"predicted {best.predicted_m:.3g} m at the check points"
+    if best.is_regularised:
+        predicted += " with the bias of true deviations of one prior sigma"
     source = {
         "given": f"the target is {target:.3g} m",
-        "predicted": f"predicted {best.predicted_m:.3g} m at the check points, at most {target:.3g} m in 95 % of cases",
+        "predicted": f"{predicted}, at most {target:.3g} m in 95 % of cases",
         "pixel": f"no check points have a predicted accuracy: the target is one pixel, {target:.3g} m",
     }[comparison.target_from]
     if row is None:
@@ -301,7 +310,8 @@ def _accuracy_words(comparison: Comparison, best: SetResult, row: Row | None) ->
     words = "within it" if row.reached else "beyond it"
     out = [f"Accuracy (RMSE of the worst ECEF axis): {source}; actual {shown}, {words}."]
     if sum(s.n_check > 0 for s in comparison.sets) > 1:
-        out.append("The check points chose the set: they no longer test it independently.")
+        of_set = "set and regularisation" if any(s.is_regularised for s in comparison.sets) else "set"
+        out.append(f"The check points chose the {of_set}: they no longer test it independently.")
     return out
 
 
@@ -312,7 +322,9 @@ def _details(comparison: Comparison) -> list[str]:
     out = []
     for backend, words in ENGINES.items():
         own = [line for line in tried if line.backend == backend]
-        out += _of_solvers(f"{words}", comparison, own)
+        for word in dict.fromkeys(line.regularisation for line in own):
+            of_word, treated = [line for line in own if line.regularisation == word], regularisation_words(word)
+            out += _of_solvers(f"{words}, {treated}" if treated else words, comparison, of_word)
     for kind in comparison.types:
         published = [line for line in tried if line.backend == "faithful" and line.type == kind]
         out += _of_solvers(f"The published procedure, type {kind}", comparison, published)

@@ -18,6 +18,7 @@ from fg_orient.adjustment.images_first import images_first
 from fg_orient.adjustment.linear import registry
 from fg_orient.adjustment.loop import OPTIMIZERS, LoopResult, gauss_newton
 from fg_orient.adjustment.optimisers import GTSAM_OPTIMIZERS
+from fg_orient.adjustment.penalty import NORMAL_LIMIT, needs_rows
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.reduced_choice import choose, predictions
 from fg_orient.adjustment.schur import SchurBackend
@@ -105,12 +106,20 @@ class Engines:
                 why = str(finding("compare.shared", place=f"schur {kind}"))
             elif kind not in possible:
                 why = str(finding("compare.full", place=f"schur {kind}"))
+            elif needs_rows(problem):
+                why = self._ill_conditioned(f"schur {kind}")
             return Engine(
                 "schur", kind, optimizer, _by_loop(lambda p: SchurBackend(p, reduced=kind), optimizer),
                 lambda: sparsity.schur(kind), why, OWN_CHOICE if kind == chosen else "",
             )  # fmt: skip
 
         return [engine(chosen, name) for name in OPTIMIZERS] + [engine(kind, "gauss-newton") for kind in rest]
+
+    def _ill_conditioned(self, engine: str) -> str:
+        """Reason for not trying an engine that forms normal equations."""
+        assert self.problem.regularisation is not None
+        condition = self.problem.regularisation.condition
+        return str(finding("compare.ill_conditioned", place=engine, condition=condition, limit=NORMAL_LIMIT))
 
     def _explicit(self) -> list[Engine]:
         """Graph with a factor for each image point: our Gauss-Newton over GTSAM's elimination, GTSAM's optimisers."""
@@ -133,6 +142,8 @@ class Engines:
         """GTSAM's optimisers on the graph whose factors eliminate the points."""
         first = images_first(self.problem)
         impossible = "" if first or eliminates_points(self.problem) else str(finding("compare.not_eliminated"))
+        if needs_rows(self.problem):
+            impossible = self._ill_conditioned("graph")
 
         def run(optimizer: str, problem: Problem, start: State, most: int) -> LoopResult[State]:
             backend = ImagesGraph(problem) if first else GraphBackend(problem, grouped=False)

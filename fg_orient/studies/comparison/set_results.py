@@ -1,0 +1,234 @@
+"""Results of a comparison by EOP set and regularisation, and the accuracy that the block predicts at its check points.
+
+Target. The errors of n check points have the joint covariance C, which the adjustment predicts, with the variances of
+the measured coordinates. Their mean square along an axis is about ``g chi2(h) / h`` with ``g = tr C / n`` and ``h =
+(tr C)^2 / tr C^2`` (Satterthwaite 1946). Its 95 % limit of the worst ECEF axis is the RMSE to reach. Of a regularised
+estimate C are the expected products of the errors, bias included (``fg_orient.quality.regularised_points``).
+"""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from factors.arrays import Array
+from fg_orient.adjustment.problem import Problem
+from fg_orient.model.distributions import chi_square_limit
+from fg_orient.model.errors import NoSolutionError
+from fg_orient.model.names import EOP_SETS, Status
+from fg_orient.orientation.reduction import criteria
+from fg_orient.orientation.solution import Solution
+from fg_orient.quality.accuracy import PointDifferences
+from fg_orient.quality.regularised_points import expected_errors
+from fg_orient.studies.comparison.model import UNREGULARISED, regularisation_words
+from fg_orient.studies.comparison.selections import regularisation_of
+
+#: Probability that the RMSE of a correct prediction exceeds its limit.
+LEVEL: Final = 0.05
+
+
+@dataclass(frozen=True)
+class SetResult:
+    """Adjustment with one EOP set, as by :func:`fg_orient.adjust`.
+
+    Parameters
+    ----------
+    eop_set : int
+    name : str
+    image_unknowns : int
+    regularisation : str
+        As of a row.
+    kappa : float
+        nan without a parameter.
+    held : int
+        Directions that a truncation or a minimum norm keeps at the metadata.
+    effective_unknowns : float
+        Image unknowns that the penalty does not determine: trace of the resolution, with the share of priors; nan
+        without a regularisation.
+    failure : str
+        Reason for a missing solution; "" if there is one.
+    status, reason : str
+        Status of the solution and its sentence.
+    backend, solver, optimizer : str
+        Engine of the adjustment; the solver of full matrices.
+    undetermined : int
+        Directions of the images that nothing but a prior determines.
+    sigma0, global_p : float
+        A posteriori standard deviation of unit weight, and probability of the global test.
+    aic, aicc, bic : float
+        Criteria of the model; nan without them.
+    n_check : int
+        Number of check points.
+    check_rmse_3d_m : float
+        RMSE of the check points, all axes together.
+    check_freedom : float
+        Number of independent errors in their mean square.
+    predicted_m, limit_m : float
+        Predicted RMSE at the check points of the worst ECEF axis, and its 95 % limit; nan without a covariance. With a
+        regularisation they contain the bias of true deviations of one prior sigma.
+    bias_m : float
+        The part of ``predicted_m`` that is bias, of its axis; nan without a regularisation.
+    prediction_factor : float
+        Errors of the check points over the predicted ones, by their joint covariance; nan with a regularisation.
+    prediction_holds : bool or None
+        Whether chance explains this factor; None if it is not tested.
+    processor_s : float
+        With all statistics.
+    """
+
+    eop_set: int
+    name: str
+    image_unknowns: int
+    regularisation: str = UNREGULARISED
+    kappa: float = math.nan
+    held: int = 0
+    effective_unknowns: float = math.nan
+    failure: str = ""
+    status: str = ""
+    reason: str = ""
+    backend: str = ""
+    solver: str = ""
+    optimizer: str = ""
+    undetermined: int = 0
+    sigma0: float = math.nan
+    global_p: float = math.nan
+    aic: float = math.nan
+    aicc: float = math.nan
+    bic: float = math.nan
+    n_check: int = 0
+    check_rmse_3d_m: float = math.nan
+    check_freedom: float = math.nan
+    predicted_m: float = math.nan
+    limit_m: float = math.nan
+    bias_m: float = math.nan
+    prediction_factor: float = math.nan
+    prediction_holds: bool | None = None
+    processor_s: float = math.nan
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether there is a converged solution."""
+        return not self.failure and self.status != Status.NOT_CONVERGED.value
+
+    @property
+    def is_regularised(self) -> bool:
+        """Whether the estimate is biased on purpose."""
+        return self.regularisation != UNREGULARISED
+
+    @property
+    def key(self) -> tuple[int, str]:
+        """Set and regularisation."""
+        return self.eop_set, self.regularisation
+
+    @property
+    def words(self) -> str:
+        """Set, name and regularisation: "20 (PUVA), tikhonov (gcv)"."""
+        own = regularisation_words(self.regularisation)
+        return f"{self.eop_set} ({self.name})" + (f", {own}" if own else "")
+
+
+def of_failure(eop_set: int, failure: str, problem: Problem, regularisation: str = UNREGULARISED) -> SetResult:
+    """Set without a solution."""
+    name = EOP_SETS[eop_set].name
+    return SetResult(eop_set, name, problem.n_free_unknowns, regularisation, failure=failure)
+
+
+def of_solution(eop_set: int, solution: Solution, processor_s: float) -> SetResult:
+    """Set with its solution."""
+    values: dict[str, Any] = {}
+    check, chosen = solution.accuracy.check, solution.problem.regularisation
+    covariance = check.covariance_m2
+    with suppress(NoSolutionError):
+        test = solution.global_test()
+        values["global_p"] = math.nan if test is None else test.probability
+    if chosen is None:
+        with suppress(NoSolutionError):
+            model = criteria(solution)
+            values |= {name: _number(getattr(model, name)) for name in ("aic", "aicc", "bic")}
+        with suppress(NoSolutionError):
+            prediction = solution.prediction_test()
+            values |= {"prediction_factor": prediction.factor, "prediction_holds": prediction.honest}
+    else:
+        values |= {"kappa": _number(chosen.kappa), "held": chosen.held,
+                   "effective_unknowns": solution.problem.n_free_unknowns - chosen.determined}  # fmt: skip
+        covariance, bias = expected_at(solution, check)
+        values["bias_m"] = bias_of(check, covariance, bias)
+    predicted, limit, freedom = predicted_rmse(check, covariance)
+    lengths = np.linalg.norm(check.enu_m, axis=1)
+    return SetResult(
+        eop_set, EOP_SETS[eop_set].name, solution.problem.n_free_unknowns,
+        regularisation_of(solution.problem.block.options), status=solution.status.value,
+        reason=solution.reason, backend=solution.backend, solver=solution.solver, optimizer=solution.optimizer,
+        undetermined=sum(solution.rank_defect.values()), sigma0=solution.sigma0, n_check=len(check),
+        check_rmse_3d_m=float(np.sqrt(np.mean(lengths**2))) if len(lengths) else math.nan, check_freedom=freedom,
+        predicted_m=predicted, limit_m=limit, processor_s=processor_s, **values,
+    )  # fmt: skip
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else float(value)
+
+
+def expected_at(solution: Solution, check: PointDifferences) -> tuple[Array | None, Array | None]:
+    """Expected products of the errors at the selected check points (3k, 3k), East, North, Up, m^2; those of the bias.
+
+    The first with the variances of the measured coordinates. Of a regularised solution; None if unknown.
+    """
+    if check.joint is None or not len(check):
+        return None, None
+    rows = check.selected
+    found = expected_errors(solution.weighted, solution.state, check.index[rows])
+    if found is None:
+        return None, None
+    turn = block_diag(*check.joint.axes[rows])
+    both = [turn @ own @ turn.T for own in (found.total, found.bias)]
+    return both[0] + np.diag(check.own_sigma_enu_m[rows].ravel() ** 2), both[1]
+
+
+def predicted_rmse(check: PointDifferences, covariance: Array | None) -> tuple[float, float, float]:
+    """Predicted RMSE of check points and its 95 % limit, of the worst ECEF axis, m; independent errors of all axes.
+
+    ``covariance``: (3k, 3k) of the selected points in East, North, Up, m^2. Without it nan, nan and the number of
+    coordinates.
+    """
+    if covariance is None:
+        return math.nan, math.nan, 3.0 * len(check)
+    squares = [(_mean_square(own), _limit(own)) for own in _by_axis(check, covariance)]
+    limit = math.sqrt(max(limit for _, limit in squares))
+    return math.sqrt(max(s for s, _ in squares)), limit, _freedom(covariance)
+
+
+def bias_of(check: PointDifferences, covariance: Array | None, bias: Array | None) -> float:
+    """RMS of the bias along the axis of :func:`predicted_rmse`, m; nan without it."""
+    if covariance is None or bias is None:
+        return math.nan
+    worst = int(np.argmax([_mean_square(own) for own in _by_axis(check, covariance)]))
+    return math.sqrt(_mean_square(_by_axis(check, bias)[worst]))
+
+
+def _by_axis(check: PointDifferences, covariance: Array) -> list[Array]:
+    """Parts (k, k) of a matrix (3k, 3k) in East, North, Up along each ECEF axis."""
+    assert check.joint is not None
+    k, turn = len(check.selected), check.joint.axes[check.selected]
+    ecef = np.einsum("aji,ajbk,bkl->aibl", turn, covariance.reshape(k, 3, k, 3), turn)
+    return [ecef[:, axis, :, axis] for axis in range(3)]
+
+
+def _mean_square(covariance: Array) -> float:
+    return float(np.trace(covariance)) / len(covariance)
+
+
+def _limit(covariance: Array) -> float:
+    """Limit (95 %) of the mean square of correlated errors (n, n)."""
+    freedom = _freedom(covariance)
+    return _mean_square(covariance) / freedom * float(chi_square_limit(freedom, LEVEL))
+
+
+def _freedom(covariance: Array) -> float:
+    """Number of independent errors in the mean square of correlated ones."""
+    return float(np.trace(covariance)) ** 2 / float(np.sum(covariance**2))
