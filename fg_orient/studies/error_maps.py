@@ -105,5 +105,5 @@ def _without_axes(chart: Chart, rmse_m: Sequence[float]) -> None:
     words = " / ".join(short(value) if math.isfinite(value) else "–" for value in rmse_m)
     chart.y = Axis(limits=(south - 0.3 * (north - south), north - 0.15 * (north - south)))
     chart.framed = False
-    ground, vectors = (length / (east - west), f"{length:g} km"), [(share, f"error {text}") for share, text in chart.bars]
-    chart.bars = [(0.0, f"{words} m"), ground, *vectors]
+    vectors = [(share, f"error {text}") for share, text in chart.bars]
+    chart.bars = [(0.0, f"{words} m"), (length / (east - west), f"{length:g} km"), *vectors]
