@@ -283,7 +283,12 @@ def point_file(
         return located(again, noted)[0].take(np.array([row[name] for name in wanted], np.intp))
 
     control = having_role(survey.roles, Role.CONTROL)
-    points = GroundPoints(survey.ids, survey.roles, coordinates.only(control))
+    known = coordinates.only(control)
+    if survey.starts is not None:
+        starts = located(replace(survey, coordinates=survey.starts), faults)[0].ecef_m
+        ties = having_role(survey.roles, Role.TIE)[:, None]
+        known = Coordinates(np.where(ties, starts, known.ecef_m), known.sigma_enu_m, known.fixed)
+    points = GroundPoints(survey.ids, survey.roles, known)
     remarks = _remarks(str(path), survey, operation)
     return PointFile(path, (level or ZeroLevel()).system(given.crs), digest, points, operation, remarks, opened)
 

@@ -213,6 +213,13 @@ class Options(Checked):
         "point; points: all observations of a point.",
         iterates=False,
     )
+    median_rejection: float | None = option(
+        None, TESTS,
+        "Reject image points by the rule of ISIS jigsaw before the adjustment: the limit is the median of the "
+        "residuals plus this multiple of 1.4826 times their median absolute deviation. Jigsaw's default is 3. The rule "
+        "has no level of significance (`fg_orient.orientation.median_rejection`).",
+        such="3.0", left_out="no rejection by the median", iterates=False,
+    )
     outlier_test: OutlierTest = option(
         "t", TESTS,
         "Test of single observations. baarda: test with a priori standard deviations; pope: tau test; t: test with a "

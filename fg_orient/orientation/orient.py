@@ -147,6 +147,11 @@ def adjust(
     doubts.require_acceptances(block.options.accept)
     block = vendor_datum.with_datum(block)
     regularisation.require_possible(block)
+    rejected, total = tuple[str, ...](), len(block.observations)
+    if block.options.median_rejection is not None:
+        from fg_orient.orientation.median_rejection import without_rejected
+
+        block, rejected = without_rejected(block, block.options.median_rejection)
     if callable(optimizer):
         wanted = {
             "snoop": block.options.snoop, "variance_components": block.options.variance_components, "parts": parts,
@@ -181,6 +186,11 @@ def adjust(
     alone = replace(run, callback=None, stage=None, checkpoint=None, begin=None)
 
     def completed(solution: Solution) -> Solution:
+        if rejected:
+            from fg_orient.orientation.median_rejection import rejection_finding
+
+            findings = (rejection_finding(rejected, total), *solution.findings)
+            solution = replace(solution, findings=findings, rejected=rejected)
         return with_direction(confirmed(solution, alone.once), block, alone.once)
 
     if not block.options.snoop:

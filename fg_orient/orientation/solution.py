@@ -94,6 +94,8 @@ class Solution(AdjustmentResult):
         Iterations of an interrupted run that this run continued.
     snooping : Search or None
         Search for gross errors, if the options request one.
+    rejected : tuple of str
+        Image points, as ``12 in left``, that the option ``median_rejection`` left out.
     sigmas : tuple of StatedSigma
         Stated sigmas of groups of observations beside the estimated ones, where the observations are tested.
     supposed : Supposed or None
@@ -120,6 +122,7 @@ class Solution(AdjustmentResult):
     seconds: Seconds = field(default_factory=Seconds)
     resumed_at: int = 0
     snooping: Search | None = None
+    rejected: tuple[str, ...] = ()
     sigmas: tuple[StatedSigma, ...] = ()
     supposed: Supposed | None = None
     reduced_system: Choice | None = None

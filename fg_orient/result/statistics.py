@@ -267,7 +267,7 @@ def tests_of(solution: Solution) -> OutlierTests | None:
 
 
 def outlier_records(solution: Solution) -> dict[str, Any]:
-    """Give ``global_test``, ``outlier_tests``, ``suspicious_observations`` and ``snooping`` of the record."""
+    """Give the entries of the record about outlier tests: of all observations, and of the searches."""
     tests = tests_of(solution)
     judged = solution.weights is None and np.isfinite(solution.sigma0_interval[0])  # not with variance components
     whole = solution.global_test() if judged else None
@@ -280,6 +280,7 @@ def outlier_records(solution: Solution) -> dict[str, Any]:
         },
         "suspicious_observations": None if tests is None else [_test_record(test) for test in tests.suspicious()],
         "snooping": search_record(solution),
+        "median_rejection": None if solution.block.options.median_rejection is None else list(solution.rejected),
     }  # fmt: skip
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
+from fg_orient.model.block import Block
 from fg_orient.orientation.solution import Solution
 from fg_orient.result.tables import eop_rows
 from tests.support import jigsaw_twin as twin
@@ -84,6 +85,34 @@ def test_linear_control_differs_by_the_square_of_the_correction(tmp_path: Path) 
     largest = np.abs(exact.accuracy.control.enu_m).max()
     assert 0.0 < apart.max() < 20.0 * largest**2 / 1.7374e6
     assert linear.redundancy == exact.redundancy
+
+
+ANGLES = ("right_ascension", "declination", "twist")
+
+
+def _rejected(block: Block, unknowns: tuple[str, ...]) -> tuple[Solution, set[tuple[str, str]]]:
+    """Adjust with the rule of jigsaw; rejected points with their images."""
+    solution = fg.adjust(block, median_rejection=3.0, image_unknowns=unknowns)
+    names = {image.id: image.sensor.serial for image in block.images}
+    assert solution.result.record["median_rejection"] == list(solution.rejected)
+    return solution, {(p, names[image]) for p, _, image in (one.partition(" in ") for one in solution.rejected)}
+
+
+def _expected(frames: list[twin.Frame], points: list[twin.Point], unknowns: tuple[str, ...]) -> set[tuple[str, str]]:
+    """Set of the independent script; positions are held by a tiny prior."""
+    network = twin.Network(frames, points, position_sigma_km=1e-9 if unknowns else 1.0)
+    serials = {f.name: f.serial for f in frames}
+    return {(point, serials[image]) for point, image in twin.rejected(network)}
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("unknowns", [(), ANGLES], ids=["all", "angles"])
+def test_outlier_rule_of_jigsaw(tmp_path: Path, unknowns: tuple[str, ...]) -> None:
+    names = write_block(tmp_path, n_images=4, n_points=60, gross=8)
+    frames = [twin.read_frame(tmp_path / f"{name}.isd") for name in names]
+    expected = _expected(frames, twin.read_network(tmp_path / "net.pvl"), unknowns)
+    assert expected
+    assert _rejected(fg.read_project(tmp_path / "project.toml"), unknowns)[1] == expected
 
 
 # --- the network of ISIS's own tests ----------------------------------------------------------------
@@ -178,3 +207,14 @@ def test_held_image_keeps_its_orientation(apollo: Path) -> None:
     assert not solution.correction("1423").any()
     frames, points = _twin_of(apollo)
     compare(solution, twin.adjust(frames, points, held=("1423",)))
+
+
+@pytest.mark.truth
+@pytest.mark.real_data
+@pytest.mark.parametrize(("unknowns", "count"), [(ANGLES, 51), ((), 38)], ids=["angles", "positions and angles"])
+def test_outlier_rule_on_the_network(apollo: Path, unknowns: tuple[str, ...], count: int) -> None:
+    """Jigsaw rejects 51 measures with the angles as unknowns (camsolve=angles); 38 is that of the script alone."""
+    solution, own = _rejected(fg.read_project(apollo / "project.toml"), unknowns)
+    assert len(own) == count
+    assert own == _expected(*_twin_of(apollo), unknowns)
+    assert len(solution.problem.observations) == 969 - count

@@ -293,3 +293,14 @@ def flagged(solved: Bundle, out: frozenset[tuple[str, str]], multiplier: float =
         if above and len(keys) - sum(key in new for key in keys) > 2:
             new.add(max(above, key=every.__getitem__))
     return frozenset(new)
+
+
+def rejected(network: Network) -> frozenset[tuple[str, str]]:
+    """Measures that are rejected when sigma0 and the set come to rest: the rule is applied after each iteration."""
+    before = np.inf
+    for _ in range(50):
+        network.step()
+        if abs(network.sigma0 - before) <= 1e-10:
+            return network.without
+        before, network.without = network.sigma0, flagged(network.solved(0), network.without)
+    raise AssertionError("the rule does not come to rest")

@@ -117,7 +117,7 @@ def write_block(folder: Path, *, seed: int = 1, n_images: int = 3, n_points: int
     body = Rotation.random(random_state=seed).as_matrix()
     names, frames, truth = [f"M-{k:04d}" for k in range(n_images)], [], []
     for k, name in enumerate(names):
-        lon, lat = 0.1 + 0.03 * k, 0.4 + 0.004 * k
+        lon, lat = 0.1 + 0.008 * k, 0.4 + 0.002 * k
         up = np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
         position = body.T @ (up * (RADIUS_KM + 105.0))
         east = np.cross([0.0, 0.0, 1.0], up) / np.cos(lat)
@@ -130,7 +130,7 @@ def write_block(folder: Path, *, seed: int = 1, n_images: int = 3, n_points: int
         truth.append(np.array([*position, *twin.angles_of(camera)]))
     points, rays = [], []
     while len(points) < n_points:
-        place = np.array([0.4 + rng.uniform(-0.02, 0.03), 0.1 + rng.uniform(-0.01, 0.03 * n_images), RADIUS_KM])
+        place = np.array([0.4 + rng.uniform(-0.015, 0.02), 0.1 + rng.uniform(-0.015, 0.01 * n_images), RADIUS_KM])
         place[2] += rng.normal(scale=1.0)
         seen = [(f.serial, *_pixel(f, x, place)) for f, x in zip(frames, truth, strict=True)]
         measures = [[s, a + rng.normal(scale=0.35), b + rng.normal(scale=0.35)] for s, a, b in seen

@@ -1,9 +1,9 @@
 """Control networks of ISIS as text (PVL), as ``cnetbin2pvl`` writes them.
 
-Points are body-fixed metres; images are named by their serial numbers. Free points are tie points, constrained points
-are control points with the standard deviations of their a priori covariance along longitude, latitude and radius, fixed
-points are control points without uncertainty. Ignored points and measures, candidates, and measures that jigsaw
-rejected are left out and counted. Samples and lines count from 1 in the centre of the first pixel.
+Points are body-fixed metres; images are named by their serial numbers. Free points are tie points with start values,
+constrained points are control points with the standard deviations of their a priori covariance along longitude,
+latitude and radius, fixed points are control points without uncertainty. Ignored points and measures, candidates, and
+measures that jigsaw rejected are left out and counted. Samples and lines count from 1 in the centre of the first pixel.
 """
 
 from __future__ import annotations
@@ -54,6 +54,8 @@ def read_isis(paths: tuple[Path, ...], settings: Settings) -> Survey:
                 correlated += is_correlated
             name = point.text("PointId")
             gathered.point(name, role, UNKNOWN if role is Role.TIE else place, sigma, line=point.line, fixed=fixed)
+            if role is Role.TIE and np.isfinite(place).all():
+                gathered.start(name, place)
             for one in point.every("ControlMeasure"):
                 reason = _left_out(one)
                 if reason:

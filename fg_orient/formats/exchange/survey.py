@@ -58,6 +58,8 @@ class Survey:
         Line of each ground point in its file, for messages; 0 where there is none.
     unit : str
         "line"; "row" of a file without lines.
+    starts : (n, 3) array, optional
+        Approximate coordinates of tie points; nan for the others.
     notes : tuple of Finding
         Remarks of the reader for the user.
     """
@@ -73,6 +75,7 @@ class Survey:
     lines: npt.NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
     notes: tuple[Finding, ...] = ()
     unit: str = "line"
+    starts: Array | None = None
 
     def __post_init__(self) -> None:
         if not len(self.lines):
@@ -149,6 +152,7 @@ class Gathering:
         self._point: dict[str, int] = {}
         self._image: dict[str, int] = {}
         self._ground: list[tuple[Role, Sequence[float], Sequence[float], bool, int]] = []
+        self._starts: dict[str, Sequence[float]] = {}
         self._measured: dict[tuple[int, int], tuple[Sequence[float], Sequence[float], int]] = {}
 
     def point(
@@ -164,6 +168,10 @@ class Gathering:
         else:
             self._point[name] = len(self._ground)
             self._ground.append((role, coordinates, sigma, fixed, line))
+
+    def start(self, name: str, coordinates: Sequence[float]) -> None:
+        """Take approximate coordinates of a tie point."""
+        self._starts[name] = coordinates
 
     def feature(
         self, name: str, role: str, coordinates: Sequence[float], sigma: Sequence[float], *, number: int, fixed: bool
@@ -207,4 +215,5 @@ class Gathering:
         return Survey(
             self.crs, tuple(self._point), roles, np.array(xyz, float), np.array(sigma, float), np.array(fixed, bool),
             tuple(self._image), ImagePoints(*pairs.T, *pixels.T, *sigmas.T), np.array(lines, np.int64), self.notes,
+            starts=np.array([self._starts.get(name, UNKNOWN) for name in self._point]) if self._starts else None,
         )  # fmt: skip

@@ -357,6 +357,9 @@ unavailable.slopes (warning): the shift is not estimated: {n} points lie on slop
 unavailable.aspects (warning): the shift is not estimated: the terrain has too few slopes of different aspect to
     separate East and North
 unavailable.steps (warning): the shift is not estimated: the computation has not converged after {steps} steps
+search.restless: the rejection by the median does not come to rest: its image points change after each of {value}
+    iterations
+    -> raise <median_rejection> or <max_iterations>, or search with <snoop>
 search.left_out (warning): snooping left out {n} observation(s) in {rounds} rounds: {names:5}
     + ; also left out, as the only remaining rays of their points: {with_them:5}
 search.conditional (note): standard deviations after the search are conditional: they are valid if exactly the wrong
