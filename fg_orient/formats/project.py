@@ -318,20 +318,23 @@ def _images(project: ProjectFile, folder: Path, file: str) -> tuple[dict[str, Im
         try:
             sensor = sensor_reader.read_sensor(folder / entry.metadata, **how)
             pixels = "" if entry.pixels is None else str(folder / entry.pixels)
-            _require_body(project, sensor)
+            _require_body(project, sensor, file)
             images[entry.id] = Image(entry.id, sensor, pixels, entry.pixels_origin, entry.held)
         except InputError as error:
             problems += error.problems
     return images, problems
 
 
-def _require_body(project: ProjectFile, sensor: Sensor) -> None:
+def _require_body(project: ProjectFile, sensor: Sensor, file: str) -> None:
     """Refuse an image on another body than that of the project."""
     if project.body is None:
         return
     from fg_orient.geodesy.bodies import Body, body_named
 
-    body = body_named(project.body) if isinstance(project.body, str) else Body("body", project.body)
+    try:
+        body = body_named(project.body) if isinstance(project.body, str) else Body("body", project.body)
+    except InputError as error:
+        raise InputError(*(replace(p, file=file) for p in error.problems)) from None
     own = sensor.body
     if own is None or not own.same(body):
         value = "the Earth" if own is None else f"{own.name}, radii {' '.join(f'{r:.10g}' for r in own.radii_m)} m"

@@ -147,6 +147,8 @@ class Format:
     read_image : callable, optional
         Path to the sensor of an image; the keywords ``extrapolate_attitude_s`` and ``light`` are
         passed if ``extrapolates`` and ``chooses_light``.
+    write_image : callable, optional
+        Path, sensor and correction (None without one) to a record of the differences of the file from the image.
     extrapolates : bool
         ``read_image`` takes the keyword ``extrapolate_attitude_s``.
     chooses_light : bool
@@ -175,6 +177,7 @@ class Format:
     read_rpc: Callable[[Path, Reading], RpcModel] | None = None
     write_rpc: Callable[[Path, RpcModel], None] | None = None
     read_image: Callable[..., Any] | None = None
+    write_image: Callable[[Path, Any, Any], dict[str, Any]] | None = None
     extrapolates: bool = False
     chooses_light: bool = False
     beside_rpc: bool = False

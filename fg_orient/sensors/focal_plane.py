@@ -8,7 +8,7 @@ is by Newton's method. Models and names are those of USGSCSM, and that of the me
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
@@ -59,6 +59,16 @@ class Distortion:
     def measured(self, ideal_mm: Array) -> Array:
         """Measured coordinates (n, 2) mm of ideal ones (n, 2); nan where there are none."""
         return self._transverse(ideal_mm) if self.model == "transverse" else self._solved(ideal_mm, self._forward)
+
+    def mirrored(self) -> Distortion:
+        """Distortion of a camera whose first axis points the other way."""
+        c = np.array(self.coefficients)
+        if self.model == "transverse":
+            odd = np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0])  # by the power of x
+            c = np.concatenate([-odd * c[:10], odd * c[10:]])
+        if self.model == "metric":
+            c[[0, 7]] *= -1.0
+        return replace(self, coefficients=tuple(c.tolist()))
 
     def _transverse(self, xy: Array) -> Array:
         """Measured coordinates of ideal ones by polynomials of degree 3, as in USGSCSM."""

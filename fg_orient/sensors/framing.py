@@ -141,20 +141,19 @@ class FramingSensor(Sensor):
     ----------
     camera : FramingCamera
     n_lines, n_samples : int
-    body : Body
+    body : Body or None
+        None for the Earth.
     taken : Taken, optional
     file : str, optional
     notes : tuple of Finding, optional
     """
 
-    body: Body
-    georeferenced = False  # body-fixed coordinates are not those of the Earth
-
     def __init__(
-        self, camera: FramingCamera, n_lines: int, n_samples: int, body: Body, *, taken: Taken | None = None,
+        self, camera: FramingCamera, n_lines: int, n_samples: int, body: Body | None, *, taken: Taken | None = None,
         file: str = "", notes: tuple[Finding, ...] = (),
     ) -> None:  # fmt: skip
         self.camera, self.n_lines, self.n_samples, self.body = camera, n_lines, n_samples, body
+        self.georeferenced = body is None
         self.first_line, self.last_line = 0.0, n_lines - 1.0
         self.first_sample, self.last_sample = 0.0, n_samples - 1.0
         self.taken, self.file, self.notes = taken or Taken(), file, notes
@@ -188,12 +187,16 @@ class FramingSensor(Sensor):
 
     def footprint(self) -> Array:
         """Corners in image order, clockwise: (4, 2) longitude, latitude in degrees; on the limb if beyond it."""
+        if self.body is None:
+            return super().footprint()
         return self.body.coordinates(self.body.nearest(*self.rays(*self.corners())))[:, :2]
 
     @cached_property
     def centre_m(self) -> Array:
         """Ground point (3,) m of the image centre, or of the limb."""
         middle = 0.5 * (self.first_line + self.last_line), 0.5 * (self.first_sample + self.last_sample)
+        if self.body is None:
+            return np.asarray(self.locate(*middle, height_m=0.0)[0])
         return np.asarray(self.body.nearest(*self.rays(*middle))[0])
 
     def image_model(self, options: Options) -> ImageModel:

@@ -37,6 +37,8 @@ CORRELATED: Final = 1e-6
 def read_isis(paths: tuple[Path, ...], settings: Settings) -> Survey:
     """Read a network; its coordinates are body-fixed whatever the settings are."""
     path = paths[0]
+    if settings.crs not in ("", BODY_FIXED):
+        raise InputError.of("isis.crs", file=path, option="crs", value=settings.crs)
     networks = [*read_pvl(path).every("ControlNetwork")]
     if not networks:
         raise InputError.of("isis.no_network", file=path)

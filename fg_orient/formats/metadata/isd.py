@@ -13,7 +13,9 @@ The sign of the focal length follows from the direction of the body: some camera
 
 from __future__ import annotations
 
+import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,19 +24,25 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
 from factors.arrays import Array
+from factors.geometry import ellipsoid
 from factors.geometry.rotations import quaternion_matrices
+from fg_orient.formats.atomic import write_text
 from fg_orient.formats.json_files import JsonFile
 from fg_orient.formats.pvl import Pvl, read_pvl
 from fg_orient.formats.registry import Format
 from fg_orient.geodesy.bodies import Body, known_bodies
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.focal_plane import Detector, Distortion
-from fg_orient.sensors.framing import FramingCamera, FramingSensor, Taken, angles_of
+from fg_orient.sensors.framing import FramingCamera, FramingSensor, Taken, angles_of, turn_of
 
+#: Name of the format in tables.
+FORM: Final = "ISD"
 MODEL: Final = "USGS_ASTRO_FRAME_SENSOR_MODEL"
 LABELS: Final = (".pvl", ".lbl", ".cub")
 #: Largest time, s, between the states of an image and its centre time if there is one state only.
 NEAR_S: Final = 0.1
+#: Largest difference of an axis of the Earth's ellipsoid, m.
+SAME_AXIS_M: Final = 1.0
 #: Distortions of an ISD and the models of ``focal_plane``.
 _DISTORTION: Final = {"radial": "radial", "transverse": "transverse"}
 
@@ -59,8 +67,11 @@ def read_isd(path: str | Path) -> FramingSensor:
     distortion, notes = _distortion(isd)
     detector = _detector(isd, label, (lines, samples))
     focal = _focal(isd, mounting @ turn, position)
-    camera = FramingCamera(position, angles_of(turn), mounting, inertial, focal, detector, distortion)
-    taken = Taken(isd.text("name_platform", ""), isd.text("name_sensor", ""), _serial(label), "ISD")
+    try:
+        camera = FramingCamera(position, angles_of(turn), mounting, inertial, focal, detector, distortion)
+    except InputError as error:
+        raise InputError(*(replace(p, file=str(path)) for p in error.problems)) from None
+    taken = Taken(isd.text("name_platform", ""), isd.text("name_sensor", ""), _serial(label), FORM)
     return FramingSensor(camera, lines, samples, _body(isd), taken=taken, file=str(path), notes=notes)
 
 
@@ -118,12 +129,14 @@ def _constant(isd: JsonFile, place: str) -> Array:
     return np.reshape(isd.numbers(f"{place}.constant_rotation", 9, default=np.eye(3).ravel()), (3, 3))
 
 
-def _body(isd: JsonFile) -> Body:
-    """Body of its radii; its name from the NAIF code in the names of the keywords."""
+def _body(isd: JsonFile) -> Body | None:
+    """Body of its radii, None for the Earth; its name from the NAIF code in the names of the keywords."""
     unit = {"km": 1e3, "m": 1.0}.get(isd.text("radii.unit", "km"))
     if unit is None:
         raise InputError.of("isd.unit", file=isd.path, place="radii.unit", value=isd.text("radii.unit"))
     major, minor = (unit * isd.number(f"radii.{name}") for name in ("semimajor", "semiminor"))
+    if np.abs(np.array([major, minor]) - [ellipsoid.A_M, ellipsoid.B_M]).max() <= SAME_AXIS_M:
+        return None
     keys = isd.value("naif_keywords", {})
     found = next((m for key in keys if (m := re.fullmatch(r"BODY(\d+)_RADII", str(key)))), None)
     code = f"IAU_2015:{found[1]}00" if found else ""
@@ -205,10 +218,40 @@ def _focal(isd: JsonFile, turn: Array, position: Array) -> float:
     return focal if turn[2] @ position < 0.0 else -focal
 
 
+def write_isd(path: Path, sensor: Any, correction: Any = None) -> dict[str, Any]:
+    """Write the ISD of an image again with adjusted position and pointing, and its label beside it.
+
+    ``correction`` (6,): from an adjustment. The file has one state at its centre time; all else is unchanged.
+
+    Raises
+    ------
+    InputError
+        The image is not one of an ISD.
+    """
+    if not (isinstance(sensor, FramingSensor) and sensor.taken.form == FORM):
+        raise InputError.of("isd.write (failure): only an image that was read from an ISD is written as one -> write a "
+                            "state of CSM instead", file=sensor.file, value=type(sensor).__name__)  # fmt: skip
+    source = Path(sensor.file)
+    values, camera = JsonFile.read(source).values, sensor.camera.corrected(correction)
+    time = [values["center_ephemeris_time"]]
+    quaternion = np.roll(Rotation.from_matrix(turn_of(camera.angles_rad)).as_quat(), 1)
+    position = {"ephemeris_times": time, "positions": [(camera.position_m / 1e3).tolist()]}
+    if "velocities" in values["instrument_position"]:
+        position["velocities"] = values["instrument_position"]["velocities"][:1]
+    values["instrument_position"] |= position
+    values["instrument_pointing"] |= {"ephemeris_times": time, "quaternions": [quaternion.tolist()]}
+    write_text(path, json.dumps(values, indent=2) + "\n")
+    label = next((p for suffix in LABELS if (p := source.with_suffix(suffix)).is_file()), None)
+    if label is not None and label.suffix != ".cub" and label.parent.absolute() != path.parent.absolute():
+        write_text(path.with_suffix(label.suffix), label.read_text("latin-1"))
+    return {"label": label is not None}
+
+
 FORMAT = Format(
     name="isd",
     title="image support data of ALE (JSON), frame",
     suffixes=(".isd", ".json"),
     sniff=lambda path, head: head.lstrip().startswith("{") and f'"{MODEL}"' in head,
     read_image=read_isd,
+    write_image=write_isd,
 )

@@ -38,7 +38,7 @@ isis.type: this is not a type of control points
 isis.covariance: the a priori covariance has a variance that is not above zero
     -> correct AprioriCovarianceMatrix: xx, xy, xz, yy, yz, zz in m2
 isis.crs: a control network has body-fixed coordinates
-    -> transform the points first, or leave out their coordinates
+    -> leave the CRS out, or give "body-fixed"
 isis.left_out (note): left out
 isis.correlated (warning): a priori coordinates are correlated along longitude, latitude and radius; the correlations
     are not used

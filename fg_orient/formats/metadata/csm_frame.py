@@ -1,0 +1,231 @@
+"""Frame states of the Community Sensor Model (USGSCSM, ``USGS_ASTRO_FRAME_SENSOR_MODEL``), read and written.
+
+A state is the name of its model and an object in JSON. Pixels of CSM are (0.5, 0.5) at the centre of the first one. The
+seven parameters are the projection centre (m) and the quaternion (x, y, z, w) of the rotation to body-fixed axes from
+camera axes; ``ideal = f (x, y)/z``, the distortion leads to measured millimetres, ``m_iTransL`` and ``m_iTransS`` to
+detector pixels about ``m_ccdCenter`` (line, sample). Fields follow the published definitions (docs/planetary.md). The
+axes of the three angles are the body-fixed ones.
+
+A distortion that USGSCSM does not have is fitted when a state is written: the record states the differences.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from factors.arrays import Array
+from factors.geometry import ellipsoid
+from fg_orient.formats.atomic import write_text
+from fg_orient.formats.json_files import JsonFile
+from fg_orient.formats.registry import Format
+from fg_orient.geodesy.bodies import Body
+from fg_orient.model.errors import InputError
+from fg_orient.sensors.focal_plane import Detector, Distortion
+from fg_orient.sensors.framing import FramingCamera, FramingSensor, Taken, angles_of
+
+MODEL: Final = "USGS_ASTRO_FRAME_SENSOR_MODEL"
+#: Models of distortion by their numbers in a state.
+DISTORTIONS: Final = {0: "radial", 1: "transverse"}
+#: Largest difference of an axis of the Earth's ellipsoid, m.
+SAME_AXIS_M: Final = 1.0
+#: Pixels per side of the image at which a distortion is fitted and compared.
+SIDE: Final = 41
+#: A quaternion has norm 1 within this.
+_UNIT: Final = 1e-3
+#: Camera axes of a state, which look along their third axis forwards, from axes that look backwards.
+_HALF_TURN: Final = np.diag([-1.0, 1.0, -1.0])
+
+
+def read_state(path: str | Path) -> FramingSensor:
+    """Read a frame state.
+
+    Raises
+    ------
+    InputError
+        A value is missing or impossible, the distortion is neither radial nor transverse, or the principal point is
+        not zero.
+    """
+    path = Path(path)
+    state = JsonFile.read(path, skip=0 if path.read_bytes()[:200].lstrip()[:1] == b"{" else 1)
+    if state.text("m_modelName") != MODEL:
+        raise InputError.of("isd.model", file=path, place="m_modelName", value=state.text("m_modelName"), known=MODEL)
+    parameters = state.numbers("m_currentParameterValue", 7)
+    away = abs(float(np.linalg.norm(parameters[3:])) - 1.0)
+    if away > _UNIT:
+        raise InputError.of("earth.quaternion", file=path, place="m_currentParameterValue", value=f"{away:.2g} off 1")
+    principal = state.number("m_linePp", 0.0), state.number("m_samplePp", 0.0)
+    if any(principal):
+        raise InputError.of("csm.principal (failure): a principal point in the ideal coordinates is not read -> give a "
+                            "state whose m_linePp and m_samplePp are zero", file=path, place="m_linePp, m_samplePp",
+                            value=principal)  # fmt: skip
+    focal = state.number("m_focalLength")
+    if not focal > 0.0:
+        raise InputError.of("csm.focal (failure): the focal length must be above zero -> correct m_focalLength",
+                            file=path, place="m_focalLength", value=focal)  # fmt: skip
+    turn = Rotation.from_quat(parameters[3:]).as_matrix().T
+    camera = FramingCamera(
+        parameters[:3], angles_of(turn), np.eye(3), np.eye(3), focal, _detector(state), _distortion(state)
+    )  # fmt: skip
+    taken = Taken(state.text("m_spacecraftName", ""), state.text("m_instrumentID", ""), "", "CSM state")
+    size = state.count("m_nLines"), state.count("m_nSamples")
+    return FramingSensor(camera, *size, _body(state), taken=taken, file=str(path))
+
+
+def _body(state: JsonFile) -> Body | None:
+    """Body of the axes; None for the Earth."""
+    major, minor = state.number("m_majorAxis"), state.number("m_minorAxis")
+    if np.abs(np.array([major, minor]) - [ellipsoid.A_M, ellipsoid.B_M]).max() <= SAME_AXIS_M:
+        return None
+    try:
+        return Body(state.text("m_targetName", "") or "body", (major, major, minor))
+    except InputError as error:
+        raise InputError.of("body.radii", file=state.path, place="m_majorAxis, m_minorAxis",
+                            value=error.problems[0].value) from None  # fmt: skip
+
+
+def _distortion(state: JsonFile) -> Distortion:
+    kind = int(state.number("m_distortionType", 0))
+    if kind not in DISTORTIONS:
+        raise InputError.of("isd.distortion", file=state.path, place="m_distortionType", value=kind,
+                            known=", ".join(f"{k} ({name})" for k, name in DISTORTIONS.items()))  # fmt: skip
+    try:
+        return Distortion(DISTORTIONS[kind], tuple(state.numbers("m_opticalDistCoeffs", -1).tolist()))
+    except InputError as error:
+        problem = error.problems[0]
+        raise InputError.of(problem.code, file=state.path, place="m_opticalDistCoeffs", value=problem.value,
+                            **dict(problem.data)) from None  # fmt: skip
+
+
+def _detector(state: JsonFile) -> Detector:
+    lines, samples = state.numbers("m_iTransL", 3), state.numbers("m_iTransS", 3)
+    centre = state.numbers("m_ccdCenter", 2).tolist()
+    summing, start = (
+        [state.number(name.format(axis), default) for axis in ("Line", "Sample")]
+        for name, default in (("m_detector{}Summing", 1.0), ("m_startingDetector{}", 0.0))
+    )  # fmt: skip
+    if abs(np.linalg.det([lines[1:], samples[1:]])) < 1e-12 or not min(summing) > 0.0:
+        raise InputError.of("isd.detector", file=state.path, place="m_iTransL, m_iTransS",
+                            value=f"{lines[1:].tolist()}, {samples[1:].tolist()}")  # fmt: skip
+    first, second = lines.tolist(), samples.tolist()
+    return Detector(
+        (centre[0], centre[1]), (first[0], first[1], first[2]), (second[0], second[1], second[2]),
+        (summing[0], summing[1]), (start[0], start[1]),
+    )  # fmt: skip
+
+
+# --- writing -----------------------------------------------------------------------------------------
+
+
+def write_state(path: Path, sensor: Any, correction: Any = None) -> dict[str, Any]:
+    """Write a frame image, with its correction (6,) from an adjustment.
+
+    Returns
+    -------
+    dict
+        ``distortion``; ``largest_px``, ``mean_px``: differences of the written camera over the image.
+
+    Raises
+    ------
+    InputError
+        The sensor is not a frame image in inertial axes.
+    """
+    if not isinstance(sensor, FramingSensor):
+        raise InputError.of("csm.frame (failure): only a frame image of an ISD or of a CSM state becomes a frame state "
+                            "-> give such metadata", file=sensor.file, value=type(sensor).__name__)  # fmt: skip
+    camera = _forward(sensor.camera.corrected(correction))
+    written = replace(camera, distortion=_fitted(camera, sensor))
+    write_text(path, f"{MODEL}\n{json.dumps(_fields(sensor, written), indent=2)}\n")
+    apart = _differences(camera, written, sensor)
+    return {"distortion": written.distortion.model, "largest_px": float(apart.max()), "mean_px": float(apart.mean())}
+
+
+def _forward(camera: FramingCamera) -> FramingCamera:
+    """Same camera with a focal length above zero: its axes make a half-turn about the second one."""
+    if camera.focal_mm > 0.0:
+        return camera
+    detector, distortion = camera.detector, camera.distortion
+    (l0, l1, l2), (s0, s1, s2) = detector.lines, detector.samples
+    return replace(
+        camera, mounting=_HALF_TURN @ camera.mounting, focal_mm=-camera.focal_mm,
+        detector=replace(detector, lines=(l0, -l1, l2), samples=(s0, -s1, s2)), distortion=distortion.mirrored(),
+    )  # fmt: skip
+
+
+def _grid(sensor: FramingSensor) -> tuple[Array, Array]:
+    line, sample = np.meshgrid(
+        np.linspace(sensor.first_line, sensor.last_line, SIDE),
+        np.linspace(sensor.first_sample, sensor.last_sample, SIDE), indexing="ij",
+    )  # fmt: skip
+    return line.ravel(), sample.ravel()
+
+
+def _fitted(camera: FramingCamera, sensor: FramingSensor) -> Distortion:
+    """Distortion that a state can hold: unchanged, or the transverse or radial one that is nearest over the image."""
+    own = camera.distortion
+    if own.model in DISTORTIONS.values():
+        return own
+    if own.model == "none":
+        return Distortion("radial", (0.0, 0.0, 0.0))
+    measured = camera.detector.millimetres(*_grid(sensor))
+    ideal = own.ideal(measured)
+    x, y = ideal.T
+    terms = np.stack([x**0, x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3], axis=1)
+    size = np.abs(terms).max(axis=0)
+    found = np.linalg.lstsq(terms / size, measured, rcond=None)[0] / size[:, None]
+    transverse = Distortion("transverse", tuple(found.T.ravel().tolist()))
+    r = np.sum(measured**2, axis=1)
+    powers = np.concatenate([measured[:, i, None] * np.stack([r**0, r, r * r], axis=1) for i in range(2)])
+    size = np.abs(powers).max(axis=0)
+    k = np.linalg.lstsq(powers / size, (measured - ideal).T.ravel(), rcond=None)[0] / size
+    radial = Distortion("radial", tuple(k.tolist()))
+    return min(transverse, radial, key=lambda d: _differences(camera, replace(camera, distortion=d), sensor).max())
+
+
+def _differences(one: FramingCamera, other: FramingCamera, sensor: FramingSensor) -> Array:
+    """Distances (n,) px between pixels of the same ideal coordinates, over the image."""
+    line, sample = _grid(sensor)
+    ideal = one.distortion.ideal(one.detector.millimetres(line, sample))
+    there = other.detector.pixels(other.distortion.measured(ideal))
+    return np.asarray(np.hypot(there[0] - line, there[1] - sample))
+
+
+def _fields(sensor: FramingSensor, camera: FramingCamera) -> dict[str, Any]:
+    """All fields of a state; those that the model does not use have neutral values."""
+    detector, centre = camera.detector, camera.centre_m
+    major, _, minor = (ellipsoid.A_M, ellipsoid.A_M, ellipsoid.B_M) if sensor.body is None else sensor.body.radii_m
+    quaternion = Rotation.from_matrix(camera.rotation.T).as_quat().tolist()
+    kind = next(k for k, name in DISTORTIONS.items() if name == camera.distortion.model)
+    affine = np.array([detector.samples, detector.lines])
+    back = np.linalg.inv(affine[:, 1:])  # millimetres from detector samples and lines
+    shift = (-back @ affine[:, 0]).tolist()
+    return {
+        "m_modelName": MODEL, "m_imageIdentifier": Path(sensor.file).stem, "m_spacecraftName": sensor.taken.platform,
+        "m_instrumentID": sensor.taken.instrument, "m_targetName": "EARTH" if sensor.body is None else sensor.body.name,
+        "m_nLines": sensor.n_lines, "m_nSamples": sensor.n_samples, "m_majorAxis": major, "m_minorAxis": minor,
+        "m_currentParameterValue": [*centre.tolist(), *quaternion], "m_currentParameterCovariance": [0.0] * 49,
+        "m_noAdjustments": [0.0] * 7, "m_focalLength": camera.focal_mm, "m_focalLengthEpsilon": 0.0,
+        "m_boresight": [0.0, 0.0, 1.0], "m_iTransL": list(detector.lines), "m_iTransS": list(detector.samples),
+        "m_transX": [shift[0], *back[0].tolist()], "m_transY": [shift[1], *back[1].tolist()],
+        "m_ccdCenter": list(detector.centre), "m_detectorLineSumming": detector.summing[0],
+        "m_detectorSampleSumming": detector.summing[1], "m_startingDetectorLine": detector.start[0],
+        "m_startingDetectorSample": detector.start[1], "m_distortionType": kind,
+        "m_opticalDistCoeffs": list(camera.distortion.coefficients), "m_linePp": 0.0, "m_samplePp": 0.0,
+        "m_pixelPitch": float(np.linalg.norm(back[:, 0])), "m_ifov": 0.0, "m_lineJitter": 0.0, "m_sampleJitter": 0.0,
+        "m_originalHalfLines": sensor.n_lines / 2.0, "m_originalHalfSamples": sensor.n_samples / 2.0,
+        "m_minElevation": -1000.0, "m_maxElevation": 1000.0, "m_ephemerisTime": 0.0,
+        "m_spacecraftVelocity": [0.0, 0.0, 0.0], "m_sunPosition": [0.0, 0.0, 0.0],
+        "m_referencePointXyz": sensor.centre_m.tolist(), "m_collectionIdentifier": "",
+    }  # fmt: skip
+
+
+FORMAT = Format(
+    name="csm-frame", title="CSM frame state",
+    sniff=lambda path, head: MODEL in head[:4000] and '"name_model"' not in head,
+    read_image=read_state, write_image=write_state,
+)  # fmt: skip
