@@ -1,19 +1,20 @@
 """Accuracy at control and check points: differences adjusted minus measured.
 
-Per axis in East, North, Up of the point and in ECEF: root mean square, mean (bias), standard deviation, maximum; CE90
-and LE90 as 90 % quantiles of the horizontal length and of |Up|, and from the RMSE of normal errors (NSSDA,
-FGDC-STD-007.3-1998, appendix 3-A; circular values only if the smaller of the East and North RMSE is at least 0.6 of the
-larger). The difference at a check point is compared with ``sqrt(predicted + own variance)``, both in prior scale.
-Source: Terlemezoğlu 2019, eqs. 2.72-2.73 (ECEF RMSE); the other quantities are common practice.
+The statistics are per axis in East, North, Up of the point and in ECEF: root mean square, mean (bias), standard
+deviation and maximum. CE90 and LE90 are 90 % quantiles of the horizontal length and of |Up|; they are also computed
+from the RMSE of normal errors (NSSDA, FGDC-STD-007.3-1998, appendix 3-A). Circular values require that the smaller of
+the East and North RMSE is at least 0.6 of the larger. The difference at a check point is compared with ``sqrt(predicted
++ own variance)``, both in prior scale. Source: Terlemezoğlu 2019, eqs. 2.72-2.73 (ECEF RMSE); the other quantities are
+common practice.
 
 Test of the predicted accuracy. With e the differences of n check points (adjusted minus measured) and C the joint
 covariance of both, in prior scale, ``T = e^T C^-1 e`` is chi2(3n) distributed if model and sigmas are correct
 (normalised estimation error squared: Bar-Shalom et al. 2001, 5.4). The errors of the orientation affect all check
-points, so C is not block diagonal. The sum of the single normalised errors also has the mean 3n, but a larger variance:
-its test by chi2(3n) would reject correct predictions.
+points, so C is not block diagonal. The sum of the single normalised errors also has the mean 3n, but a larger variance.
+A test of this sum by chi2(3n) would reject correct predictions.
 
-y-parallax of a point in two images, in pixels: four image coordinates determine three ground coordinates, and one
-quantity remains. It replaces the accuracy in a relative adjustment, which has no control points.
+Four image coordinates of a point in two images determine three ground coordinates; the quantity that remains is the
+y-parallax, in pixels. It replaces the accuracy in a relative adjustment, which has no control points.
 """
 
 from __future__ import annotations
@@ -47,11 +48,11 @@ from fg_orient.quality.check_tests import (
 from fg_orient.quality.cofactors import PointCofactors
 
 AXES = ("east", "north", "up", "ecef_x", "ecef_y", "ecef_z")
-#: Probability that a normal difference is beyond this limit, on both sides.
+#: Probability that the size of a normal difference is above this limit.
 BEYOND: Final = math.erfc(RATIO_LIMIT / math.sqrt(2.0))
 #: Probability that the number or the largest of correct check coordinates exceeds its limit by chance.
 CHANCE: Final = 0.001
-#: Maximum number of check points in tests with the joint covariance; of more points an even selection is used.
+#: Maximum number of check points in tests with the joint covariance; from more points an even selection is made.
 MAX_JOINT: Final = 60
 #: Least eigenvalue of the correlations of check coordinates for tests with their joint covariance.
 POSITIVE: Final = 1e-12
@@ -76,11 +77,11 @@ class Beyond:
     n : int
         Number of coordinates with a standard deviation.
     count : int
-        Number of these beyond the limit.
+        Number of these coordinates beyond the limit.
     expected : float
         Expected number for normal differences.
     probability : float or None
-        Probability of this number or more; None for the number 0 and without a joint covariance: not tested.
+        Probability of this number or more. None (not tested) for the number 0 and without a joint covariance.
     largest_limit : float
         Standard deviations that the largest of n normal differences exceeds with probability ``CHANCE`` at most; nan
         for n = 0.
@@ -100,12 +101,12 @@ class Beyond:
 
     @property
     def many(self) -> bool:
-        """Whether chance hardly gives this number."""
+        """True if chance hardly ever gives so large a number."""
         return self.probability is not None and self.probability <= CHANCE
 
     @property
     def by_chance(self) -> bool:
-        """Whether chance explains the number and the largest of the coordinates."""
+        """True if chance explains both the number and the largest of the coordinates."""
         return not self.many and not self.far
 
     @property
@@ -121,7 +122,7 @@ class Beyond:
                f"as many as chance gives ({self.expected:.1f} expected{p})"  # fmt: skip
 
     def as_dict(self) -> dict[str, object]:
-        """For ``result.json`` (docs/results.md)."""
+        """Return plain values for ``result.json`` (docs/results.md)."""
         return {
             "n_coordinates": self.n, "n_beyond": self.count, "expected": self.expected, "probability": self.probability,
             "largest_limit": self.largest_limit, "by_chance": self.by_chance, "sentence": self.sentence,
@@ -130,7 +131,7 @@ class Beyond:
 
 @dataclass(frozen=True)
 class Joint:
-    """Joint cofactors of the adjusted coordinates of points, all of them unknowns.
+    """Joint cofactors of the adjusted coordinates of points that are all unknowns.
 
     Parameters
     ----------
@@ -148,7 +149,7 @@ class Joint:
     place_km: Array
 
     def of(self, rows: Index) -> Array:
-        """Cofactors East, North, Up (3k, 3k) of these points, m^2, prior scale."""
+        """Return the cofactors East, North, Up (3k, 3k) of these points, m^2, prior scale."""
         k, turn = len(rows), self.axes[rows]
         q = self.cofactors.joint((), tuple(self.index[rows].tolist())).reshape(k, 3, k, 3)
         return np.asarray(np.einsum("aij,ajbk,blk->aibl", turn, q, turn).reshape(3 * k, -1))
@@ -165,11 +166,11 @@ class PointDifferences:
     enu_m, ecef_m : (n, 3) arrays
         Differences.
     cofactors_enu_m2 : (n, 3, 3) array
-        Of the adjusted points, prior scale; nan if unavailable.
+        Cofactors of the adjusted points, prior scale; nan if unavailable.
     own_sigma_enu_m : (n, 3) array
         Standard deviations of the measured coordinates.
     n_fixed : int
-        Number of fixed control points, which are constants without differences and are not counted in n.
+        Number of fixed control points. They are constants without differences and are not counted in n.
     joint : Joint or None
         None without a covariance, or if a point is not an unknown.
     """
@@ -198,10 +199,12 @@ class PointDifferences:
             return np.asarray(np.abs(self.enu_m) / np.hypot(self.predicted_sigma_enu_m, self.own_sigma_enu_m))
 
     def statistics(self) -> dict[str, float | int]:
-        """Statistics with the keys of the record: n, n_fixed, rmse_*, mean_*, sd_*, max_*, ce90*, le90*, ce95*, le95*.
+        """Compute the statistics of the differences by the keys of the record.
 
-        ``horizontal`` is East and North together (2-D), ``3d`` all three. Statistics that need more points (sd, CE90
-        and LE90 need two) are absent.
+        Keys: n, n_fixed, rmse_*, mean_*, sd_*, max_*, ce90*, le90*, ce95*, le95*.
+
+        In the keys ``horizontal`` means East and North together (2-D), ``3d`` all three axes. Statistics that need more
+        points (sd, CE90 and LE90 need two) are absent.
         """
         out: dict[str, float | int] = {"n": len(self), "n_fixed": self.n_fixed}
         if not len(self):
@@ -218,7 +221,7 @@ class PointDifferences:
         return out | self._ninety_percent() if len(self) > 1 else out
 
     def _ninety_percent(self) -> dict[str, float]:
-        """Radii and half-lengths of 90 and 95 %: as quantiles, and from the RMSE."""
+        """Return radii and half-lengths of 90 and 95 %: as quantiles, and from the RMSE."""
         east, north, up = np.sqrt(np.mean(self.enu_m**2, axis=0)).tolist()
         out = {
             "ce90_m": float(np.quantile(np.hypot(self.enu_m[:, 0], self.enu_m[:, 1]), 0.9)),
@@ -265,7 +268,7 @@ class PointDifferences:
         return Beyond(n, len(rows), n * BEYOND, p, farthest, rows[0][3] if rows else 0.0, far)
 
     def largest(self, count: int = 5) -> list[tuple[str, float, float, float]]:
-        """The largest differences in metres: (id, east, north, up)."""
+        """Return the points with the largest differences in metres: (id, east, north, up)."""
         order = np.argsort(-np.linalg.norm(self.enu_m, axis=1))[:count]
         return [(self.ids[i], *(float(v) for v in self.enu_m[i])) for i in order]
 
@@ -287,7 +290,7 @@ def differences(
     cofactors_m2: Array,
     enu_from_ecef: Array,
 ) -> PointDifferences:
-    """Differences of one role; ``cofactors_m2`` (n, 3, 3) in ECEF axes, prior scale."""
+    """Compute the differences of one role; ``cofactors_m2`` (n, 3, 3) in ECEF axes, prior scale."""
     d = adjusted_m - measured_m
     enu = np.einsum("nij,nj->ni", enu_from_ecef, d)
     q = enu_from_ecef @ cofactors_m2 @ np.swapaxes(enu_from_ecef, 1, 2)
@@ -336,18 +339,18 @@ class PredictionTest:
 
     @property
     def honest(self) -> bool:
-        """Whether T is in its interval."""
+        """True if T is in its interval."""
         return self.interval[0] <= self.statistic <= self.interval[1]
 
     def sentence(self) -> str:
-        """Result of the test in one sentence."""
+        """Describe the result of the test in one sentence."""
         size = f"errors at check points are {self.factor:.2f} times as large as predicted"
         if self.honest:
             return f"the predicted accuracy holds: {size}"
         return f"the predicted accuracy is too {'optimistic' if self.factor > 1.0 else 'pessimistic'}: {size}"
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for the record."""
+        """Return plain values for the record."""
         names = ("within_1_sigma", "within_2_sigma", "within_3_sigma")
         counts = {axis: dict(zip(names, row.tolist(), strict=True))
                   for axis, row in zip(AXES[:3], self.within, strict=True)}  # fmt: skip
@@ -362,7 +365,7 @@ class PredictionTest:
 def prediction_test(check: PointDifferences) -> PredictionTest:
     """Test the predicted covariance of the check points of a solution.
 
-    NoSolutionError: no check points, or check points that are not unknowns (``check_points = "exclude"``) and have no
+    NoSolutionError: there are no check points, or they are not unknowns (``check_points = "exclude"``) and have no
     joint covariance.
     """
     if not len(check):
@@ -377,7 +380,7 @@ def prediction_test(check: PointDifferences) -> PredictionTest:
 
 
 def trend_tests(check: PointDifferences) -> dict[str, dict[str, Any]] | None:
-    """Tests of bias, drift and tilt by :func:`trend_squares`, at 5 % for the three together (Sidak).
+    """Test bias, drift and tilt by :func:`trend_squares`, with a joint level of 5 % (Sidak).
 
     None without a joint covariance. ``mean_enu_m`` of the bias is the mean by generalised least squares.
     """
@@ -402,7 +405,7 @@ def trend_tests(check: PointDifferences) -> dict[str, dict[str, Any]] | None:
 
 
 def y_parallaxes(problem: Problem, state: State) -> tuple[Index, Array]:
-    """Parallaxes of tie and check points with exactly two image points, for the orientation of a state.
+    """Compute the parallaxes of tie and check points with exactly two image points, for the orientation of a state.
 
     Each point is located again from its two rays; measured coordinates are not used.
 
@@ -417,7 +420,8 @@ def y_parallaxes(problem: Problem, state: State) -> tuple[Index, Array]:
     points : (n,) int array
         Ground points.
     parallax_px : (n,) array, not negative
-        Parallax in one image with the other image fixed: root of twice the sum of squares of the four residuals.
+        Parallax in one image with the other image held fixed: the root of twice the sum of squares of the four
+        residuals.
     """
     o = problem.observations
     rays = np.bincount(o.point, minlength=len(problem.active))
@@ -432,5 +436,5 @@ def y_parallaxes(problem: Problem, state: State) -> tuple[Index, Array]:
 
 
 def rms_px(parallax_px: Array) -> float:
-    """Root mean square of parallaxes; nan without parallaxes."""
+    """Return the root mean square of parallaxes; nan without parallaxes."""
     return float(np.sqrt(np.mean(parallax_px**2))) if len(parallax_px) else float("nan")

@@ -1,11 +1,11 @@
-"""Camera parameters that the observations hardly separate from others, by their correlations.
+"""Test whether the observations separate the camera parameters from other unknowns, by their correlations.
 
-A shift of the principal point together with a rotation has nearly the effect of decentring distortion; a change of the
-principal distance together with the distance from the object has nearly none on parallel photos of a flat object. The
-sums of these effects are determined, the single values are not, and each standard deviation is
-``1 / sqrt(1 - rho^2)`` times as large as with the others held. Each camera is assessed by the multiple correlation rho
-of x0 or y0 with p1 and p2 together, which does not depend on the order of p1 and p2, and by the median correlation of c
-with the projection centre along the view.
+A shift of the principal point together with a rotation has nearly the same effect as decentring distortion. On parallel
+photos of a flat object, a change of the principal distance together with the distance from the object has nearly no
+effect. The sums of these effects are determined, the single values are not: each standard deviation is ``1 / sqrt(1 -
+rho^2)`` times as large as with the other parameters held fixed. Two correlations assess each camera. The multiple
+correlation rho of x0 or y0 with p1 and p2 together does not depend on the order of p1 and p2. The second is the median
+correlation of c with the projection centre along the view.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from fg_orient.quality.cofactors import Cofactors
 from fg_orient.sensors.frame import FrameSensor
 from fg_orient.sensors.frame_unknowns import INTERIOR
 
-#: Correlation above which parameters are inseparable: standard deviations are 3.2 times as large.
+#: Correlation above which parameters are inseparable: standard deviations are then 3.2 times as large.
 INSEPARABLE: Final = 0.95
-#: Names in close range and of frame images.
+#: Names of the principal distance in close range and in frame images.
 DISTANCE: Final[tuple[str, ...]] = ("c", "focal")
 PRINCIPAL: Final[tuple[str, ...]] = ("x0", "y0", "principal_sample", "principal_line")
 DECENTRING: Final[tuple[str, ...]] = ("p1", "p2")
@@ -34,7 +34,7 @@ DECENTRING: Final[tuple[str, ...]] = ("p1", "p2")
 
 @dataclass(frozen=True, eq=False)
 class ImageCofactors:
-    """Unknowns of an image.
+    """Cofactors of the unknowns of an image.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class ImageCofactors:
     names : tuple of str
     cofactors : (k, k) array
     along : (k,) array
-        Coefficients of the projection centre along the view; 0 for fixed coordinates.
+        Coefficients of the component of the projection centre along the view; 0 for fixed coordinates.
     """
 
     camera: str
@@ -53,7 +53,7 @@ class ImageCofactors:
 
 
 def multiple_correlation(cofactors: Array) -> float:
-    """Multiple correlation of the first of k unknowns with all others together, 0 to 1; 0 if it is fixed."""
+    """Return the multiple correlation of the first of k unknowns with all others together, 0 to 1; 0 if it is fixed."""
     root = np.sqrt(np.diag(cofactors))
     if not root.all():
         return 0.0
@@ -63,13 +63,13 @@ def multiple_correlation(cofactors: Array) -> float:
 
 
 def inseparable(images: Iterable[ImageCofactors], limit: float = INSEPARABLE) -> list[Finding]:
-    """Warnings on correlated camera parameters.
+    """Return the warnings on correlated camera parameters.
 
     Parameters
     ----------
     images : iterable of ImageCofactors
     limit : float
-        Correlation from which on there is a warning.
+        Correlation from which on a warning is given.
     """
     cameras: dict[str, list[ImageCofactors]] = {}
     for one in images:
@@ -105,13 +105,13 @@ def inseparable(images: Iterable[ImageCofactors], limit: float = INSEPARABLE) ->
 
 
 def _with_distance(image: ImageCofactors, name: str) -> float:
-    """Correlation of the principal distance with the projection centre along the view."""
+    """Return the correlation of the principal distance with the projection centre along the view."""
     rows = np.vstack([np.eye(len(image.names))[image.names.index(name)], image.along])
     return multiple_correlation(rows @ image.cofactors @ rows.T)
 
 
 def frame_cofactors(problem: Problem, state: State, cofactors: Cofactors) -> list[ImageCofactors]:
-    """Cofactors of the frame images that have unknown camera parameters.
+    """Return the cofactors of the frame images that have unknown camera parameters.
 
     Parameters
     ----------

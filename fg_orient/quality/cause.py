@@ -1,4 +1,4 @@
-"""A mistake that was tested with a block, and common functions of these tests."""
+"""Record of a mistake that was tested with a block, and common functions of these tests."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import numpy as np
 from fg_orient.adjustment.problem import Problem
 from fg_orient.model.block import Block
 
-#: Undoes a mistake in a block.
+#: Function that corrects a mistake in a block.
 Mend = Callable[[Block], Block]
 
-#: Points with the largest errors, among which exchanged and repeated ids are looked for.
+#: Number of points with the largest errors that are searched for exchanged and repeated ids.
 PAIRED: Final = 12
 
 
@@ -27,22 +27,22 @@ class Cause:
     what, cure : str
         Description with its estimated size, and remedy.
     gain : float
-        Decrease of the weighted sum of squares, or twofold logarithm of the likelihood ratio.
+        Decrease of the weighted sum of squares, or twice the logarithm of the likelihood ratio.
     free : int
-        Estimated parameters; 0 if the mistake has none.
+        Number of estimated parameters; 0 if the mistake has none.
     score : float
-        ``gain`` less the penalty of the free parameters (BIC), by which causes are ranked.
+        ``gain`` minus the penalty of the free parameters (BIC); causes are ranked by it.
     kind : str
-        Causes of one kind contain each other; the best of them is kept. "single": an error of one point, named
-        elsewhere.
+        Causes of one kind contain each other, so only the best of them is kept. "single": an error of one point, which
+        is named elsewhere.
     mend : callable, optional
-        Gives the block without the mistake.
+        Function that returns the block without the mistake.
     volume : float
-        Twofold logarithm of the factor by which the mistake changes the volume of the distribution of the residuals.
+        Twice the logarithm of the factor by which the mistake changes the volume of the distribution of the residuals.
     point : str
-        Point of a single error, or point whose single errors contain this mistake.
+        Point of a single error, or point whose single errors include this mistake.
     detail : callable, optional
-        Further words, if the cause is named.
+        Function that returns additional text if the cause is named.
     """
 
     what: str
@@ -58,22 +58,22 @@ class Cause:
 
     @property
     def words(self) -> str:
-        """Description, with the further words."""
+        """Description, with the additional text."""
         return self.what + ("" if self.detail is None else self.detail())
 
 
 class Supposed(NamedTuple):
-    """A mistake for a confirming adjustment.
+    """Mistake that a further adjustment shall confirm.
 
     Parameters
     ----------
     mend : callable
-        Gives the block without the mistake.
+        Function that returns the block without the mistake.
     least : float or None
-        Decrease of the weighted sum of squares of observations and check points that confirms it; None: any decrease
-        of sigma0.
+        Least decrease of the weighted sum of squares of observations and check points that confirms the mistake; None:
+        any decrease of sigma0.
     whole : bool
-        The mistake must explain sigma0 and all gross errors: sigmas that are wrong by a factor.
+        True if the mistake must explain sigma0 and all gross errors: sigmas that are wrong by a factor.
     """
 
     mend: Mend
@@ -82,10 +82,10 @@ class Supposed(NamedTuple):
 
 
 def penalty_of(problem: Problem) -> float:
-    """Penalty of an estimated parameter: logarithm of the number of observations."""
+    """Return the penalty of an estimated parameter: the logarithm of the number of observations."""
     return float(np.log(2 * len(problem.observations) + 3 * problem.observed.sum()))
 
 
 def without_parameter(what: str, gain: float, cure: str, kind: str, mend: Mend, point: str = "") -> Cause:
-    """Cause whose error is known, with its twofold logarithm of the likelihood ratio."""
+    """Return a cause whose error is known; its gain is twice the logarithm of the likelihood ratio."""
     return Cause(what, cure, gain, 0, gain, kind, mend, point=point)

@@ -9,10 +9,10 @@ points, which are no observations), ``H = W Q W^T``, ``R = I - H_cc`` and ``S = 
     v_c ~ -R e_c,   k ~ H_kc e_c - e_k = G theta,   cov(v_c) = R,  cov(k) = S,  cov(v_c, k) = 0
     M = e_c^T R e_c + G^T S^-1 G,   g = G^T S^-1 k - e_c^T v_c,   T = g^T M^+ g ~ chi2(p)
 
-(score test; Rao 1973, 6e). A mistake without free parameter (feet, exchanged ids) has theta = 1; its twofold logarithm
-of the likelihood ratio is ``2 g - M``, which exceeds ``2 ln(n / alpha)`` for any of n such mistakes with probability
-alpha at most if there is none (Markov's inequality). Errors of image points move the innovations by G theta, too; their
-sums are in ``fg_orient.quality.image_causes``.
+(score test; Rao 1973, 6e). A mistake without free parameter (feet, exchanged ids) has theta = 1. Twice the logarithm of
+its likelihood ratio is ``2 g - M``. If there is no mistake, this exceeds ``2 ln(n / alpha)`` for any of n such mistakes
+with a probability of at most alpha (Markov's inequality). Errors of image points also change the innovations, by G
+theta; their sums are in ``fg_orient.quality.image_causes``.
 """
 
 from __future__ import annotations
@@ -42,23 +42,27 @@ from fg_orient.quality.reliability import noncentrality
 from fg_orient.quality.residuals import ResidualCofactors
 from fg_orient.quality.stated_sigmas import StatedSigma
 
-#: Probability that a cause is named although there is no mistake, where causes are tried.
+#: Probability that a cause is named although there is no mistake, if causes are tested.
 ALPHA: Final = 0.001
-#: Twice the logarithm of the likelihood ratio below which two causes cannot be distinguished: 1 to 100.
+#: Twice the logarithm of a likelihood ratio of 100: below it two causes cannot be distinguished.
 APART: Final = 2.0 * np.log(100.0)
 #: Number of control points above which causes are not tested; number of causes named together.
 MOST: Final = 300
 NAMED: Final = 3
-#: Factor of sigmas above which residuals have other reasons.
+#: Factor of sigmas above which large residuals have another reason than wrong sigmas.
 LARGEST: Final = 100.0
 
 
 def added(
-    ordered: tuple[Finding, ...], problem: Problem, estimate: Estimate, cofactors: PointCofactors | None,
-    examined: Examined, check: PointDifferences,
-) -> tuple[tuple[Finding, ...], Supposed | None]:  # fmt: skip
-    """Findings of a result with the likely causes of its doubts, if it has any; the mistake that comes first."""
-    # a mix-up moves points by thousands of pixels, which more than the sigmas of a group shows
+    ordered: tuple[Finding, ...],
+    problem: Problem,
+    estimate: Estimate,
+    cofactors: PointCofactors | None,
+    examined: Examined,
+    check: PointDifferences,
+) -> tuple[tuple[Finding, ...], Supposed | None]:
+    """Return the findings of a result with the likely causes of its doubts, and the most likely mistake."""
+    # a mix-up moves points by thousands of pixels: it causes more doubts than wrong sigmas of a group
     doubted = {f.code for f in ordered if f.severity in DECISIVE}
     if estimate.converged and not doubted:
         return ordered, None
@@ -78,23 +82,27 @@ def added(
 
 
 def of_solution(
-    problem: Problem, estimate: Estimate, cofactors: PointCofactors | None, sigmas: Sequence[StatedSigma],
-    check: PointDifferences, residuals: ResidualCofactors | None = None,
-) -> tuple[tuple[Finding, ...], Supposed | None]:  # fmt: skip
-    """Name the most likely cause and similar causes in a note; empty if an error of one point explains more.
+    problem: Problem,
+    estimate: Estimate,
+    cofactors: PointCofactors | None,
+    sigmas: Sequence[StatedSigma],
+    check: PointDifferences,
+    residuals: ResidualCofactors | None = None,
+) -> tuple[tuple[Finding, ...], Supposed | None]:
+    """Name the most likely cause and similar causes in a note; return nothing if an error of one point explains more.
 
     Parameters
     ----------
     problem : Problem
     estimate : Estimate
-        Of a least-squares adjustment; nothing is tested under a loss.
+        Result of a least-squares adjustment; nothing is tested under a loss.
     cofactors : PointCofactors or None
     sigmas : sequence of StatedSigma
         Stated and estimated sigmas of groups of observations.
     check : PointDifferences
-        Of the check points.
+        Differences at the check points.
     residuals : ResidualCofactors, optional
-        Without them mistakes in image points are not tried.
+        Cofactors of the residuals; without them mistakes in image points are not tested.
     """
     n = int(problem.observed.sum())
     if cofactors is None or estimate.weights is not None or problem.block.options.datum == "inner" or n > MOST:
@@ -117,22 +125,23 @@ def of_solution(
     first = next(iter(best.values()), None)
     if first is None:
         return (), None
-    # an error of the same point contains the mistake: it is no alternative to it, only less special
+    # an error of the same point includes the mistake: it is more general, not an alternative
     rival = max((c.score + APART * (c.point != first.point) for c in singles), default=-np.inf)
     if first.score <= rival:
         return (), None
     alike = [c.words for c in list(best.values())[1:NAMED] if c.score > first.score - APART]
-    note = finding("verdict.cause", what=first.words, gain=first.gain, before="", after="", left="", also=alike,
-                   cure=first.cure)  # fmt: skip
+    note = finding(
+        "verdict.cause", what=first.words, gain=first.gain, before="", after="", left="", also=alike, cure=first.cure
+    )
     least = max(limit(first), rival + first.gain - first.score) + first.volume
     return (note,), None if first.mend is None else Supposed(first.mend, least, bool(first.volume))
 
 
 def _factors(sigmas: Sequence[StatedSigma], singles: Sequence[Cause]) -> Iterator[Cause]:
-    """Sigmas of a group that are wrong by a factor f: likelihood of its residuals with the redundancy r.
+    """Yield sigmas of a group that are wrong by a factor f: likelihood of its residuals with the redundancy r.
 
-    ``r (f^2 - 1 - ln f^2)`` is the twofold logarithm of the likelihood ratio of r independent normal residuals. An
-    error of one observation that would be a gross error with the larger sigmas, too, contradicts the factor.
+    ``r (f^2 - 1 - ln f^2)`` is twice the logarithm of the likelihood ratio of r independent normal residuals. The
+    factor is contradicted by an observation that would have a gross error with the larger sigmas, too.
     """
     for one in sigmas:
         r, q = one.redundancy, max(one.factor, 1e-6) ** 2
@@ -142,12 +151,18 @@ def _factors(sigmas: Sequence[StatedSigma], singles: Sequence[Cause]) -> Iterato
         gain, size = r * (q - 1.0 - np.log(q)), "small" if q > 1 else "large"
         text = f"sigmas of {one.group} too {size}: factor {one.factor:.2f} +- {one.sd:.2f}"
         yield Cause(
-            text, "let option variance_components estimate the sigmas", gain, 1, gain - np.log(r),
-            f"sigma {one.group}", partial(mended.with_sigmas, group=one.group, factor=one.factor), r * np.log(q),
-        )  # fmt: skip
+            text,
+            "let option variance_components estimate the sigmas",
+            gain,
+            1,
+            gain - np.log(r),
+            f"sigma {one.group}",
+            partial(mended.with_sigmas, group=one.group, factor=one.factor),
+            r * np.log(q),
+        )
 
 
-#: Level and power of the test, sizes of the mistakes, most measured points.
+#: Level and power of the test, sizes of the mistakes, maximum number of measured points.
 LEVEL: Final = 0.001
 POWER: Final = 0.2
 ORIGINS_PX: Final = (0.5, 1.0)
@@ -158,14 +173,14 @@ MOST_POINTS: Final = 100
 
 @dataclass(frozen=True)
 class UnseenMistake:
-    """A mistake that nothing shows.
+    """Mistake that no test of this block detects.
 
     Parameters
     ----------
     mistake, assumption : str
     noncentrality : float
     limit : float
-        Non-centrality below which it cannot be seen.
+        Non-centrality below which the mistake cannot be detected.
     """
 
     mistake: str
@@ -174,23 +189,23 @@ class UnseenMistake:
     limit: float
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for the record of a run."""
+        """Return plain values for the record of a run."""
         return asdict(self)
 
 
 def unseen_mistakes(known: ResidualCofactors, check: PointDifferences) -> tuple[UnseenMistake, ...]:
-    """List mistakes that this block cannot show, because its unknowns absorb them, and the assumptions instead.
+    """List mistakes that this block cannot show because its unknowns absorb them, with the assumptions made instead.
 
-    The non-centrality of a mistake is the decrease of the weighted sum of squares that its true size would give without
-    noise (M of this module). Below the limit a test at a level of 0.1 % finds it in fewer than 20 % of cases. Blocks
-    too large for their cofactors have no list.
+    The non-centrality of a mistake is the decrease of the weighted sum of squares that a mistake of this size causes
+    without noise (M of this module). Below the limit a test at a level of 0.1 % finds it in fewer than 20 % of cases.
+    Blocks too large for their cofactors have no list.
 
     Parameters
     ----------
     known : ResidualCofactors
-        Of a solution without a loss.
+        Residuals of a solution without a loss.
     check : PointDifferences
-        Of the check points.
+        Differences at the check points.
     """
     problem = known.problem
     small = len(problem.observations) <= EXACT_RAYS and int(problem.observed.sum()) + len(check) <= MOST_POINTS
@@ -207,9 +222,19 @@ def unseen_mistakes(known: ResidualCofactors, check: PointDifferences) -> tuple[
     axes = np.swapaxes(problem.axes(system.given_m), 1, 2)
     of = "control and check points" if Role.CHECK in problem.block.points.roles else "control points"
     east, north, up = np.diag(system.normal(axes)[1]).tolist()
-    found.append((f"an offset of {HEIGHT_M:g} m of the heights of all {of}", "their heights have the vertical datum "
-                  "that the table states, else they are ellipsoidal", HEIGHT_M**2 * up))  # fmt: skip
-    found.append((f"a shift of {SHIFT_M:g} m of all {of}, as between epochs of ITRF", "they have the reference frame "
-                  "of the metadata", SHIFT_M**2 * min(east, north)))  # fmt: skip
+    found.append(
+        (
+            f"an offset of {HEIGHT_M:g} m of the heights of all {of}",
+            "their heights have the vertical datum that the table states, else they are ellipsoidal",
+            HEIGHT_M**2 * up,
+        )
+    )
+    found.append(
+        (
+            f"a shift of {SHIFT_M:g} m of all {of}, as between epochs of ITRF",
+            "they have the reference frame of the metadata",
+            SHIFT_M**2 * min(east, north),
+        )
+    )
     limit = noncentrality(LEVEL, POWER, 1)
     return tuple(UnseenMistake(*one, limit) for one in found if one[2] < limit)

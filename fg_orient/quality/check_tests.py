@@ -1,9 +1,9 @@
 """Tests of differences at check points with their joint covariance C: trend, and number of large differences.
 
-The errors of the orientation are common to all check points, so their differences are correlated: Student's test of the
-mean against the scatter, and the binomial distribution of the number of large differences, alarm in too many blocks
-without mistakes. Bias, drift and tilt are estimated by generalised least squares instead, and the number is compared
-with numbers simulated from C.
+The errors of the orientation are common to all check points, so their differences are correlated. Therefore two usual
+tests raise an alarm in too many blocks without mistakes: Student's test of the mean against the scatter, and the
+binomial distribution of the number of large differences. Bias, drift and tilt are estimated by generalised least
+squares instead, and the number is compared with numbers simulated from C.
 """
 
 from __future__ import annotations
@@ -15,24 +15,27 @@ import numpy.typing as npt
 
 from factors.arrays import Array
 
-#: Check coordinates beyond this number of standard deviations of the difference are listed.
+#: Limit in standard deviations of the difference; check coordinates beyond it are listed.
 RATIO_LIMIT: Final = 3.0
-#: Draws of the number of coordinates beyond the limit.
+#: Number of random draws of the number of coordinates beyond the limit.
 DRAWS: Final = 20_000
-#: Relative singular value below which check points do not show a trend.
+#: Relative singular value below which check points do not determine a trend.
 RANK: Final = 1e-8
-#: Groups of the trend of the differences: columns 3 (1, East, North) + axis.
+#: Columns of the trend parameters: 3 k + axis, where k = 0, 1, 2 stands for 1, East, North.
 TRENDS: Final = {"bias": (0, 1, 2), "drift": (3, 4, 6, 7), "tilt": (5, 8)}
 
 
 def number_statistic(ratio: Array) -> Array:
-    """Return the number of ratios (..., n) above the limit; its fraction, the largest ratio, orders equal numbers."""
+    """Return the number of ratios (..., n) above the limit.
+
+    Its fraction, from the largest ratio, orders equal numbers.
+    """
     largest = ratio.max(axis=-1)
     return np.asarray((ratio > RATIO_LIMIT).sum(axis=-1) + largest / (1.0 + largest))
 
 
 def numbers_by_chance(c: Array, draws: int = DRAWS) -> Array:
-    """Simulated :func:`number_statistic` (draws,) of normal differences with the joint covariance c, ascending."""
+    """Simulate :func:`number_statistic` (draws,) of normal differences with the joint covariance c; sort ascending."""
     sigma = np.sqrt(np.diag(c))
     root = np.linalg.cholesky(c / np.outer(sigma, sigma))
     rng, size = np.random.default_rng(0), 1000
@@ -43,15 +46,15 @@ def numbers_by_chance(c: Array, draws: int = DRAWS) -> Array:
 
 
 def probability_of_number(statistic: npt.ArrayLike, null: Array) -> Array:
-    """Return the probability of this :func:`number_statistic` or more, from ascending values by chance."""
+    """Return the probability of this :func:`number_statistic` or more, from simulated values in ascending order."""
     return np.asarray((1.0 + len(null) - np.searchsorted(null, statistic)) / (1.0 + len(null)))
 
 
 def trend_squares(c: Array, place_km: Array, e: Array) -> tuple[Array, tuple[int, ...]]:
-    """Squares of bias, drift and tilt of the differences, each after the former; independent chi-squares by chance.
+    """Compute the squares of bias, drift and tilt of the differences, each orthogonal to those before it.
 
-    Generalised least squares of ``e = bias + slopes place`` with the covariance c; drift: slopes of East and North,
-    tilt: those of Up.
+    Without a trend they are independent chi-squares. The model ``e = bias + slopes place`` is estimated by generalised
+    least squares with the covariance c. Drift: slopes of East and North; tilt: slopes of Up.
 
     Parameters
     ----------
@@ -66,7 +69,7 @@ def trend_squares(c: Array, place_km: Array, e: Array) -> tuple[Array, tuple[int
     -------
     squares : (3, s) array
     degrees : tuple of int
-        0: these points cannot show it.
+        Degrees of freedom of each; 0 if these points cannot show it.
     """
     design, whitened = _whitened_trend(c, place_km, e)
     before, rank, squares, degrees = np.zeros(e.shape[1]), 0, list[Array](), list[int]()
@@ -81,7 +84,7 @@ def trend_squares(c: Array, place_km: Array, e: Array) -> tuple[Array, tuple[int
 
 
 def _whitened_trend(c: Array, place_km: Array, e: Array) -> tuple[Array, Array]:
-    """Design (3n, 9) with columns of length 1, and samples, in rows of unit weight."""
+    """Return the design (3n, 9) with columns of length 1, and the samples, in rows of unit weight."""
     centred = place_km - place_km.mean(axis=0)
     design = np.kron(np.column_stack([np.ones(len(centred)), centred]), np.eye(3))
     root = np.linalg.cholesky(c)

@@ -1,6 +1,6 @@
-"""Forms of joint cofactors: as one matrix, by the border of the normal equations, and with the images first.
+"""Joint cofactors in three forms: one matrix, the border of the normal equations, and images eliminated first.
 
-Unknowns are prior sigmas (images) and metres (points), prior scale. Sources of cofactors:
+Unknowns are in prior sigmas (images) and metres (points); cofactors are in prior scale. Sources of cofactors:
 ``fg_orient.quality.covariance``.
 """
 
@@ -30,22 +30,25 @@ from fg_orient.adjustment.problem import Problem, State
 
 
 class PointCofactors(Protocol):
-    """Cofactors of points with those of the images, in prior scale; images in prior sigmas, points in m, ECEF axes."""
+    """Cofactors of points and images, in prior scale; images in prior sigmas, points in m, ECEF axes."""
 
     def point(self, j: int) -> Array:
-        """Cofactors (3, 3) of a ground point; zero for a fixed one."""
+        """Return the cofactors (3, 3) of a ground point; zero for a fixed point."""
         ...
 
     def points(self, index: Index) -> Array:
-        """Cofactors (n, 3, 3) of many ground points."""
+        """Return the cofactors (n, 3, 3) of many ground points."""
         ...
 
     def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
-        """Joint cofactors of images, then unknown points, in the given order."""
+        """Return the joint cofactors of images, then unknown points, in the given order."""
         ...
 
     def blocks(self, pairs: Index) -> Array:
-        """Joint blocks (B, k, k) of pairs of images (B, 2), row <= column; shorter blocks end with zeros."""
+        """Return the joint blocks (B, k, k) of pairs of images (B, 2), row <= column.
+
+        Shorter blocks are filled with zeros.
+        """
         ...
 
 
@@ -53,11 +56,11 @@ class Cofactors(PointCofactors, Protocol):
     """Joint cofactors at the solution."""
 
     def image(self, k: int) -> Array:
-        """Cofactors (u, u) of an image's unknowns."""
+        """Return the cofactors (u, u) of an image's unknowns."""
         ...
 
     def unknowns(self, places: Index) -> UnknownCofactors:
-        """Joint cofactors of image unknowns by their places (d,) in ``Problem.image_columns``, ascending."""
+        """Return the joint cofactors of image unknowns by their places (d,) in ``Problem.image_columns``, ascending."""
         ...
 
     def star(self) -> Star | None:
@@ -65,12 +68,15 @@ class Cofactors(PointCofactors, Protocol):
         ...
 
     def rays(self, problem: Problem, state: State) -> RayCofactors:
-        """Cofactors of the image points of a problem; without :meth:`star` not valid for named points."""
+        """Return the cofactors of the image points of a problem.
+
+        Without :meth:`star` they are not valid for named points.
+        """
         ...
 
 
 class CommonCofactors(ABC):
-    """Common part of classes of :class:`Cofactors`: methods that need only ``joint``, or ``points`` and ``blocks``."""
+    """Methods of :class:`Cofactors` that need only ``joint``, or ``points`` and ``blocks``."""
 
     problem: Problem
 
@@ -108,7 +114,7 @@ class CommonCofactors(ABC):
 
 
 def places_of(problem: Problem, images: tuple[int, ...], points: tuple[int, ...]) -> Index:
-    """Places of images, then unknown points, in ``Problem.vector``."""
+    """Return the positions of images, then of unknown points, in ``Problem.vector``."""
     parts = [problem.image_slice(k) for k in images]
     parts += [problem.point_slice(j) for j in points if problem.active[j]]
     return np.concatenate([np.arange(part.start, part.stop) for part in parts])
@@ -138,7 +144,7 @@ class MatrixCofactors(CommonCofactors):
         return DenseUnknowns(self.cofactors[np.ix_(places, places)])
 
     def times(self, columns: Array) -> Array:
-        """Cofactors times columns (n, d)."""
+        """Return the cofactors times columns (n, d)."""
         return np.asarray(self.cofactors @ columns)
 
 
@@ -149,12 +155,12 @@ class BorderCofactors(CommonCofactors):
     ----------
     problem : Problem
     border : Border
-        At the solution.
+        Border at the solution.
 
     Raises
     ------
     RuntimeError
-        The normal equations are too close to singular.
+        RuntimeError :: The normal equations are too close to singular.
     """
 
     def __init__(self, problem: Problem, border: Border) -> None:
@@ -205,7 +211,7 @@ class BorderCofactors(CommonCofactors):
         return np.asarray(0.5 * (out + out.T))
 
     def times(self, columns: Array) -> Array:
-        """Cofactors times columns (n, d), as in ``Problem.vector``."""
+        """Return the cofactors times columns (n, d), as in ``Problem.vector``."""
         problem, d = self.problem, columns.shape[1]
         w, z = problem.n_image_unknowns, problem.n_free_unknowns
         right = np.zeros((len(self._q), d))
@@ -217,17 +223,17 @@ class BorderCofactors(CommonCofactors):
 
 
 class StarCofactors(CommonCofactors):
-    """Cofactors where the images are eliminated first (:mod:`fg_orient.adjustment.images_first`).
+    """Cofactors if the images are eliminated first (:mod:`fg_orient.adjustment.images_first`).
 
-    With the cofactors Q of the border, the points, and the movements ``x_i = T_i x_b`` of the images that follow it,
-    ``Q_ib = T_i Q`` and ``Q_ij = T_i Q T_j^T + delta_ij N_i^-1``: the cofactors of an image and of its points need no
-    matrix of all images.
+    Q are the cofactors of the border and the points. The images follow the border by ``x_i = T_i x_b``. Then ``Q_ib =
+    T_i Q`` and ``Q_ij = T_i Q T_j^T + delta_ij N_i^-1``: the cofactors of an image and of its points need no matrix of
+    all images.
 
     Parameters
     ----------
     problem : Problem
     border : ImagesBorder
-        At the solution.
+        Border at the solution.
 
     Raises
     ------
@@ -240,7 +246,7 @@ class StarCofactors(CommonCofactors):
         places, images = border.places, border.images
         m, width = problem.columns.shape
         own = images.followed(np.eye(len(border)))
-        # movements (M, k, b) of all unknowns of each image, and the inverse of its own normal matrix in their places
+        # movements (M, k, b) of all unknowns of each image, and the inverse of its normal matrix at the same positions
         self._follow, self._own = np.zeros((m, width + 1, len(border))), np.zeros((m, width + 1, width + 1))
         image, at = np.arange(m)[:, None], np.where(places.exists, places.own, width)
         self._follow[image, at] = own
@@ -303,7 +309,7 @@ class StarCofactors(CommonCofactors):
         return np.asarray(0.5 * (out + out.T))
 
     def times(self, columns: Array) -> Array:
-        """Cofactors times columns (n, d), as in ``Problem.vector``."""
+        """Return the cofactors times columns (n, d), as in ``Problem.vector``."""
         problem, s, d = self.problem, len(self.border.places.shared), columns.shape[1]
         padded = np.vstack([columns[: problem.n_image_unknowns], np.zeros((1, d))])[problem.columns]
         right = np.einsum("mkb,mkd->bd", self._follow, padded)
@@ -315,7 +321,7 @@ class StarCofactors(CommonCofactors):
 
 
 def of_border(problem: Problem, border: BorderMatrix) -> BorderCofactors | StarCofactors:
-    """Cofactors from a border; RuntimeError if the normal equations are too close to singular."""
+    """Return the cofactors from a border; RuntimeError if the normal equations are too close to singular."""
     if isinstance(border, ImagesBorder):
         return StarCofactors(problem, border)
     assert isinstance(border, Border)

@@ -1,9 +1,9 @@
 """Condition of the normal equations at the solution, and regularisation by a Tikhonov solver.
 
 The condition is the same measure for all backends. A Tikhonov solver of the dense backend shortens each step and
-chooses kappa for each step. The L-curve belongs to the equations at the approximate values, where the step is longest;
-at the solution all steps are zero. Sigmas, and under a loss weights, are taken from the result; without a loss the
-equations belong to the first Gauss-Newton step.
+chooses kappa for each step. The L-curve is computed from the equations at the approximate values, where the step is
+longest; at the solution all steps are zero. The sigmas, and under a loss the weights, come from the result; without a
+loss the equations are those of the first Gauss-Newton step.
 """
 
 from __future__ import annotations
@@ -20,17 +20,18 @@ from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.model.errors import Finding, finding
 
-#: Beyond this condition solutions of different solvers agree to 5 or 6 digits only (eps times condition is 2e-6).
+#: Beyond this condition, solutions of different solvers agree to 5 or 6 digits only (eps times condition is 2e-6).
 ILL_CONDITIONED: Final = 1e10
-#: Image points up to which the points are eliminated once more for a solution of the graph or the dense backend.
+#: Maximum number of image points for which a solution of the graph or dense backend is eliminated once more.
 ELIMINATED_AGAIN: Final = 20_000
 
 
 def condition(problem: Problem, estimate: Estimate) -> float | None:
-    """Condition (1-norm) of the reduced normal equations of the images, scaled to a unit diagonal.
+    """Return the condition (1-norm) of the reduced normal equations of the images, scaled to a unit diagonal.
 
-    Compiled kernels eliminate the ground points for every backend. None where they do not apply: extra observations, a
-    free datum, parts, a loss without the Schur backend, systems that GTSAM solves. Infinite for a singular system.
+    Compiled kernels eliminate the ground points for every backend. None if the kernels do not support the problem:
+    extra observations, a free datum, parts, a loss without the Schur backend, systems that GTSAM solves. Infinite for a
+    singular system.
     """
     from fg_orient.adjustment.border_matrix import BorderMatrix
     from fg_orient.adjustment.schur import SchurBackend, SchurSystem
@@ -55,7 +56,7 @@ def condition(problem: Problem, estimate: Estimate) -> float | None:
 
 
 def findings(problem: Problem, estimate: Estimate) -> list[Finding]:
-    """Finding on ill-conditioned normal equations with the number of correct digits; empty if well-conditioned."""
+    """Report ill-conditioned normal equations with the number of correct digits; empty if well-conditioned."""
     number = condition(problem, estimate)
     if number is None or number <= ILL_CONDITIONED:
         return []
@@ -69,12 +70,12 @@ def findings(problem: Problem, estimate: Estimate) -> list[Finding]:
 
 
 def regularisation(weighted: Problem, name: str, log: Sequence[IterationRecord]) -> dict[str, Any] | None:
-    """Section ``regularisation`` of a record; None for a solver that does not regularise.
+    """Return the section ``regularisation`` of a record; None for a solver that does not regularise.
 
     Parameters
     ----------
     weighted : Problem
-        Problem that was solved; under a loss with the weights at the solution.
+        Problem that was solved; under a loss it has the weights at the solution.
     name : str
         Solver of the dense backend; "" for the other backends.
     log : sequence of IterationRecord
@@ -82,10 +83,10 @@ def regularisation(weighted: Problem, name: str, log: Sequence[IterationRecord])
     Returns
     -------
     dict or None
-        ``solver``, ``label``; ``rule``: kappa rule of the solver, None without one; ``kappa`` at the start values, None
-        for the reason in ``failure``; ``curve``: norms of residuals (sigmas) and of the solution (prior sigmas of
-        images, metres of ground points) at the start values; ``rules``: kappa of each rule; ``steps``: iteration and
-        kappa of each step taken.
+        Keys ``solver`` and ``label``; ``rule``: kappa rule of the solver, None without a rule; ``kappa`` at the start
+        values, None if ``failure`` gives a reason; ``curve``: norms of residuals (sigmas) and of the solution (prior
+        sigmas of images, metres of ground points) at the start values; ``rules``: kappa of each rule; ``steps``:
+        iteration and kappa of each step.
     """
     if not name:  # the kappa rules need not be loaded
         return None
@@ -98,7 +99,12 @@ def regularisation(weighted: Problem, name: str, log: Sequence[IterationRecord])
     system = DenseBackend(weighted, name).linearise(weighted.start).equations()
     solved, curve = attempt(name, system), asdict(l_curve_of(system))
     return {
-        "solver": name, "label": solver(name).label, "rule": solved.rule or None, "kappa": solved.kappa,
-        "failure": solved.failure, "rules": curve.pop("choices"), "curve": curve,
+        "solver": name,
+        "label": solver(name).label,
+        "rule": solved.rule or None,
+        "kappa": solved.kappa,
+        "failure": solved.failure,
+        "rules": curve.pop("choices"),
+        "curve": curve,
         "steps": [{"iteration": record.iteration, "kappa": record.kappa} for record in log if record.accepted],
-    }  # fmt: skip
+    }

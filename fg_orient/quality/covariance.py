@@ -1,9 +1,9 @@
 """Cofactors of images and points, in prior scale, from the linearisation at the solution.
 
-One source of cofactors per backend; only the Jacobians are common: the triangular factor of the full Jacobian (dense),
-the inverse of the reduced camera system (Schur), GTSAM Marginals (graph). The last two give the cofactors of the
-images; points follow by back-substitution (``fg_orient.adjustment.cofactors``). Unknowns are prior sigmas (images) and
-metres (points). Points located after the adjustment: ``fg_orient.adjustment.resection``.
+Each backend has one source of cofactors, and only the Jacobians are common: the triangular factor of the full Jacobian
+(dense), the inverse of the reduced camera system (Schur), GTSAM Marginals (graph). The last two give the cofactors of
+the images; points follow by back-substitution (``fg_orient.adjustment.cofactors``). Unknowns are prior sigmas (images)
+and metres (points). Points that are located after the adjustment: ``fg_orient.adjustment.resection``.
 
 :func:`joint_cofactors` gives them by name, in physical units: images, single parameters, points, adjusted observations,
 residuals. All quantities are linear in the unknowns x. With whitened rows A, observations l of unit weight and
@@ -11,8 +11,8 @@ residuals. All quantities are linear in the unknowns x. With whitened rows A, ob
 
     Q_xx = Q,   Q_x,lbar = Q A^T,   Q_lbar = A Q A^T,   Q_vv = I - A Q A^T,   Q_xv = 0,   Q_lbar,v = 0
 
-(Mikhail & Ackermann 1976, 4.5; T(2.76) and T(2.77) in the corrected form with B = -I). Independent of a sign convention
-of conditions ``Q_x,l = Q_x,lbar``: an unknown is correlated with the adjusted observation.
+(Mikhail & Ackermann 1976, 4.5; T(2.76) and T(2.77) in the corrected form with B = -I). ``Q_x,l = Q_x,lbar`` does not
+depend on a sign convention of conditions: it correlates an unknown with the adjusted observation.
 """
 
 from __future__ import annotations
@@ -48,22 +48,22 @@ if TYPE_CHECKING:
     import gtsam
     import pandas
 
-#: Condition of the column-scaled Jacobian above which the dense backend withholds the covariance: there the
-#: relative rounding error of a cofactor, about eps cond, exceeds 1e-3. GTSAM's Cholesky fails much earlier on some
-#: well-posed systems (a condition of 3e4 was seen); the standard deviations given here are then correct and large.
+#: Condition of the column-scaled Jacobian above which the dense backend withholds the covariance: there the relative
+#: rounding error of a cofactor, about eps cond, exceeds 1e-3. GTSAM's Cholesky fails much earlier on some well-posed
+#: systems (a condition of 3e4 was seen); the standard deviations from the dense backend are then correct and large.
 CONDITION_LIMIT = 1e12
-#: Points named by extra observations above which one inverse replaces GTSAM's joint marginals of each point, and the
-#: largest number of unknowns of this inverse: 32 MB.
+#: Number of points named by extra observations above which one inverse replaces GTSAM's joint marginals of each point.
+#: Second: largest number of unknowns of this inverse, 32 MB.
 MANY_POINTS = 32
 INVERTED = 2000
 
 
 class Indeterminate(Exception):
-    """There is no covariance; the text gives the reason."""
+    """Error: there is no covariance; the text gives the reason."""
 
 
 def cofactors_of(problem: Problem, estimate: Estimate) -> Cofactors:
-    """Cofactors from the backend of the solution; Indeterminate if the normal equations are nearly singular."""
+    """Compute cofactors from the backend of the solution; Indeterminate if the normal equations are nearly singular."""
     from fg_orient.adjustment.schur import SchurSystem
 
     linear = estimate.linear
@@ -80,22 +80,22 @@ def cofactors_of(problem: Problem, estimate: Estimate) -> Cofactors:
     except RuntimeError as error:
         reduced = isinstance(linear, SchurSystem | SummedSystem | BorderMatrix)
         if not reduced and has_constraints(problem.block) and small_enough(problem):
-            with one_blas_thread(), contextlib.suppress(Singular):  # its scaled Cholesky factor exists more often
+            with one_blas_thread(), contextlib.suppress(Singular):  # its scaled Cholesky factor exists for more systems
                 return BorderCofactors(problem, Border(problem, estimate.state))
         raise Indeterminate(str(error) if reduced else "GTSAM finds the normal equations indeterminate") from error
 
 
 def gives_statistics(problem: Problem, cofactors: Cofactors) -> bool:
-    """Whether a run gives statistics of every observation; without a matrix of all images their number is no limit."""
+    """Return whether a run computes statistics of every observation."""
     no_limit = cofactors.star() is not None or (isinstance(cofactors, ReducedCofactors) and cofactors.selects)
     unknowns = 0 if no_limit else problem.n_image_unknowns
     return full_statistics(problem.block.options, len(problem.observations), unknowns)
 
 
 def dense_cofactors(problem: Problem, design: Array) -> MatrixCofactors:
-    """Cofactors ``D R^-1 R^-T D`` of the full Jacobian ``J = Q R D^-1``, columns scaled to length 1 by D.
+    """Compute cofactors ``D R^-1 R^-T D`` of the full Jacobian ``J = Q R D^-1``, columns scaled to length 1 by D.
 
-    N is not formed, so the error grows with cond(J), not with its square.
+    N is not formed. So the error grows with cond(J), not with its square.
 
     Parameters
     ----------
@@ -135,9 +135,9 @@ class GraphCofactors(ReducedCofactors):
     state : State
         The solution.
     linear : gtsam.GaussianFactorGraph
-        Linearised there, undamped.
+        Linearised graph at the solution, undamped.
     zero : gtsam.VectorValues
-        Any values of the unknowns, which GTSAM requires.
+        Values of all unknowns, of any size, which GTSAM requires.
 
     Raises
     ------
@@ -155,12 +155,12 @@ class GraphCofactors(ReducedCofactors):
         self._inverts = named > MANY_POINTS and problem.n_unknowns <= INVERTED
         super().__init__(problem, SummedSystem(state, lambda damping: self))
         if problem.first[-1] <= WHOLE_LIMIT:
-            # GTSAM finds some systems indeterminate only in the joint elimination of all images, not in that of one
+            # GTSAM finds some systems indeterminate only in the joint elimination of all images, not of a single image
             self._of(tuple(range(problem.n_images)))
 
     @property
     def selects(self) -> bool:
-        """See :class:`ReducedCofactors`: each pair of images takes GTSAM an elimination."""
+        """See :class:`ReducedCofactors`; False because GTSAM needs an elimination for each pair of images."""
         return False
 
     def selected(self, pairs: Index) -> Array:
@@ -193,7 +193,7 @@ class GraphCofactors(ReducedCofactors):
         order = gtsam.Ordering()
         points = np.flatnonzero(self._problem.active).tolist()
         known = [*(key for key, _ in vector_keys(self._problem)), *map(point_key, points)]
-        for key in (*known, *sorted({*self._linear.keys()} - {*known})):  # others belong to figures
+        for key in (*known, *sorted({*self._linear.keys()} - {*known})):  # other keys belong to figures
             order.push_back(key)
         normal = np.asarray(self._linear.hessian(order)[0])
         length = np.sqrt(np.diag(normal))
@@ -201,7 +201,7 @@ class GraphCofactors(ReducedCofactors):
         return np.asarray(inverse / np.outer(length, length))
 
     def covariance(self, images: tuple[int, ...], points: tuple[int, ...] = ()) -> Array:
-        """Joint cofactors of images, then unknown points: by GTSAM, or one inverse if many points are named."""
+        """Return joint cofactors of images, then points: by GTSAM, or by one inverse if many points are named."""
         from fg_orient.adjustment.explicit import point_key, vector_keys
 
         problem = self._problem
@@ -240,7 +240,7 @@ class NamedMatrix:
         return f"<NamedMatrix {self.values.shape}: {names if len(names) < 200 else names[:200] + ' ...'}>"
 
     def to_frame(self) -> pandas.DataFrame:
-        """Values as ``pandas.DataFrame`` (extra "tables"), with the names as index and columns."""
+        """Return the values as ``pandas.DataFrame`` (extra "tables"), with the names as index and columns."""
         import pandas
 
         return pandas.DataFrame(self.values, list(self.names), list(self.names))
@@ -256,7 +256,7 @@ class NamedMatrix:
 class _Rows(NamedTuple):
     """Rows of one name: names, units, and derivatives with respect to ("image", k) and ("point", j).
 
-    ``residual``: row of ``problem.observations`` whose residuals these are; -1 for other quantities.
+    ``residual``: row of ``problem.observations`` to which these residuals belong; -1 for other quantities.
     """
 
     names: tuple[str, ...]
@@ -266,12 +266,12 @@ class _Rows(NamedTuple):
 
 
 def joint_cofactors(problem: Problem, state: State, cofactors: Cofactors, names: tuple[str, ...]) -> NamedMatrix:
-    """Joint cofactors (prior scale) in physical units.
+    """Compute joint cofactors (prior scale) in physical units.
 
     Parameters
     ----------
     problem : Problem
-        Problem of the cofactors.
+        Problem to which the cofactors belong.
     state : State
     cofactors : Cofactors
     names : tuple of str
@@ -281,7 +281,7 @@ def joint_cofactors(problem: Problem, state: State, cofactors: Cofactors, names:
     Raises
     ------
     InputError
-        A name that does not exist, or a point that is not an unknown.
+        InputError :: A name does not exist, or a point is not an unknown.
     """
     names = names or tuple(f"image:{image.id}" for image in problem.block.images)
     parts = [rows for name in names for rows in _find(problem, state, name)]
@@ -301,7 +301,7 @@ def joint_cofactors(problem: Problem, state: State, cofactors: Cofactors, names:
 
 
 def _with_residuals(problem: Problem, q: Array, is_residual: Mask, coordinate: Index) -> Array:
-    """Convert the rows of residuals, formed as adjusted observations, to residuals of these image coordinates."""
+    """Convert rows that were formed as adjusted observations to residuals of these image coordinates."""
     o = problem.observations
     sigma = np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1).ravel()
     out = np.where(is_residual[:, None] == is_residual, q, 0.0)
@@ -312,7 +312,7 @@ def _with_residuals(problem: Problem, q: Array, is_residual: Mask, coordinate: I
 
 
 def _find(problem: Problem, state: State, name: str) -> list[_Rows]:
-    """Rows of a name; errors as of :func:`joint_cofactors`."""
+    """Find the rows of a name; errors as in :func:`joint_cofactors`."""
     kind, _, rest = name.partition(":")
     if kind in ("observation", "residual"):
         rows = [_of_observation(problem, state, int(row), kind) for row in _image_points(problem, rest)]
@@ -324,7 +324,7 @@ def _find(problem: Problem, state: State, name: str) -> list[_Rows]:
 
 
 def _of_unknown(problem: Problem, name: str) -> _Rows:
-    """Rows of an image, a point, or one of its unknowns."""
+    """Return the rows of an image, of a point, or of one of its unknowns."""
     block = problem.block
     place, only = block.find(name), ""
     if place is None:
@@ -347,7 +347,7 @@ def _of_unknown(problem: Problem, name: str) -> _Rows:
 
 
 def _image_points(problem: Problem, rest: str) -> Index:
-    """Rows of the image points of a point in an image, named "image/point"."""
+    """Return the rows of the image points of a point in an image, named "image/point"."""
     o, ids = problem.observations, problem.block.points.ids
     for k, image in enumerate(problem.block.images):
         point = rest.removeprefix(f"{image.id}/")
@@ -357,7 +357,7 @@ def _image_points(problem: Problem, rest: str) -> Index:
 
 
 def _of_observation(problem: Problem, state: State, row: int, kind: str) -> _Rows:
-    """Adjusted line and sample of an image point in pixels, or its residuals."""
+    """Return the adjusted line and sample of an image point in pixels, or their residuals."""
     o, block = problem.observations, problem.block
     k, j = int(o.image[row]), int(o.point[row])
     _, d_image, d_ground = image_rows(problem, state, k, np.array([row]), jacobian=True)

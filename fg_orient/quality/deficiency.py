@@ -1,8 +1,8 @@
-"""Undetermined unknowns, detected before the adjustment: reported if something holds them, refused otherwise.
+"""Detection of undetermined unknowns before the adjustment: held unknowns are reported, others are refused.
 
-Priors or a regularisation hold unknowns. The order of the checks is that of the remedies: unknowns with too few
-observations (structure), physically unobservable directions of an image, motions of the block that no control point
-fixes, other directions.
+Priors or a regularisation hold unknowns. The checks have the order of the remedies. First come unknowns with too few
+observations (structure), then physically unobservable directions of an image, motions of the block that no control
+point fixes, and other directions.
 """
 
 from __future__ import annotations
@@ -34,24 +34,27 @@ from fg_orient.quality.structure import Structure, analyse_structure
 
 #: Codes of errors that describe undetermined unknowns.
 DEFICIENT: Final = (
-    "adjust.rank_deficient", "adjust.rank_without_control", "statistics.too_few", "statistics.motions",
-)  # fmt: skip
-#: Image points that are enough to determine the motions of a block that is too large for a decomposition.
+    "adjust.rank_deficient",
+    "adjust.rank_without_control",
+    "statistics.too_few",
+    "statistics.motions",
+)
+#: Number of image points that is sufficient to determine the motions of a block too large for a decomposition.
 ENOUGH: Final = 20_000
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Analysis that led to a refusal.
+    """Results of the analysis that led to a refusal.
 
     Parameters
     ----------
     problem : Problem
         The compiled block, with start values of the unknowns.
     observability : tuple of ImageObservability
-        Of each image; empty if the structure alone decided.
+        Observability of each image; empty if the structure alone led to the refusal.
     view : BlockObservability or None
-        Of the block as a whole; None if the structure or single images decided.
+        Observability of the whole block; None if the structure or single images led to the refusal.
     """
 
     problem: Problem
@@ -63,8 +66,8 @@ def compiled_problem(block: Block, like: Problem | None = None, *, at_once: bool
     """Compile a block; the error for a block without control points lists the free motions of each part.
 
     If rays do not meet, mix-ups of tables and metadata that explain it are added. Parameters and errors as of
-    ``compile_problem``. The records of the image points are computed now, or, if not ``at_once``, of some rows when
-    they are needed.
+    ``compile_problem``. The records of the image points are computed now; if not ``at_once``, some rows are computed
+    when they are needed.
     """
     try:
         compiled = prepared(compile_problem(block, like))
@@ -78,7 +81,7 @@ def compiled_problem(block: Block, like: Problem | None = None, *, at_once: bool
 
 
 def _motions_without_control(block: Block) -> list[Finding]:
-    """One error per part of a block without control points; none if the block has other errors."""
+    """Return one error per part of a block without control points; none if the block has other errors."""
     loose = replace(block, options=replace(block.options, datum="free", priors=False))
     try:
         compiled = prepared(compile_problem(loose))
@@ -90,7 +93,7 @@ def _motions_without_control(block: Block) -> list[Finding]:
 
 
 def judge_observability(compiled: Problem) -> tuple[ImageObservability, ...]:
-    """Singular values of each image's whitened Jacobian at the start."""
+    """Compute the singular values of each image's whitened Jacobian at the start."""
     out = []
     with one_blas_thread():
         for k, rows in enumerate(rows_by_image(compiled)):
@@ -109,8 +112,8 @@ def refuse_deficient(compiled: Problem, observability: tuple[ImageObservability,
     Raises
     ------
     RankDeficientError
-        One problem per unknown with too few observations, unobservable direction of an image, or part of the block that
-        no control point fixes.
+        One problem per unknown with too few observations, per unobservable direction of an image, or per part of the
+        block that no control point fixes.
     """
     structure = analyse_structure(compiled)
     _refuse(compiled, observability, _structural(compiled, structure, observability))
@@ -130,14 +133,14 @@ def require_determined(compiled: Problem) -> None:
 
 
 def _view(compiled: Problem, structure: Structure) -> BlockObservability:
-    """The whole block if its size allows it or it has no priors, otherwise its motions only."""
+    """Analyse the whole block if its size allows it or it has no priors, otherwise only its motions."""
     if not compiled.block.options.holds_unknowns or affordable(compiled):
         return analyse_block(compiled, structure)
     return analyse_block(_thinned(compiled), structure, whole=False)
 
 
 def _thinned(compiled: Problem) -> Problem:
-    """The block with all control points and a part of the other ground points."""
+    """Return the block with all control points and a part of the other ground points."""
     o = compiled.observations
     step = -(-len(o) // ENOUGH)
     control = compiled.observed | ~compiled.active
@@ -148,7 +151,7 @@ def _thinned(compiled: Problem) -> Problem:
 def _structural(
     compiled: Problem, structure: Structure, observability: tuple[ImageObservability, ...]
 ) -> list[Finding]:
-    """Errors of structure and of single images; damped steps require neither determined points nor images."""
+    """List the errors of structure and of single images; damped steps do not require determined points or images."""
     floating = compiled.least_damping > 0.0 and compiled.redundancy >= 0
     lacks = () if floating else structure.lacks
     out = [finding("statistics.too_few", place=lack.sentence, remedy=lack.remedy) for lack in lacks]
@@ -160,12 +163,12 @@ def _structural(
 
 
 def _code(compiled: Problem) -> str:
-    """Code of an undetermined direction: the remedy depends on control points."""
+    """Return the code of an undetermined direction: the remedy depends on control points."""
     return "adjust.rank_deficient" if compiled.has_control else "adjust.rank_without_control"
 
 
 def _numerical(compiled: Problem, view: BlockObservability) -> list[Finding]:
-    """Errors of the block as a whole; motions are allowed for a free datum."""
+    """List the errors of the whole block; motions are allowed with a free datum."""
     loose = compiled.block.options.datum in ("free", "inner")
     dead = sum(int(m.unobservable.sum()) for m in view.motions)
     out = [] if loose or not dead else _motion_faults(view)
@@ -184,9 +187,11 @@ def _motion_faults(view: BlockObservability) -> list[Finding]:
 
 
 def _refuse(
-    compiled: Problem, observability: tuple[ImageObservability, ...], faults: Sequence[Finding],
+    compiled: Problem,
+    observability: tuple[ImageObservability, ...],
+    faults: Sequence[Finding],
     view: BlockObservability | None = None,
-) -> None:  # fmt: skip
+) -> None:
     if not faults:
         return
     counts = {

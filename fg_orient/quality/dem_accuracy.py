@@ -1,9 +1,9 @@
-"""Heights of points compared with a reference elevation model: differences, and the shift that explains them.
+"""Comparison of the heights of points with a reference elevation model: differences, and the shift that explains them.
 
-Differences are point minus model. In addition to mean and standard deviation: median, NMAD = 1.4826 median|d - median|
-and quantiles of |d|, which are robust against blunders and vegetation (Höhle, Höhle 2009). The differences caused by a
-horizontal shift of the points depend on slope and aspect (Nuth, Kääb 2011): ``d = U - s_E E - s_N N`` with the slopes s
-of the model. The shift is solved by least squares, with the model read at the shifted positions in each step.
+Differences are point minus model. Robust measures against blunders and vegetation are added to mean and standard
+deviation: median, NMAD = 1.4826 median|d - median| and quantiles of |d| (Höhle, Höhle 2009). The differences caused by
+a horizontal shift of the points depend on slope and aspect (Nuth, Kääb 2011): ``d = U - s_E E - s_N N`` with the slopes
+s of the model. The shift is solved by least squares, with the model read at the shifted positions in each step.
 """
 
 from __future__ import annotations
@@ -27,25 +27,26 @@ from fg_orient.sensors.surface import RasterDem
 NMAD: Final = 1.4826
 #: Half the distance over which slopes are computed.
 SLOPE_M: Final = 15.0
-#: Differences farther from the median than this number of NMAD are excluded from the shift.
+#: Limit in NMAD from the median; differences beyond it are excluded from the shift.
 REACH: Final = 3.0
 MAX_STEPS, STEP_M = 30, 1e-3
-#: Steps after which the selection of points is kept: points near the limit would otherwise change in every step.
+#: Number of steps after which the selection of points is kept: points near the limit would otherwise change in every
+#: step.
 CHOOSING_STEPS: Final = 8
 LEAST_POINTS: Final = 10
-#: Condition of the scaled slopes and the constant above which East, North and Up are not separable.
+#: Condition number of the scaled slopes and the constant above which East, North and Up are not separable.
 CONDITION: Final = 1e3
 CONFIDENCE: Final = 0.95
 
 
 @dataclass(frozen=True)
 class Shift:
-    """Shift of the points relative to the model; subtracted from the points it removes the differences.
+    """Shift of the points relative to the model; the points minus this shift have no systematic differences.
 
     Parameters
     ----------
     enu_m, sigma_m : (3,) arrays
-        East, North, Up and their standard deviations, from the scatter of the differences.
+        Shift East, North, Up and its standard deviations, from the scatter of the differences.
     n : int
         Number of points used.
     limit : float
@@ -76,9 +77,9 @@ class DemComparison:
     difference_m : (n,) array
         Point minus model, for points inside the model.
     n_outside : int
-        Number of points where the model has no height.
+        Number of points for which the model has no height.
     shift : Shift or None
-        None if not determined; ``unavailable`` contains the reason.
+        Shift; None if it is not determined, for the reason in ``unavailable``.
     """
 
     difference_m: Array
@@ -87,39 +88,49 @@ class DemComparison:
     unavailable: Finding | None = None
 
     def statistics(self) -> dict[str, float | int]:
-        """Statistics with the keys of the record; statistics that need more points are absent."""
+        """Return the statistics with the keys of the record; statistics that need more points are absent."""
         d = self.difference_m
         out: dict[str, float | int] = {"n": len(d), "n_outside": self.n_outside}
         if not len(d):
             return out
-        out |= {"mean_m": float(d.mean()), "rmse_m": float(np.sqrt(np.mean(d**2))), "max_m": float(np.abs(d).max()),
-                "median_m": float(np.median(d))}  # fmt: skip
+        out |= {
+            "mean_m": float(d.mean()),
+            "rmse_m": float(np.sqrt(np.mean(d**2))),
+            "max_m": float(np.abs(d).max()),
+            "median_m": float(np.median(d)),
+        }
         if len(d) > 1:
             out |= {"sd_m": float(d.std(ddof=1)), "nmad_m": nmad(d)}
             out |= {f"q{name}_m": float(np.quantile(np.abs(d), q)) for name, q in (("68_3", 0.683), ("95", 0.95))}
         return out
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for the record."""
+        """Return plain values for the record."""
         s, axes = self.shift, ("east", "north", "up")
-        shift = None if s is None else {
-            **{f"{a}_m": float(v) for a, v in zip(axes, s.enu_m, strict=True)},
-            **{f"sigma_{a}_m": float(v) for a, v in zip(axes, s.sigma_m, strict=True)},
-            "significant": [a for a, yes in zip(axes, s.significant, strict=True) if yes],
-            "n": s.n, "rmse_before_m": s.rmse_before_m, "rmse_after_m": s.rmse_after_m,
-        }  # fmt: skip
+        shift = (
+            None
+            if s is None
+            else {
+                **{f"{a}_m": float(v) for a, v in zip(axes, s.enu_m, strict=True)},
+                **{f"sigma_{a}_m": float(v) for a, v in zip(axes, s.sigma_m, strict=True)},
+                "significant": [a for a, yes in zip(axes, s.significant, strict=True) if yes],
+                "n": s.n,
+                "rmse_before_m": s.rmse_before_m,
+                "rmse_after_m": s.rmse_after_m,
+            }
+        )
         return {**self.statistics(), "shift": shift, **as_record([self.unavailable] if self.unavailable else [])}
 
 
 def nmad(values: Array) -> float:
-    """Normalised median absolute deviation: standard deviation of normal errors, robust against a few blunders."""
+    """Return the normalised median absolute deviation, a standard deviation that is robust against a few blunders."""
     return NMAD * float(np.median(np.abs(values - np.median(values))))
 
 
 def compare_dem(ground_m: Array, dem: HeightSurface) -> DemComparison:
     """Compare points (n, 3), ECEF m, with an elevation model of ellipsoidal heights.
 
-    Rows that are not finite are ignored. InputError: no point is inside the model.
+    Rows that are not finite are ignored. InputError: all points are outside the model.
     """
     ground = np.ascontiguousarray(ground_m[np.isfinite(ground_m).all(axis=1)])
     difference = _differences(ground, dem)
@@ -148,8 +159,8 @@ def compare_points(
     Raises
     ------
     InputError
-        As :func:`compare_dem`; a local coordinate system; no points of this role; a raster that cannot be read or
-        whose heights are not ellipsoidal.
+        Errors of :func:`compare_dem`; a local coordinate system; no points of this role; a raster that cannot be read
+        or whose heights are not ellipsoidal.
     """
     if not block.georeferenced:
         raise InputError.of("accuracy.local", place="dem", value=block.name)
@@ -158,14 +169,14 @@ def compare_points(
 
 
 def rows_of_role(roles: Sequence[str], role: str | None) -> list[int]:
-    """Return the rows of the points of a role, of all points for None; InputError if there are no points."""
+    """Return the rows of the points of a role, of all points for None; InputError if there are no such points."""
     if role is not None and role not in roles:
         raise InputError.of("accuracy.role", place="role", value=role, known=", ".join(sorted(set(roles))))
     return [k for k, given in enumerate(roles) if role in (None, given)]
 
 
 def _differences(ground: Array, dem: HeightSurface) -> Array:
-    """Height of the points minus height of the model (n,)."""
+    """Return height of the points minus height of the model (n,)."""
     lon, lat, height = ellipsoid.geodetic_array(ground).T
     return np.asarray(height - dem.height_m(np.degrees(lon), np.degrees(lat)))
 
@@ -176,7 +187,7 @@ def _axes(ground: Array) -> Array:
 
 
 def _design(ground: Array, axes: Array, dem: HeightSurface) -> Array:
-    """Derivatives (n, 3) of the difference with respect to a shift East, North, Up."""
+    """Return the derivatives (n, 3) of the difference with respect to a shift East, North, Up."""
     slopes = [
         (_differences(ground + SLOPE_M * axes[:, k], dem) - _differences(ground - SLOPE_M * axes[:, k], dem))
         / (2.0 * SLOPE_M)
@@ -186,7 +197,7 @@ def _design(ground: Array, axes: Array, dem: HeightSurface) -> Array:
 
 
 def _near(d: Array, known: Mask) -> Mask:
-    """Known differences within :data:`REACH` NMAD of their median."""
+    """Return the known differences within :data:`REACH` NMAD of their median."""
     if not known.any():
         return known
     reach = max(REACH * nmad(d[known]), STEP_M)
@@ -216,5 +227,11 @@ def _shift(ground: Array, dem: HeightSurface) -> tuple[Shift | None, Finding | N
     rest = d[kept] - a[kept] @ step
     sigma = np.sqrt(rest @ rest / (n - 3) * np.linalg.inv(a[kept].T @ a[kept]).diagonal())
     before = _differences(ground, dem)[kept]
-    return Shift(shift, sigma, n, float(t_quantile(n - 3, 0.5 + CONFIDENCE / 2.0)),
-                 float(np.sqrt(np.mean(before**2))), float(np.sqrt(np.mean(rest**2)))), None  # fmt: skip
+    return Shift(
+        shift,
+        sigma,
+        n,
+        float(t_quantile(n - 3, 0.5 + CONFIDENCE / 2.0)),
+        float(np.sqrt(np.mean(before**2))),
+        float(np.sqrt(np.mean(rest**2))),
+    ), None

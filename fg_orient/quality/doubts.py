@@ -1,7 +1,7 @@
-"""Doubts that follow from tests: gross errors, corrections too large for their priors, a required accuracy not reached.
+"""Doubts that follow from tests: gross errors, corrections too large for their priors, missed required accuracy.
 
-Each doubt has a share of the probability that a block without mistakes ends with exit code 4 (:data:`BUDGET`).
-A user accepts a doubt by its code, its place and, if wanted, a limit of its size (:func:`with_accepted`).
+Each doubt has a share of the probability that a block without mistakes ends with exit code 4 (:data:`BUDGET`). A user
+accepts a doubt by its code, its place and, as an option, a limit of its size (:func:`with_accepted`).
 """
 
 from __future__ import annotations
@@ -30,22 +30,25 @@ from fg_orient.quality.outliers import outlier_tests
 from fg_orient.quality.residuals import ResidualCofactors
 from fg_orient.quality.stated_sigmas import StatedSigma, stated_sigmas
 
-#: Largest probability of each doubt in a block without mistakes, all its tests together; docs/verdict.md prints it.
+#: Largest probability of each doubt in a block without mistakes, for all its tests together; docs/verdict.md prints it.
 BUDGET: Final = {
     "sigma0": 0.0005, "gross_error": 0.002, "beyond_prior": 0.001, "check_beyond": CHANCE, "check_far": CHANCE,
     "sigmas": 0.001,
 }  # fmt: skip
-#: Probability of Baarda's test of one observation, above which the given sigmas allow its error.
+#: Level of Baarda's test of one observation; at a larger probability the given sigmas allow its error.
 ALPHA: Final = 0.001
-#: Factor by which the sigma of a group must be too small, or too large, at least: less changes little.
+#: Least factor by which the sigma of a group must be wrong: smaller factors change little.
 MATTERS: Final = 1.25
-#: Points whose accuracy is computed at once.
+#: Number of points whose accuracy is computed together.
 _CHUNK: Final = 100_000
 _ACCEPTANCE: Final = re.compile(r"(verdict\.)?(?P<code>[a-z0-9_]+)(:(?P<place>.*?))?(<=(?P<limit>[0-9.eE+-]+))?")
 
 
 class Examined(NamedTuple):
-    """Doubts that follow from tests of a solution; if they were computed, cofactors of its residuals, tests, sigmas."""
+    """Doubts that follow from tests of a solution.
+
+    Also cofactors of its residuals, tests and sigmas if they were computed.
+    """
 
     findings: list[Finding]
     residuals: ResidualCofactors | None = None
@@ -56,13 +59,13 @@ class Examined(NamedTuple):
 def of_solution(
     problem: Problem, estimate: Estimate, ground_m: Array, cofactors: Cofactors | None, check: PointDifferences
 ) -> Examined:
-    """Doubts that follow from tests of a solution.
+    """Return the doubts that follow from tests of a solution.
 
     Parameters
     ----------
     problem : Problem
     estimate : Estimate
-        A converged one.
+        Converged estimate.
     ground_m : (N, 3) array
         Adjusted points, ECEF or local.
     cofactors : Cofactors or None
@@ -81,23 +84,36 @@ def of_solution(
     if len(problem.observations) >= MANY_ROWS and not options.snoop:  # the next round copies them
         release(problem, "records")
     return_memory(len(problem.observations))
-    tests = outlier_tests(residuals, estimate.chi2, level=options.outlier_level, test=options.outlier_test,
-                          control=options.multiple_testing)  # fmt: skip
+    tests = outlier_tests(
+        residuals,
+        estimate.chi2,
+        level=options.outlier_level,
+        test=options.outlier_test,
+        control=options.multiple_testing,
+    )
     gross = gross_errors(tests, options.accept)
     sigmas = stated_sigmas(residuals, tests if gross else None)
     return Examined([*out, *gross, *wrong_sigmas(sigmas)], residuals, tests, sigmas)
 
 
 def wrong_sigmas(sigmas: Sequence[StatedSigma]) -> list[Finding]:
-    """Doubt on the group whose stated sigmas are too small; notes on groups whose sigmas are too large.
+    """Report a doubt on the group whose stated sigmas are too small, and notes on groups whose sigmas are too large.
 
-    Sigmas that are too large make the result look worse than it is, which is no reason not to trust it.
+    Sigmas that are too large make the result look worse than it is. This is no reason to doubt it.
     """
     level, out = sidak(BUDGET["sigmas"], max(len(sigmas), 1)), list[Finding]()
     small = [s for s in sigmas if s.larger <= level and s.factor - 2.0 * s.sd > 1.0 and s.factor >= MATTERS]
     for s in sorted(small, key=lambda s: s.larger)[:1]:
-        out.append(finding("verdict.sigmas", place=s.group, words=s.words, size=s.factor,
-                           level=100.0 * BUDGET["sigmas"], more=[o.group for o in small if o is not s]))  # fmt: skip
+        out.append(
+            finding(
+                "verdict.sigmas",
+                place=s.group,
+                words=s.words,
+                size=s.factor,
+                level=100.0 * BUDGET["sigmas"],
+                more=[o.group for o in small if o is not s],
+            )
+        )
     for s in sigmas:
         if s.smaller <= level and s.factor <= 1.0 / MATTERS:
             out.append(finding("verdict.sigmas_large", place=s.group, words=s.words, size=s.factor))
@@ -107,7 +123,7 @@ def wrong_sigmas(sigmas: Sequence[StatedSigma]) -> list[Finding]:
 def gross_errors(tests: OutlierTests, accept: Sequence[str] = ()) -> list[Finding]:
     """Return the doubts on accepted observations, then the doubt on the most suspicious other observation.
 
-    A gross error makes other observations suspicious, too: they are counted only. An error that the given sigmas allow
+    A gross error makes other observations suspicious, too; these are only counted. An error that the given sigmas allow
     (Baarda's test of this observation alone) is not a doubt, although it is large relative to a small sigma0.
     """
     level, d = BUDGET["gross_error"], tests.dimension
@@ -118,17 +134,26 @@ def gross_errors(tests: OutlierTests, accept: Sequence[str] = ()) -> list[Findin
     for rank, k in enumerate(above[first].tolist()):
         test = tests[k]
         also, error = test.inseparable, [f"{value:+.2f}" for value in test.error]
-        out.append(finding(
-            "verdict.gross_error", place=test.name, size=test.statistic, symbol=test.symbol, error=" ".join(error),
-            unit=test.unit, also=list(also), level=100.0 * level, more=len(first) - rank - 1 or None,
-        ))  # fmt: skip
+        out.append(
+            finding(
+                "verdict.gross_error",
+                place=test.name,
+                size=test.statistic,
+                symbol=test.symbol,
+                error=" ".join(error),
+                unit=test.unit,
+                also=list(also),
+                level=100.0 * level,
+                more=len(first) - rank - 1 or None,
+            )
+        )
         if not _accepts(out[-1], accept):
             break
     return out
 
 
 def exceeded_priors(problem: Problem, state: State, cofactors: Cofactors) -> list[Finding]:
-    """Doubt on the image unknown that differs most from its prior, if its prior does not allow the difference.
+    """Report a doubt on the image unknown that differs most from its prior, if its prior does not allow the difference.
 
     The correction x of a prior has the variance ``1 - q`` in prior variances; q is its cofactor after the adjustment.
     """
@@ -143,29 +168,44 @@ def exceeded_priors(problem: Problem, state: State, cofactors: Cofactors) -> lis
     worst = int(np.argmax(squares))
     image = int(np.searchsorted(problem.first, worst, side="right")) - 1
     parameters, k = problem.parameters[image], worst - int(problem.first[image])
-    return [finding(
-        "verdict.beyond_prior", place=f"{parameters.names[k]} of image {problem.block.images[image].id}",
-        size=float(np.sqrt(squares[worst])), correction=float(x[worst] * parameters.sigma[k]),
-        sigma=float(parameters.sigma[k]), unit=parameters.units[k], level=100.0 * BUDGET["beyond_prior"],
-        more=int(above.sum()) - 1 or None,
-    )]  # fmt: skip
+    return [
+        finding(
+            "verdict.beyond_prior",
+            place=f"{parameters.names[k]} of image {problem.block.images[image].id}",
+            size=float(np.sqrt(squares[worst])),
+            correction=float(x[worst] * parameters.sigma[k]),
+            sigma=float(parameters.sigma[k]),
+            unit=parameters.units[k],
+            level=100.0 * BUDGET["beyond_prior"],
+            more=int(above.sum()) - 1 or None,
+        )
+    ]
 
 
 def of_check_points(check: PointDifferences) -> list[Finding]:
     """Return the doubt on check coordinates above 3 standard deviations, unless chance explains maximum and number."""
     beyond, out = check.beyond, list[Finding]()
     if beyond.far:
-        out.append(finding("verdict.check_far", size=beyond.largest, limit=beyond.largest_limit, n=beyond.n,
-                           points=beyond.far))  # fmt: skip
+        out.append(
+            finding("verdict.check_far", size=beyond.largest, limit=beyond.largest_limit, n=beyond.n, points=beyond.far)
+        )
     if beyond.many:
         points = list(dict.fromkeys(row[0] for row in check.suspicious()))
-        out.append(finding("verdict.check_beyond", points=points, size=beyond.count, n=beyond.n,
-                           expected=beyond.expected, level=100.0 * BUDGET["check_beyond"]))  # fmt: skip
+        out.append(
+            finding(
+                "verdict.check_beyond",
+                points=points,
+                size=beyond.count,
+                n=beyond.n,
+                expected=beyond.expected,
+                level=100.0 * BUDGET["check_beyond"],
+            )
+        )
     return out
 
 
 def missed_accuracy(problem: Problem, ground_m: Array, cofactors: Cofactors | None, scale: float) -> list[Finding]:
-    """Doubt on adjusted points whose standard deviation exceeds the required one along any axis.
+    """Report a doubt on adjusted points whose standard deviation exceeds the required accuracy along any axis.
 
     Parameters
     ----------
@@ -174,7 +214,7 @@ def missed_accuracy(problem: Problem, ground_m: Array, cofactors: Cofactors | No
         Adjusted points, ECEF or local.
     cofactors : Cofactors or None
     scale : float
-        Factor from roots of cofactors to standard deviations.
+        Factor from the roots of cofactors to standard deviations.
     """
     required = problem.block.options.required_accuracy_m
     if required is None:
@@ -190,12 +230,15 @@ def missed_accuracy(problem: Problem, ground_m: Array, cofactors: Cofactors | No
         largest = scale * np.sqrt(np.maximum(variance, 0.0)).max(axis=1)
         worst, beyond = max(worst, float(largest.max())), [*beyond, *some[largest > required].tolist()]
     names = [problem.block.points.ids[j] for j in beyond]
-    return [finding("verdict.accuracy", n=len(names), of=len(points), required=required, size=worst, points=names)
-            ] if names else []  # fmt: skip
+    return (
+        [finding("verdict.accuracy", n=len(names), of=len(points), required=required, size=worst, points=names)]
+        if names
+        else []
+    )
 
 
 def _accepts(doubt: Finding, accept: Sequence[str]) -> bool:
-    """Whether a doubt is accepted by code, place and limit."""
+    """Return whether a doubt is accepted by code, place and limit."""
     for text in accept:
         part = _ACCEPTANCE.fullmatch(text)
         if part is None or f"verdict.{part['code']}" != doubt.code or part["place"] not in (None, doubt.place):
@@ -222,7 +265,7 @@ def _is_number(text: str | None) -> bool:
 
 
 def with_accepted(findings: Sequence[Finding], accept: Sequence[str]) -> list[Finding]:
-    """Findings, the most serious first; accepted doubts are notes, and one note lists them."""
+    """Sort findings by severity, the most serious first; accepted doubts become notes, and one note lists them."""
     accepted = [f for f in findings if CATALOGUE[f.code].severity == "doubt" and _accepts(f, accept)]
     out = [replace(f, severity="note") if f in accepted else f for f in findings if f.code != "verdict.accepted"]
     if accepted:

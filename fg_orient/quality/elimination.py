@@ -1,4 +1,4 @@
-"""Ground points eliminated from the whitened rows, for observability, datum, outlier tests and variance components.
+"""Elimination of ground points from the whitened rows, for observability, datum, outlier tests and variance components.
 
 The rows of a ground point have Jacobians B to the unknowns of its images and G to the point (a control point has three
 more rows than its image points). The columns of Q beyond the third of ``G = Q R`` are a basis Q2 of the combinations
@@ -6,9 +6,9 @@ that do not depend on the point::
 
     Q2^T B: reduced rows,   F = Q2 Q2^T = I - G (G^T G)^-1 G^T,   A = F B
 
-Points with the same number of rows are eliminated together. Nothing is squared: singular values of the reduced rows
-down to 1e-12 of the largest are accurate. A point that extra observations name is not eliminated. Its coordinates
-follow the unknowns of the images.
+Points with the same number of rows are eliminated together. Nothing is squared, so singular values of the reduced rows
+are accurate down to 1e-12 of the largest. A point named by an extra observation is not eliminated. Its coordinates are
+unknowns after the unknowns of the images.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from fg_orient.adjustment.rows import Rows, linearised
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.model.errors import InputError
 
-#: Singular values of whitened Jacobians in prior sigmas up to this limit: the direction is unobservable.
+#: Largest singular value, in prior sigmas, of a direction that counts as unobservable.
 UNOBSERVABLE: Final = 1e-5
-#: Elements of arrays of many points in memory at once.
+#: Number of elements of arrays of many points in memory at the same time.
 CHUNK: Final = 2**21
 
 
@@ -44,13 +44,13 @@ class PointRows:
     Parameters
     ----------
     point : (P,) int array
-        -1: none.
+        Ground points; -1 for rows without a point.
     kind : (P, k) int array
-        Points of equal kind have equal columns.
+        Points of the same kind have the same columns.
     rows : (P, r) int array
-        Among all rows: image points, control points (East, North, Up), priors, extra observations.
+        Row numbers among all rows: image points, control points (East, North, Up), priors, extra observations.
     columns : (P, c) int array
-        Among the unknowns of the images (shared ones once), followed by the named points.
+        Column numbers among the unknowns of the images (shared ones once), followed by the named points.
     basis : (P, r, q) array
         Q2.
     reduced : (P, q, c) array
@@ -75,27 +75,30 @@ class PointRows:
         return np.asarray(self.basis @ self.reduced)
 
     def quadratic(self, q: Array) -> Array:
-        """``A q A^T`` (P, r, r) of a matrix q (u, u) of all unknowns, or (P, c, c) of the columns of each point."""
+        """Return ``A q A^T`` (P, r, r); q is (u, u) for all unknowns, or (P, c, c) for the columns of each point."""
         mine = q if q.ndim == 3 else q[self.columns[:, :, None], self.columns[:, None, :]]
         return np.asarray(self.design @ mine @ np.swapaxes(self.design, 1, 2))
 
 
 def control_rows(problem: Problem, points: Index) -> Array:
-    """Whitened rows (m, 3, 3) of control points in East, North, Up, with the weights of a loss."""
+    """Return the whitened rows (m, 3, 3) of control points in East, North, Up, with the weights of a loss."""
     w = problem.control_weights(points)
     axes = problem.axes(problem.control_records[points, POINT.place] + problem.origin_m)
     return np.asarray(np.linalg.norm(w @ np.swapaxes(axes, 1, 2), axis=1)[:, :, None] * axes)
 
 
 def control_residuals(problem: Problem, state: State) -> Array:
-    """Whitened residuals (m, 3) of all control points in East, North, Up: adjusted minus measured."""
+    """Return the whitened residuals (m, 3) of all control points in East, North, Up: adjusted minus measured."""
     points = np.flatnonzero(problem.observed)
     difference = state.ground[points] - problem.control_records[points, POINT.place]
     return np.asarray(np.einsum("nij,nj->ni", control_rows(problem, points), difference))
 
 
 def image_columns(problem: Problem, images: Index) -> Index:
-    """Columns (n, k) of the unknowns of images, filled up with the first, where Jacobians are zero."""
+    """Return the columns (n, k) of the unknowns of images.
+
+    Surplus places repeat the first column, where Jacobians are zero.
+    """
     columns = problem.columns[images]
     wide = np.where(columns < problem.n_image_unknowns, columns, 0)
     return wide if problem.ties is None else problem.ties.of[wide]
@@ -121,13 +124,13 @@ def eliminated_points(
     ----------
     problem : Problem
     rows : Rows
-        Of all image points.
+        Rows of all image points.
     named : sequence of int
         Points that are not eliminated, ascending.
     only : int array, optional
-        Points wanted; default: all that are measured.
+        Points to eliminate; default: all that are measured.
     groups : int
-        Matrices (r, r) that the caller forms per point: limits the size of the parts.
+        Number of matrices (r, r) that the caller forms per point; it limits the size of the parts.
     """
     of_point = problem.observations.point
     order = np.lexsort((problem.observations.image, of_point))
@@ -145,9 +148,14 @@ def eliminated_points(
 
 
 def _eliminated(
-    problem: Problem, jacobians: Rows, points: Index, seen: Index, observed: bool, eliminate: bool | None,
+    problem: Problem,
+    jacobians: Rows,
+    points: Index,
+    seen: Index,
+    observed: bool,
+    eliminate: bool | None,
     named: list[int] | tuple[int, ...],
-) -> PointRows:  # fmt: skip
+) -> PointRows:
     """Prepare points (P,) with image points ``seen`` (P, m); ``eliminate``: None for named, False for fixed points."""
     (n, m), o = seen.shape, problem.observations
     r, ground = 2 * m + 3 * observed, np.zeros((n, 2 * m + 3 * observed, 3))
@@ -169,13 +177,13 @@ def _eliminated(
 
 
 def single_rows(rows: Index, columns: Index, design: Array) -> PointRows:
-    """Rows without a point: ``columns`` (n, c) and ``design`` (n, c)."""
+    """Return the rows without a point: ``columns`` (n, c) and ``design`` (n, c)."""
     n = len(rows)
     return PointRows(np.full(n, -1), columns[:, :1], rows[:, None], columns, np.ones((n, 1, 1)), design[:, None, :])
 
 
 def extra_rows(problem: Problem, state: State, named: list[int], begin: int = 0) -> Iterator[PointRows]:
-    """Rows of the extra observations, the first with number ``begin``."""
+    """Yield the rows of the extra observations; the first has the number ``begin``."""
     for extra in problem.block.extra:
         _, blocks = extra_blocks(problem, extra, state, jacobian=True)
         columns = np.concatenate([
@@ -192,27 +200,27 @@ def extra_rows(problem: Problem, state: State, named: list[int], begin: int = 0)
 
 
 def reduced_rows(problem: Problem, rows: Rows, state: State | None = None) -> Array:
-    """Rows (q, z) of all image unknowns (shared unknowns once) after elimination of the points; without priors.
+    """Compute the rows (q, z) of all image unknowns (shared ones once) after elimination of the points, without priors.
 
-    Rows of points that the same images see are compressed by QR before they are put together, so that q does not grow
-    with the number of points.
+    Rows of points that the same images see are compressed by QR before they are joined, so that q does not grow with
+    the number of points.
 
     Parameters
     ----------
     problem : Problem
     rows : Rows
     state : State, optional
-        Include the extra observations at this state. The points that they name are eliminated at the end, by a QR with
-        pivoting: these points need not be determined.
+        Include the extra observations at this state. The points that they name are eliminated last, by QR with
+        pivoting, so these points need not be determined.
     """
     return _reduced(problem, rows, state, None)
 
 
 def reduced_system(problem: Problem, state: State) -> LinearSystem:
-    """Equations ``A x = l`` of a step of all image unknowns (shared ones once) without priors, points eliminated.
+    """Return equations ``A x = l`` of a step of all image unknowns (shared ones once); no points, no priors.
 
-    A is the triangle of the compressed rows; ``rest`` holds the number and the squares of all other reduced rows, of
-    which there are as many as observations minus coordinates of unknown points. InputError: too many unknowns.
+    A is the triangle of the compressed rows. ``rest`` contains the number and the squares of all other reduced rows.
+    The number of all reduced rows is observations minus coordinates of unknown points. InputError: too many unknowns.
     """
     z, rows = problem.n_free_unknowns, linearised(problem, state)
     if z > MAX_UNKNOWNS:
@@ -226,7 +234,7 @@ def reduced_system(problem: Problem, state: State) -> LinearSystem:
 
 
 def _reduced(problem: Problem, rows: Rows, state: State | None, residual: Array | None) -> Array:
-    """Rows (q, z) of :func:`reduced_rows`; the residuals (n,) of all rows, if given, are a further column."""
+    """Return the rows (q, z) of :func:`reduced_rows`; the residuals (n,) of all rows, if given, are one more column."""
     named = [] if state is None else problem.named_points()
     begin = 2 * len(problem.observations) + 3 * int(problem.observed.sum())
     z, extra = problem.n_free_unknowns, () if state is None else extra_rows(problem, state, named, begin)
@@ -247,14 +255,14 @@ def _reduced(problem: Problem, rows: Rows, state: State | None, residual: Array 
 
 
 def _with_residual(part: PointRows, residual: Array, column: int) -> PointRows:
-    """Reduced rows with their residuals in a further column."""
+    """Return the reduced rows with their residuals in one more column."""
     own = np.swapaxes(part.basis, 1, 2) @ residual[part.rows][:, :, None]
     columns = np.hstack([part.columns, np.full((len(part.columns), 1), column)])
     return replace(part, columns=columns, reduced=np.concatenate([part.reduced, own], axis=2))
 
 
 def _compressed(parts: Iterable[PointRows], width: int) -> Array:
-    """Reduced rows of all points as one matrix (q, width)."""
+    """Return the reduced rows of all points as one matrix (q, width)."""
     out, height, largest = [np.zeros((0, width))], 0, 2 * width + CHUNK // max(1, width)
     for part in parts:
         order = np.lexsort(part.kind.T)
@@ -270,7 +278,7 @@ def _compressed(parts: Iterable[PointRows], width: int) -> Array:
 
 
 def _scattered(rows: Array, columns: Index, width: int) -> Array:
-    """Rows (n, c) in their columns (c,) of a matrix (n, width); columns that occur twice are added."""
+    """Place rows (n, c) at their columns (c,) of a matrix (n, width); columns that occur twice are added."""
     out = np.zeros((len(rows), width))
     if len(np.unique(columns)) == len(columns):
         out[:, columns] = rows
@@ -280,21 +288,21 @@ def _scattered(rows: Array, columns: Index, width: int) -> Array:
 
 
 def spectrum(rows: Array) -> tuple[Array, Array]:
-    """Singular values (u,) of rows (n, u), descending, and right directions (u, u); zeros if n < u."""
+    """Return the singular values (u,) of rows (n, u), descending, and right directions (u, u); zeros if n < u."""
     short, u = triangle(rows), rows.shape[1]
     _, s, vt = np.linalg.svd(np.vstack([short, np.zeros((max(0, u - len(short)), u))]), full_matrices=False)
     return s, vt
 
 
 def followed_by_ground(problem: Problem, rows: Rows, directions: Array) -> Array:
-    """Movement (N, 3, d) m of the ground points that best follows movements of the images.
+    """Compute the movement (N, 3, d) m of the ground points that best follows movements of the images.
 
     Parameters
     ----------
     problem : Problem
     rows : Rows
     directions : (u, d) array
-        Of the unknowns of all images (shared ones in each image), prior sigmas.
+        Movements of the unknowns of all images (shared ones in each image), prior sigmas.
     """
     o, d = problem.observations, directions.shape[1]
     wide = np.vstack([directions, np.zeros((1, d))])[problem.columns[o.image]]

@@ -1,4 +1,4 @@
-"""Statistics of control features: each image point on a feature is one condition, with one normalised misclosure."""
+"""Statistics of control features: each image point on a feature is one condition with one normalised misclosure."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def feature_records(solution: AdjustmentResult) -> list[dict[str, Any]]:
-    """One record for each control feature, in the order of the block.
+    """Return one record for each control feature, in the order of the block.
 
     The residuals of an image point on a feature (line, sample, and both distances of its ground point from the feature)
     follow from one misclosure. So ``w^2 = v^T v / r``, with whitened residuals v and the sum r of their redundancy
@@ -52,10 +52,15 @@ def feature_records(solution: AdjustmentResult) -> list[dict[str, Any]]:
             w = np.sqrt(square / free)
         known_w = bool(np.isfinite(w).any())
         worst = int(np.nanargmax(w)) if known_w else 0
-        out.append({
-            "feature": feature, "n": len(rows), "redundancy": float(free.sum()) if known_w else None,
-            "rms_w": float(np.sqrt(np.nanmean(w**2))) if known_w else None,
-            "largest_w": float(w[worst]) if known_w else None,
-            "point": rows[worst][2] if known_w else None, "image": rows[worst][3] if known_w else None,
-        })  # fmt: skip
+        out.append(
+            {
+                "feature": feature,
+                "n": len(rows),
+                "redundancy": float(free.sum()) if known_w else None,
+                "rms_w": float(np.sqrt(np.nanmean(w**2))) if known_w else None,
+                "largest_w": float(w[worst]) if known_w else None,
+                "point": rows[worst][2] if known_w else None,
+                "image": rows[worst][3] if known_w else None,
+            }
+        )
     return out

@@ -1,4 +1,4 @@
-"""Constraints as results: misclosures, and figures with their covariance."""
+"""Constraints in the result: misclosures, and figures with their covariance."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class AdjustedFigure:
     names : tuple of str
         Parameters, m; ``tilt`` and ``slope`` have no unit and refer to the figure of the adjusted points.
     values : (k,) array
-        Centres are relative to the local origin of the block, along its axes or, in a georeferenced block, East, North,
-        Up at the points.
+        Parameters of the figure. Centres are relative to the local origin of the block, along its axes or, in a
+        georeferenced block, East, North, Up at the points.
     covariance : (k, k) array
     """
 
@@ -36,15 +36,18 @@ class AdjustedFigure:
     covariance: Array
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return plain values for JSON."""
         sigma = np.sqrt(self.covariance.diagonal()).tolist()
         numbers = zip(self.names, self.values.tolist(), sigma, strict=True)
-        return {"figure": self.label, "numbers": [{"name": n, "value": v, "sigma": s} for n, v, s in numbers],
-                "covariance": self.covariance.tolist()}  # fmt: skip
+        return {
+            "figure": self.label,
+            "numbers": [{"name": n, "value": v, "sigma": s} for n, v, s in numbers],
+            "covariance": self.covariance.tolist(),
+        }
 
 
 def adjusted_figures(problem: Problem, state: State, cofactors: Cofactors, scale: float) -> tuple[AdjustedFigure, ...]:
-    """Figures of the constraints of a solution; ``scale``: standard deviations from roots of cofactors."""
+    """Compute the figures of the constraints of a solution; ``scale``: standard deviations from roots of cofactors."""
     out = []
     for figure in fitted_figures(problem, state):
         free = tuple(j for j in figure.points if problem.active[j])
@@ -58,7 +61,11 @@ def adjusted_figures(problem: Problem, state: State, cofactors: Cofactors, scale
 def constraint_records(problem: Problem, state: State) -> list[dict[str, Any]]:
     """Return constraints for JSON: sigma (None: hard), RMS and largest size of their misclosures."""
     return [
-        {"constraint": e.label, "sigma": e.constraint.sigma, "rms": float(np.sqrt(np.mean(c**2))),
-         "largest": float(np.abs(c).max())}
+        {
+            "constraint": e.label,
+            "sigma": e.constraint.sigma,
+            "rms": float(np.sqrt(np.mean(c**2))),
+            "largest": float(np.abs(c).max()),
+        }
         for e, c in misclosures(problem, state)
-    ]  # fmt: skip
+    ]

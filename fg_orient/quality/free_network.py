@@ -7,15 +7,15 @@ choices have the same residuals and the same shape, and each follows from any ot
 
     S = I - E (E^T D E)^-1 E^T D,    x_D = x_0 + S (x - x_0),    Q_D = S Q S^T
 
-With all unknowns in D this is the solution of the pseudo-inverse, with the least trace of Q (Meissl 1962); with some
-unknowns, the trace of their part is least (Koch 1999, 3.3).
+With all unknowns in D this is the solution of the pseudo-inverse, with the least trace of Q (Meissl 1962). With some
+unknowns, the trace of their part of Q is least (Koch 1999, 3.3).
 
-The adjustment uses a minimal datum: d image unknowns, one per motion, each with one observation, selected by
-pivoting so that the datum is well conditioned. These observations get no residual, so shape and residuals are equal to
+The adjustment uses a minimal datum: d image unknowns, one per motion, each with one observation, selected by pivoting
+so that the datum is well conditioned. These observations get no residual. So shape and residuals are equal to those of
 the free network, every backend solves regular equations, and no factor connects more variables. (Inner constraints as
 factors would connect all points.) The state is moved to the requested datum in steps with repeated adjustments, because
-a motion is not linear. The cofactors come from the border of the normal equations (``fg_orient.adjustment.border``),
-transformed where they are asked for.
+a motion is not linear. The cofactors come from the border of the normal equations (``fg_orient.adjustment.border``);
+requested elements are transformed.
 """
 
 from __future__ import annotations
@@ -62,18 +62,18 @@ from fg_orient.quality.elimination import UNOBSERVABLE, followed_by_ground, redu
 from fg_orient.quality.structure import analyse_structure
 from fg_orient.quality.weakest import weakest
 
-#: Number of unknowns up to which all cofactors of a free network are formed from those of GTSAM.
+#: Maximum number of unknowns for which all cofactors of a free network are formed from those of GTSAM.
 MAX_UNKNOWNS: Final = 3000
-#: A datum is reached when its step is below this, in prior sigmas and metres.
+#: Step in prior sigmas and metres below which a datum is reached.
 REACHED: Final = 1e-9
-#: Steps to the datum. A motion changes the residuals in second order only: a Gauss-Newton step across the motions goes
-#: with each. Where the network is well determined both converge quadratically.
+#: Maximum number of steps to the datum. A motion changes the residuals only to second order, so a Gauss-Newton step
+#: across the motions follows each step. In a well-determined network both converge quadratically.
 MAX_STEPS: Final = 60
 _LABEL: Final = "minimal datum"
 
 
 def _residual(record: Any, setup: Any, x: Any) -> Any:
-    """``(x - x_0) w`` of the unknowns with the numbers of the record."""
+    """Return ``(x - x_0) w`` of the unknowns with the numbers of the record."""
     return (x[record.astype(np.intp)] - setup[0]) * setup[1]
 
 
@@ -82,23 +82,27 @@ def _kernel(record: Array, setup: Array, x: Array, want: bool) -> tuple[Array, A
     return _residual(record, setup, x), jacobian
 
 
-#: Some unknowns of an image, each observed with the weight that its own image points give it: a small one would be no
-#: more than a damping of Levenberg-Marquardt.
+#: Observation of some unknowns of an image, each with the weight that its own image points give it: a small weight
+#: would only damp the steps, as in Levenberg-Marquardt.
 HELD_UNKNOWNS: Final = Equation(
-    "held_unknowns", _kernel, _residual, (Argument("x", "prior sigma"),), "minimal datum of a free network",
-)  # fmt: skip
+    "held_unknowns",
+    _kernel,
+    _residual,
+    (Argument("x", "prior sigma"),),
+    "minimal datum of a free network",
+)
 
 
 @dataclass(frozen=True)
 class Motions:
-    """Motions without effect on the observations.
+    """Motions that do not change the observations.
 
     Parameters
     ----------
     whole : (n, d) array
         Image unknowns in prior sigmas, then unknown points in m; orthonormal in the image unknowns (shared ones once).
     border : BorderMatrix or None
-        Border of the normal equations with its null space; None where it does not determine the points.
+        Border of the normal equations with its null space; None if the border does not determine the points.
     """
 
     whole: Array
@@ -106,7 +110,10 @@ class Motions:
 
 
 def motions_of(problem: Problem, state: State, near: BorderMatrix | None = None) -> Motions:
-    """Motions at a state; the minimal datum is not an observation. ``near``: border at a neighbouring state."""
+    """Compute the motions at a state; the minimal datum is not an observation.
+
+    ``near``: border at a neighbouring state.
+    """
     problem = _holding(problem, np.zeros(0, np.intp))
     with one_blas_thread():
         with contextlib.suppress(Singular):
@@ -136,7 +143,7 @@ def _of_border(border: BorderMatrix, moves: Array) -> Array:
 
 
 def without_priors(block: Block) -> Block:
-    """The block without prior observations, which would fix the network."""
+    """Return the block without prior observations, which would fix the network."""
     return replace(block, options=replace(block.options, priors=False))
 
 
@@ -157,10 +164,16 @@ def _holding(problem: Problem, chosen: Index) -> Problem:
             rays = np.flatnonzero(problem.observations.image == k)
             weight = np.linalg.norm(linearised(problem, problem.start, rays).image[:, :, own], axis=(0, 1))
             setup = np.stack([problem.unknowns(problem.start, k)[own], np.maximum(weight, 1.0)])
-            held.append(ExtraObservation(
-                HELD_UNKNOWNS, (f"image:{image.id}",), own.astype(float), setup, len(own),
-                f"{_LABEL} of image {image.id}",
-            ))  # fmt: skip
+            held.append(
+                ExtraObservation(
+                    HELD_UNKNOWNS,
+                    (f"image:{image.id}",),
+                    own.astype(float),
+                    setup,
+                    len(own),
+                    f"{_LABEL} of image {image.id}",
+                )
+            )
     others = tuple(e for e in problem.block.extra if e.equation is not HELD_UNKNOWNS)
     return replace(problem, block=replace(problem.block, extra=(*others, *held)))
 
@@ -183,10 +196,10 @@ def to_inner_datum(
     Parameters
     ----------
     problem : Problem
-        With its minimal datum; the constraints refer to the coordinates of its start.
+        Problem with its minimal datum; the constraints refer to the coordinates of its start.
     estimate : Estimate
     run : callable
-        Adjusts a problem from its start.
+        Function that adjusts a problem from its start.
 
     Returns
     -------
@@ -205,7 +218,7 @@ def to_inner_datum(
             try:
                 with one_blas_thread():
                     least = near.newton()
-            except Singular:  # the step has torn the network
+            except Singular:  # the step was too large for the network
                 estimate = replace(estimate, converged=False, end=finding("loop.free_datum"))
                 break
         size = float(np.abs(problem.vector(least) - problem.vector(state)).max())
@@ -228,7 +241,7 @@ def to_inner_datum(
 
 
 def datum_points(problem: Problem, names: tuple[str, ...] = ()) -> Mask:
-    """Unknowns (n,) of a datum: named images and ground points, or all ground points.
+    """Select the unknowns (n,) of a datum: of named images and ground points, or of all ground points.
 
     InputError: unknown image or point, or a point that is not an unknown.
     """
@@ -254,14 +267,14 @@ class FreeNetwork:
 
         S Q S^T = Q - E (A Q) - (A Q)^T E^T + E (A Q A^T) E^T,
 
-    of which only the requested elements are formed.
+    Only the requested elements are formed.
 
     Parameters
     ----------
     problem : Problem
-        With its minimal datum.
+        Problem with its minimal datum.
     given : MatrixCofactors, BorderCofactors or StarCofactors
-        In another datum.
+        Cofactors in another datum.
     state : State
     null_space : (n, d) array
         Motions at the state; unknowns of all images in prior sigmas, then of all unknown points in m.
@@ -277,7 +290,7 @@ class FreeNetwork:
 
     @classmethod
     def of(cls, problem: Problem, state: State, given: Cofactors) -> FreeNetwork:
-        """Inner constraints on the ground points, from a solution and its cofactors in another datum.
+        """Apply inner constraints on the ground points to a solution and its cofactors in another datum.
 
         Indeterminate is raised for more than 3000 unknowns where only GTSAM determines them.
         """
@@ -288,15 +301,17 @@ class FreeNetwork:
                 motions = motions_of(problem, state).whole
             if not isinstance(given, MatrixCofactors | BorderCofactors | StarCofactors):
                 if problem.n_unknowns > MAX_UNKNOWNS:
-                    raise Indeterminate(f"the free network has {problem.n_unknowns} unknowns that only GTSAM's QR "
-                                        f"determines; all its cofactors are formed up to {MAX_UNKNOWNS}")  # fmt: skip
+                    raise Indeterminate(
+                        f"the free network has {problem.n_unknowns} unknowns that only GTSAM's QR "
+                        f"determines; all its cofactors are formed up to {MAX_UNKNOWNS}"
+                    )
                 every = given.joint(tuple(range(problem.n_images)), tuple(np.flatnonzero(problem.active).tolist()))
                 given = MatrixCofactors(problem, every)
             return cls(problem, given, state, motions, datum_points(problem))
 
     @cached_property
     def _moved(self) -> Datum:
-        """Transformation to the datum: with ``A`` it is ``W = Q A^T`` and ``C = A Q A^T``."""
+        """Transformation to the datum: ``A``, with ``W = Q A^T`` and ``C = A Q A^T``."""
         a = _coordinates(self.null_space, self.datum)
         qa = self.given.times(a.T)
         return Datum(np.pad(self.null_space, ((0, 1), (0, 0))), np.pad(qa, ((0, 1), (0, 0))), a @ qa)
@@ -351,9 +366,10 @@ class FreeNetwork:
             return None
         place, points = places_of_images(problem), places_of_points(problem, np.flatnonzero(problem.active))
         return Star(
-            self._in_datum(star.images, place, place), self._in_datum(star.across, place, points.ravel()),
+            self._in_datum(star.images, place, place),
+            self._in_datum(star.across, place, points.ravel()),
             self._in_datum(star.points, points, points),
-        )  # fmt: skip
+        )
 
     def rays(self, problem: Problem, state: State) -> RayCofactors:
         """See :class:`Cofactors`."""
@@ -373,10 +389,11 @@ class FreeNetwork:
         return int(self.null_space.shape[1])
 
     def in_datum(self, *names: str) -> FreeNetwork:
-        """S-transformation to the datum of images ("image:3") and points ("point:12"); without names: all points.
+        """Transform to the datum of images ("image:3") and points ("point:12"); without names: of all points.
 
         The state is moved along the motions at the solution. This is exact to first order: the movement is a few sigmas
-        of start values, and the shape changes by its square. InputError: unknown names, or too few for all motions.
+        of the start values, and the shape changes by its square. InputError: names are unknown, or too few for all
+        motions.
         """
         problem, datum = self.problem, datum_points(self.problem, names)
         difference = problem.vector(self.state) - problem.vector(problem.start)
@@ -384,7 +401,7 @@ class FreeNetwork:
         return FreeNetwork(problem, self.given, state, self.null_space, datum)
 
     def cofactor_matrix(self) -> NamedMatrix:
-        """Cofactors of all unknowns in physical units: m, m/s, rad, px for images, m for points."""
+        """Return the cofactors of all unknowns in physical units: m, m/s, rad, px for images, m for points."""
         problem = self.problem
         ids = [problem.block.points.ids[j] for j in np.flatnonzero(problem.active)]
         names = [f"{i.id}.{n}" for i, p in zip(problem.block.images, problem.parameters, strict=True) for n in p.names]
@@ -396,24 +413,25 @@ class FreeNetwork:
 
 # --- S-transformations ----------------------------------------------------------------------------
 
-#: Maximum condition of the motions, restricted to the unknowns of a datum that fixes them.
+#: Maximum condition number of the motions, restricted to the unknowns of a datum that fixes them.
 FIXES: Final = 1e8
 
 
 def datum_step(difference: Array, null_space: Array, select: Mask) -> Array:
-    """Step ``(S - I) (x - x_0)`` along the motions to the datum; parameters as of :func:`s_transform`."""
+    """Return the step ``(S - I) (x - x_0)`` along the motions to the datum; parameters as in :func:`s_transform`."""
     return np.asarray(-null_space @ (_coordinates(null_space, select) @ difference))
 
 
 def _coordinates(null_space: Array, select: Mask) -> Array:
-    """``(E^T D E)^-1 E^T D`` (d, n): size of each motion, from the unknowns of the datum."""
+    """Return ``(E^T D E)^-1 E^T D`` (d, n): it gives the size of each motion from the unknowns of the datum."""
     part = null_space[select]
     out = np.zeros(null_space.T.shape)
     if not null_space.shape[1]:
         return out
     s = np.linalg.svd(part, compute_uv=False) if len(part) >= part.shape[1] else np.zeros(1)
     if not len(s) or s[-1] * FIXES <= np.linalg.norm(null_space, 2):
-        raise InputError.of("statistics.datum", option="datum", value=f"{int(select.sum())} unknowns",
-                            count=null_space.shape[1])  # fmt: skip
+        raise InputError.of(
+            "statistics.datum", option="datum", value=f"{int(select.sum())} unknowns", count=null_space.shape[1]
+        )
     out[:, select] = np.linalg.pinv(part)
     return out

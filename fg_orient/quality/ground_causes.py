@@ -28,19 +28,21 @@ from fg_orient.quality.image_causes import ImageErrors
 
 #: Number of check points used.
 MOST: Final = 300
-#: Length in metres up to which a height offset can be a geoid undulation, and a constant vector a datum shift.
+#: Maximum length in metres of a height offset that can be a geoid undulation, and of a constant vector that can be a
+#: datum shift.
 UNDULATION_M, DATUM_M = 110.0, 1000.0
-#: Standard deviations within which a constant vector agrees with the shift of a known datum.
+#: Number of standard deviations within which a constant vector agrees with the shift of a known datum.
 AGREES: Final = 3.0
-#: Factors from units in which heights may be given to metres.
+#: Factors to metres from other units of heights.
 UNITS: Final = {"feet": 0.3048, "US survey feet": 1200.0 / 3937.0, "kilometres": 1000.0}
-#: Points with a mistake of a part of a table at least, and most points of a group in which parts are searched.
+#: Minimum number of points with a mistake in a part of a table, and maximum size of a group in which parts are
+#: searched.
 SOME: Final = 3
 MOST_SOME: Final = 100
 #: Name of the group of all measured points.
 ALL: Final = "control and check points"
 _EGM96: Final = "EPSG:4326+5773"
-#: Roles of the groups of points that may have a mistake in common.
+#: Roles of the groups of points that may have a common mistake.
 _ROLES: Final = {
     "control points": (Role.CONTROL,), "check points": (Role.CHECK,),
     ALL: (Role.CONTROL, Role.CHECK),
@@ -61,7 +63,7 @@ class GroundErrors:
         Measured coordinates, ECEF or local, control points first.
     n_control : int
     whitening : (n, 3, 3) array
-        From metres to sigmas.
+        Factors from metres to sigmas.
     v, k : (3 c,), (3 (n - c),) arrays
         Residuals of control points, innovations of check points.
     free, gain, inverse : arrays
@@ -102,11 +104,22 @@ class GroundErrors:
         h = np.einsum("aij,ajbk,blk->aibl", whitening, q, whitening).reshape(3 * len(index), -1)
         w, m = np.einsum("aij,aj->ai", whitening, away).ravel(), 3 * c
         ids = tuple(problem.block.points.ids[j] for j in index)
-        return cls(problem, ids, index, adjusted - away, c, whitening, w[:m], w[m:], np.eye(m) - h[:m, :m], h[m:, :m],
-                   np.linalg.inv(np.eye(len(w) - m) + h[m:, m:]))  # fmt: skip
+        return cls(
+            problem,
+            ids,
+            index,
+            adjusted - away,
+            c,
+            whitening,
+            w[:m],
+            w[m:],
+            np.eye(m) - h[:m, :m],
+            h[m:, :m],
+            np.linalg.inv(np.eye(len(w) - m) + h[m:, m:]),
+        )
 
     def normal(self, error_m: Array) -> tuple[Array, Array]:
-        """G (p,) and M (p, p) of errors (n, 3, p) of the measured coordinates in metres."""
+        """Compute G (p,) and M (p, p) of errors (n, 3, p) of the measured coordinates in metres."""
         e = np.einsum("aij,ajp->aip", self.whitening, error_m).reshape(-1, error_m.shape[2])
         m = 3 * self.n_control
         seen = self.gain @ e[:m] - e[m:]
@@ -114,7 +127,10 @@ class GroundErrors:
         return weighted.T @ self.k - e[:m].T @ self.v, e[:m].T @ self.free @ e[:m] + weighted.T @ seen
 
     def _fitted(self, error_m: Array) -> tuple[float, int, Array, Array]:
-        """T, p, estimates and their standard deviations of free parameters; p = 0 if they cannot be estimated."""
+        """Estimate free parameters: T, p, estimates and their standard deviations.
+
+        p = 0 if they cannot be estimated.
+        """
         g, normal = self.normal(error_m)
         whitened = np.einsum("aij,ajp->aip", self.whitening, error_m)
         length = np.maximum(np.sqrt(np.einsum("aip,aip->p", whitened, whitened)), np.finfo(float).tiny)
@@ -124,7 +140,7 @@ class GroundErrors:
         return float(t), len(g), theta / length, np.sqrt(np.diag(np.linalg.inv(normal)))
 
     def causes(self) -> Iterator[Cause]:
-        """All mistakes in ground coordinates, and the errors of single points."""
+        """Yield all mistakes in ground coordinates, and the errors of single points."""
         n, c = len(self.ids), self.n_control
         penalty = penalty_of(self.problem)
         axes = np.swapaxes(self.problem.axes(self.given_m), 1, 2)  # columns are East, North, Up
@@ -151,15 +167,18 @@ class GroundErrors:
         for a, b in combinations(worst, 2):
             error = np.zeros((n, 3, 1))
             error[a, :, 0], error[b, :, 0] = self.given_m[a] - self.given_m[b], self.given_m[b] - self.given_m[a]
-            yield self._fixed(f"ids of the control points {self.ids[a]} and {self.ids[b]} exchanged", error,
-                              "exchange the two ids in the table of points", "ids",
-                              partial(mended.with_coordinates_of, points={
-                                  self.ids[a]: self.ids[b], self.ids[b]: self.ids[a]}))  # fmt: skip
+            yield self._fixed(
+                f"ids of the control points {self.ids[a]} and {self.ids[b]} exchanged",
+                error,
+                "exchange the two ids in the table of points",
+                "ids",
+                partial(mended.with_coordinates_of, points={self.ids[a]: self.ids[b], self.ids[b]: self.ids[a]}),
+            )
         for a in worst:
             yield from self._second_ids(a, axes[a], *parts[a])
 
     def _second_ids(self, a: int, axes: Array, g: Array, normal: Array) -> Iterator[Cause]:
-        """Causes by which the image points of control point a show the place of another one."""
+        """Yield causes in which the image points of control point a show the place of another control point."""
         error = (self.given_m[a] - self.given_m[: self.n_control]) @ axes
         gain = 2.0 * error @ g - np.einsum("ni,ij,nj->n", error, normal, error)
         name = self.ids[a]
@@ -167,36 +186,61 @@ class GroundErrors:
             if b != a:
                 yield without_parameter(
                     f"one control point under two ids: the image points of {name} show the place of {self.ids[b]}",
-                    float(gain[b]), "give these image points the right id, or leave one of the two points out",
-                    "second id", partial(mended.with_coordinates_of, points={name: self.ids[b]}), name,
-                )  # fmt: skip
+                    float(gain[b]),
+                    "give these image points the right id, or leave one of the two points out",
+                    "second id",
+                    partial(mended.with_coordinates_of, points={name: self.ids[b]}),
+                    name,
+                )
 
     def _offsets(self, name: str, members: Mask, axes: Array, penalty: float) -> Iterator[Cause]:
-        """Constant offsets of a group: of the heights, and of all coordinates."""
+        """Yield the constant offsets of a group: of the heights, and of all coordinates."""
         t, p, theta, sigma = self._fitted(axes[:, :, 2:])
         roles, flat = _ROLES[name], np.array([0.0, 0.0, 1.0])
         if p and self.problem.block.georeferenced and abs(theta[0]) <= UNDULATION_M:
             # a measured height that is too small by the undulation is orthometric
-            text = f"heights of the {name} look orthometric: ellipsoidal heights are {-theta[0]:+.2f} +- " \
-                   f"{sigma[0]:.2f} m above them"  # fmt: skip
+            text = (
+                f"heights of the {name} look orthometric: ellipsoidal heights are {-theta[0]:+.2f} +- "
+                f"{sigma[0]:.2f} m above them"
+            )
             cure = "give the zero level of the table: crs such as EPSG:32636+EGM96, a geoid file, or undulation_m"
             yield Cause(
-                text, cure, t, 1, t - penalty, name,
-                partial(mended.shifted, roles=roles, error_m=theta[0] * flat), detail=partial(self._geoid, members),
-            )  # fmt: skip
+                text,
+                cure,
+                t,
+                1,
+                t - penalty,
+                name,
+                partial(mended.shifted, roles=roles, error_m=theta[0] * flat),
+                detail=partial(self._geoid, members),
+            )
         elif p:
             text = f"a constant error of {theta[0]:+.2f} +- {sigma[0]:.2f} m in the heights of the {name}"
-            yield Cause(text, "look at the vertical datum of the table", t, 1, t - penalty, name,
-                        partial(mended.shifted, roles=roles, error_m=theta[0] * flat))  # fmt: skip
+            yield Cause(
+                text,
+                "look at the vertical datum of the table",
+                t,
+                1,
+                t - penalty,
+                name,
+                partial(mended.shifted, roles=roles, error_m=theta[0] * flat),
+            )
         t, p, theta, sigma = self._fitted(axes)
         if p and np.linalg.norm(theta) <= DATUM_M:
             size = ", ".join(f"{a:+.2f} +- {s:.2f}" for a, s in zip(theta, sigma, strict=True))
             text = (
                 f"a constant shift of the {name}, as from another datum: {size} m {', '.join(self.problem.axis_names)}"
             )
-            yield Cause(text, "look at the coordinate reference system of the table", t, 3, t - 3 * penalty, name,
-                        partial(mended.shifted, roles=roles, error_m=theta),
-                        detail=partial(self._datum, theta, sigma))  # fmt: skip
+            yield Cause(
+                text,
+                "look at the coordinate reference system of the table",
+                t,
+                3,
+                t - 3 * penalty,
+                name,
+                partial(mended.shifted, roles=roles, error_m=theta),
+                detail=partial(self._datum, theta, sigma),
+            )
 
     def _datum(self, error_m: Array, sigma_m: Array) -> str:
         """Name the known datum whose coordinates differ by a constant vector; "" if there is none."""
@@ -209,14 +253,14 @@ class GroundErrors:
         return nearest[1]
 
     def _known_shifts(self) -> tuple[DatumShift, ...]:
-        """Shifts of datums in use here."""
+        """Return the shifts of the datums that are in use in this area."""
         if not self.problem.block.georeferenced:
             return ()
         lon, lat, _ = ecef_to_geodetic(self.problem.origin_m)
         return known_shifts(round(float(lon[0]), 1), round(float(lat[0]), 1))
 
     def _units(self, name: str, members: Mask) -> Iterator[Cause]:
-        """Heights of a group, or of some of its points, in another unit, read as metres."""
+        """Yield the heights of a group, or of some of its points, in another unit that was read as metres."""
         height = self._geodetic()[2]
         up = np.swapaxes(self.problem.axes(self.given_m), 1, 2)[:, :, 2] * members[:, None]
         for unit, factor in UNITS.items():
@@ -229,19 +273,25 @@ class GroundErrors:
             )
 
     def _datums(self, name: str, members: Mask, axes: Array) -> Iterator[Cause]:
-        """Transform some points of a group to another datum; for all points see :meth:`_offsets`."""
+        """Yield transformations of some points of a group to another datum; for all points see :meth:`_offsets`."""
         for one in self._known_shifts():
             shift = np.array([one.east_m, one.north_m, 0.0])
             yield from self._of_some(
-                f"coordinates of {{}} {name} in {one.name}", members, axes @ shift,
-                "look at the coordinate reference system of these points", f"{name} in {one.name}",
+                f"coordinates of {{}} {name} in {one.name}",
+                members,
+                axes @ shift,
+                "look at the coordinate reference system of these points",
+                f"{name} in {one.name}",
                 partial(mended.shifted, roles=_ROLES[name], error_m=shift),
-            )  # fmt: skip
+            )
 
     def _of_some(
         self, what: str, members: Mask, error_m: Array, cure: str, kind: str, mend: Callable[..., Block]
     ) -> Iterator[Cause]:
-        """Known errors (n, 3) of some points of a group, found step by step; each choice of points is a mistake."""
+        """Yield known errors (n, 3) of some points of a group, found step by step.
+
+        Each choice of points is a mistake.
+        """
         rows = np.flatnonzero(members)
         m = len(rows)
         if not 2 * SOME <= m <= MOST_SOME:
@@ -257,7 +307,7 @@ class GroundErrors:
             yield without_parameter(what.format(f"{s} of {m}"), gain - penalty, cure, kind, partial(mend, only=only))
 
     def image_normal(self, errors: ImageErrors, error: Array) -> tuple[Array, Array]:
-        """G (p,) and M (p, p) of whitened errors (q, p) of image points."""
+        """Compute G (p,) and M (p, p) of whitened errors (q, p) of image points."""
         c = self.n_control
         g, normal, moved = errors.normal(error, self.index[c:])
         seen = np.einsum("aij,ajp->aip", self.whitening[c:], moved).reshape(-1, error.shape[1])
@@ -265,18 +315,18 @@ class GroundErrors:
         return g + weighted.T @ self.k, normal + weighted.T @ seen
 
     def _fixed(self, what: str, error_m: Array, cure: str, kind: str, mend: Mend) -> Cause:
-        """Cause without free parameter, from its error (n, 3, 1) in metres."""
+        """Return a cause without free parameter, from its error (n, 3, 1) in metres."""
         g, normal = self.normal(error_m)
         return without_parameter(what, float(2.0 * g[0] - normal[0, 0]), cure, kind, mend)
 
     def _geodetic(self) -> tuple[Array, Array, Array]:
-        """Longitude and latitude in degrees, height in metres; local coordinates as they are."""
+        """Return longitude and latitude in degrees and height in metres; local coordinates are returned unchanged."""
         if not self.problem.block.georeferenced:
             return self.given_m[:, 0], self.given_m[:, 1], self.given_m[:, 2]
         return ecef_to_geodetic(self.given_m)
 
     def _geoid(self, members: Mask) -> str:
-        """Mean undulation at the points of a group in words: of EGM96, or coarse if its grid is not installed."""
+        """Describe the mean undulation at the points of a group: from EGM96, or coarse if its grid is not installed."""
         lon, lat, _ = self._geodetic()
         try:
             return f", EGM96 gives {np.mean(undulation_m(_EGM96, lon[members], lat[members])):+.1f} m"
@@ -286,7 +336,7 @@ class GroundErrors:
 
 
 def _best_part(g: Array, normal: Array) -> tuple[Mask, float]:
-    """Members (m,) whose errors of size 1 together have the largest gain ``2 sum(g) - sum(M)``, and this gain.
+    """Return the members (m,) whose errors of size 1 have the largest joint gain ``2 sum(g) - sum(M)``, and the gain.
 
     Members are added to an empty set, and removed from the full set, one by one; the better result is used.
     """

@@ -8,8 +8,8 @@ added. Three tests use T; without gross errors:
   ``tau = sqrt(T) / m0``;
 - **t** or F, scale without the suspect: ``F = (T/d) / ((v^T v - T)/(f - d)) ~ F(d, f - d)``; d = 1: ``t = sqrt(F)``.
 
-Pope's statistic is a monotone function of the third, so both give the same decision and probability. They require
-correct ratios of the sigmas only; Baarda's test requires correct sigmas.
+Pope's statistic is a monotone function of t or F, so both give the same decision and probability. They require correct
+ratios of the sigmas only; Baarda's test requires correct sigmas.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ from fg_orient.model.distributions import (
 from fg_orient.model.errors import InputError
 from fg_orient.model.options import MultipleTesting, OutlierTest
 
-#: Name of the statistic for one degree of freedom, and for more.
+#: Names of the statistic for one degree of freedom, and for more.
 SYMBOLS: Final[dict[str, tuple[str, str]]] = {"baarda": ("w", "T"), "pope": ("tau", "T/m0^2"), "t": ("t", "F")}
-#: Directions below this share of a free observation are not checked by the other observations.
+#: Least share of a free observation in a direction that the other observations check.
 CHECKED: Final = 1e-6
 _TINY: Final = float(np.finfo(float).tiny)
-#: Relative precision of the remaining v^T v: it is not zero, even if one suspect explains all residuals.
+#: Relative precision of the v^T v that remains: it is not zero, even if one suspect explains all residuals.
 _ROUNDING: Final = float(np.finfo(float).eps)
 
 
@@ -57,21 +57,21 @@ def require_names(test: str, control: str, level: float) -> None:
 
 
 def can_be_tested(d: npt.ArrayLike, redundancy: float | Array, test: str) -> Mask:
-    """Whether d parameters (n,) of an error can be tested; an estimated scale needs remaining redundancy."""
+    """Return whether d parameters (n,) of an error can be tested; an estimated scale needs remaining redundancy."""
     d = np.asarray(d)
     return np.asarray((d > 0) & ((d <= redundancy) if test == "baarda" else (d < redundancy)))
 
 
 def eigen(q: Array) -> tuple[Array, Array]:
-    """Eigenvalues (..., k), ascending, and eigenvectors (..., k, k) in columns, of symmetric matrices (..., k, k).
+    """Return ascending eigenvalues (..., k) and eigenvectors (..., k, k), in columns, of symmetric matrices.
 
-    Of two rows in closed form, as Jacobi's rotation: LAPACK takes 0.5 us for each of these matrices.
+    Matrices of two rows are decomposed in closed form, as in Jacobi's rotation: LAPACK takes 0.5 us for each of them.
     """
     if q.shape[-1] != 2:
         return np.linalg.eigh(q)
     a, b, c = q[..., 0, 0], q[..., 0, 1], q[..., 1, 1]
     middle, apart = 0.5 * (a + c), np.hypot(0.5 * (a - c), b)
-    angle = 0.5 * np.arctan2(2.0 * b, a - c)  # of the eigenvector of the larger eigenvalue
+    angle = 0.5 * np.arctan2(2.0 * b, a - c)  # angle of the eigenvector of the larger eigenvalue
     x, y = np.cos(angle), np.sin(angle)
     axes = np.empty(q.shape)
     axes[..., 0, 0], axes[..., 1, 0], axes[..., 0, 1], axes[..., 1, 1] = -y, x, x, y
@@ -79,30 +79,31 @@ def eigen(q: Array) -> tuple[Array, Array]:
 
 
 def quadratic(v: Array, q: Array) -> tuple[Array, Index, Array]:
-    """``v^T Q^+ v`` (n,), the rank d of Q (n,) and ``Q^+ v`` (n, k), of v (n, k) with cofactors Q (n, k, k)."""
+    """Compute ``v^T Q^+ v`` (n,), rank d of Q (n,) and ``Q^+ v`` (n, k) for v (n, k) with cofactors Q (n, k, k)."""
     size, axes = eigen(q)
     checked = size > CHECKED
     along = np.einsum("...ka,...k->...a", axes, v)
     share = np.where(checked, along / np.where(checked, size, 1.0), 0.0)
     return (
-        np.sum(along * share, axis=-1), np.asarray(np.sum(checked, axis=-1), np.intp),
+        np.sum(along * share, axis=-1),
+        np.asarray(np.sum(checked, axis=-1), np.intp),
         np.einsum("...ka,...a->...k", axes, share),
-    )  # fmt: skip
+    )
 
 
 def statistics(t: Array, d: Index, chi2: npt.ArrayLike, redundancy: float | Array, test: str) -> Array:
-    """Reported statistic: w, tau, t for d = 1; T, T/m0^2, F for more.
+    """Compute the reported statistic: w, tau, t for d = 1; T, T/m0^2, F for more.
 
     Parameters
     ----------
     t : (n,) array
-        Decrease T of the weighted sum of squares; any shape that broadcasts with the others.
+        Decrease T of the weighted sum of squares; any shape that broadcasts with the other arguments.
     d : (n,) int array
-        Degrees of freedom of T, where it can be tested.
+        Degrees of freedom of T, which must be testable.
     chi2 : float or array
-        v^T v with the suspects.
+        v^T v including the suspects.
     redundancy : int
-        f, without the suspects' parameters.
+        f, without the parameters of the suspects.
     test : str
     """
     chi2 = np.asarray(chi2, dtype=np.float64)
@@ -116,14 +117,14 @@ def statistics(t: Array, d: Index, chi2: npt.ArrayLike, redundancy: float | Arra
 
 
 def f_statistics(t: npt.ArrayLike, d: npt.ArrayLike, chi2: npt.ArrayLike, redundancy: float | Array) -> Array:
-    """F for any d, with the scale estimated without the suspect; arguments as of :func:`statistics`."""
+    """Compute F for any d, with the scale estimated without the suspect; arguments as in :func:`statistics`."""
     t, chi2 = np.asarray(t, np.float64), np.asarray(chi2, np.float64)
     left = np.maximum(np.maximum(chi2 - t, _ROUNDING * chi2), _TINY)
     return np.asarray(t / d / (left / (redundancy - np.asarray(d))))
 
 
 def probabilities(t: Array, d: Index, chi2: npt.ArrayLike, redundancy: float | Array, test: str) -> Array:
-    """Probability of a larger statistic without a gross error; arguments as of :func:`statistics`."""
+    """Return the probability of a larger statistic if there is no gross error; arguments as in :func:`statistics`."""
     if test == "baarda":
         return chi_square_tail(d, t)
     chi2 = np.asarray(chi2, dtype=np.float64)
@@ -132,7 +133,7 @@ def probabilities(t: Array, d: Index, chi2: npt.ArrayLike, redundancy: float | A
 
 
 def limits(level: npt.ArrayLike, d: Index, redundancy: float | Array, test: str) -> Array:
-    """Limits of the statistics of :func:`statistics` for a false alarm with probability ``level`` in each.
+    """Return the limits of the statistics of :func:`statistics`; each has a false alarm with probability ``level``.
 
     For d = 1 Pope's limit is ``sqrt(f) t / sqrt(f - 1 + t^2)``, t Student's quantile of f - 1 degrees of freedom.
     """
@@ -146,7 +147,7 @@ def _limits(level: npt.ArrayLike, d: Index, redundancy: float | Array, test: str
         value: Array = chi_square_limit(d, level)
     else:
         share = beta_limit(0.5 * d, 0.5 * (redundancy - d), level)
-        rest = beta_quantile(0.5 * (redundancy - d), 0.5 * d, level)  # 1 - share, with its digits
+        rest = beta_quantile(0.5 * (redundancy - d), 0.5 * d, level)  # 1 - share, without loss of digits
         ratio = redundancy * share if test == "pope" else share / rest * (redundancy - d) / d
         value = np.asarray(ratio, dtype=np.float64)
     return np.where(np.asarray(d) == 1, np.sqrt(value), value)
@@ -162,9 +163,9 @@ def level_of_each(p: Array, level: float, control: str) -> float:
     level : float
         alpha.
     control : str
-        "none": alpha each. "bonferroni", alpha/n, "sidak", 1 - (1 - alpha)^(1/n), and "holm" (1979): alpha bounds the
-        probability of any false alarm. "benjamini_hochberg" (1995): alpha bounds the expected share of false ones
-        among the alarms.
+        "none": each test has the level alpha. "bonferroni", alpha/n, "sidak", 1 - (1 - alpha)^(1/n), and "holm" (1979):
+        alpha bounds the probability of any false alarm. "benjamini_hochberg" (1995): alpha bounds the expected share of
+        false alarms among the alarms.
 
     For the last two (step-wise) controls the result is the level of the last rejected hypothesis: all with
     ``p <= level`` are rejected.
@@ -186,20 +187,20 @@ def level_of_each(p: Array, level: float, control: str) -> float:
 
 @dataclass(frozen=True)
 class GlobalTest:
-    """Test of the whole model: agreement of the weighted sum of squares with sigmas and redundancy.
+    """Test of the whole model by the agreement of the weighted sum of squares with sigmas and redundancy.
 
     Parameters
     ----------
     statistic : float
         v^T v.
     redundancy : int
-        f; ``v^T v ~ chi2(f)`` if model and weights hold.
+        f; ``v^T v ~ chi2(f)`` if model and weights are correct.
     level : float
-        Probability of a false alarm on both sides together.
+        Probability of a false alarm, for both sides together.
     limits : (float, float)
-        The model is accepted between them.
+        Lower and upper limit of the statistic; the model is accepted between them.
     probability : float
-        Twice the smaller tail.
+        Twice the smaller tail probability.
     """
 
     statistic: float
@@ -210,7 +211,7 @@ class GlobalTest:
 
     @property
     def accepted(self) -> bool:
-        """Whether the statistic is within its limits."""
+        """True if the statistic is within its limits."""
         return self.limits[0] <= self.statistic <= self.limits[1]
 
 

@@ -26,19 +26,19 @@ from fg_orient.quality.elimination import PointRows, eliminated_points, free_cof
 from fg_orient.quality.residuals import ResidualCofactors
 from fg_orient.quality.suspects import suspects
 
-#: Most rays of a point whose partitions in two groups are tried.
+#: Maximum number of rays of a point whose partitions in two groups are tested.
 MOST_RAYS: Final = 8
-#: Most image points of a block whose image points are tried.
+#: Maximum number of image points of a block whose image points are tested.
 MOST_OBSERVED: Final = 20_000
-#: Number of images up to which another origin of the pixels is tried for each image.
+#: Maximum number of images for which another origin of the pixels is tested image by image.
 MOST_IMAGES: Final = 30
-#: Differences of origins of pixels.
+#: Tested differences between origins of pixels.
 ORIGINS_PX: Final = (0.5, 1.0, -0.5, -1.0)
 
 
 @dataclass(frozen=True, eq=False)
 class ImageErrors:
-    """Errors of image points and control points at a solution whose ground points are eliminated.
+    """Errors of image points and control points at a solution with eliminated ground points.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class ImageErrors:
     v : (q,) array
         Whitened residuals of all image points, then of all control points in East, North, Up.
     rows : Rows
-        Of all image points.
+        Rows of all image points.
     points : tuple of PointRows
     q : (u, u) array
         Cofactors of the unknowns of all images, shared ones once.
@@ -60,7 +60,7 @@ class ImageErrors:
 
     @classmethod
     def of(cls, known: ResidualCofactors) -> ImageErrors | None:
-        """Errors at a solution; None of large blocks, and if extra observations name points, which stay unknowns."""
+        """Return the errors at a solution; None for large blocks, and if extra observations name points."""
         problem = known.problem
         large = len(problem.observations) > MOST_OBSERVED or problem.n_image_unknowns > WHOLE_LIMIT
         if large or problem.named_points():
@@ -71,7 +71,7 @@ class ImageErrors:
                    free_cofactors(problem, known.cofactors.joint, []))  # fmt: skip
 
     def normal(self, error: Array, points: Index) -> tuple[Array, Array, Array]:
-        """``-e^T v`` (p,), ``e^T R e`` (p, p) and movements (n, 3, p) m of ground points of whitened errors (q, p)."""
+        """Return ``-e^T v`` (p,), ``e^T R e`` (p, p) and movements (n, 3, p) m of points, for errors e (q, p)."""
         size, b = error.shape[1], np.zeros((len(self.q), error.shape[1]))
         own = np.zeros((size, size))
         for part in self.points:
@@ -86,7 +86,7 @@ class ImageErrors:
         return -error.T @ self.v, own - b.T @ moved, self._of_points(error, moved, points)
 
     def _of_points(self, error: Array, moved: Array, points: Index) -> Array:
-        """Movements (n, 3, p) of ground points by errors and by movements (u, p) of the unknowns of the images."""
+        """Return movements (n, 3, p) of ground points caused by errors and by movements (u, p) of the images."""
         problem, o = self.known.problem, self.known.problem.observations
         out = np.zeros((len(points), 3, error.shape[1]))
         wide = moved[image_columns(problem, o.image)]
@@ -99,7 +99,7 @@ class ImageErrors:
         return out
 
     def shifted(self, images: tuple[int, ...], shift_px: float) -> Array:
-        """Whitened error (q,) of a shift of line and sample of all image points of some images."""
+        """Return the whitened error (q,) of a shift of line and sample of all image points of some images."""
         o, out = self.known.problem.observations, np.zeros(len(self.v))
         mine = np.isin(o.image, images)[:, None]
         out[: 2 * len(o)] = np.where(
@@ -108,10 +108,10 @@ class ImageErrors:
         return out
 
     def split(self, points: Index) -> Iterator[tuple[int, tuple[int, ...], Array, Array]]:
-        """Partitions of the rays of a point in two groups that see two places, each determined by its own rays.
+        """Yield partitions of the rays of a point into two groups that see two places; each group determines its place.
 
-        Yields the point, the images of the group without coordinates, and ``-E^T v`` (3,) and ``E^T R E`` (3, 3) of
-        its distance from the other place in metres.
+        Each result contains the point, the images of the group without coordinates, and ``-E^T v`` (3,) and ``E^T R E``
+        (3, 3) of its distance from the other place in metres.
         """
         o = self.known.problem.observations
         for part in self.points:
@@ -129,17 +129,20 @@ class ImageErrors:
 
 
 def _groups(n: int, is_control: bool) -> Iterator[tuple[int, ...]]:
-    """Groups of at least two of n rays; two other rays, or one and the coordinates of a control point, remain."""
+    """Yield groups of at least two of n rays.
+
+    Two other rays, or one ray and the coordinates of a control point, remain.
+    """
     if n > MOST_RAYS:
         return
     for size in range(2, n - (1 if is_control else 2) + 1):
         for group in combinations(range(n), size):
-            if is_control or 0 not in group:  # the other group of a tie point gives the same
+            if is_control or 0 not in group:  # the other group of a tie point gives the same partition
                 yield group
 
 
 def image_causes(errors: ImageErrors, normal: Callable[[Array], tuple[Array, Array]]) -> Iterator[Cause]:
-    """Other origins of the pixels, and two points under one id; ``normal``: see :meth:`GroundErrors.image_normal`."""
+    """Yield other pixel origins, and two points under one id; ``normal``: see :meth:`GroundErrors.image_normal`."""
     problem = errors.known.problem
     ids, names, m = problem.block.points.ids, [image.id for image in problem.block.images], problem.n_images
     groups = [tuple(range(m)), *([(k,) for k in range(m)] if 1 < m <= MOST_IMAGES else [])]
@@ -149,9 +152,12 @@ def image_causes(errors: ImageErrors, normal: Callable[[Array], tuple[Array, Arr
         of = "all images" if len(group) == m else f"image {names[group[0]]}"
         yield without_parameter(
             f"another origin of the pixels of {of}: lines and samples are {abs(shift):g} px too "
-            f"{'large' if shift > 0 else 'small'}", gain, "look at the origin of lines and samples in the table",
-            "origin", partial(mended.with_shifted_pixels, images=group, shift_px=(-shift, -shift)),
-        )  # fmt: skip
+            f"{'large' if shift > 0 else 'small'}",
+            gain,
+            "look at the origin of lines and samples in the table",
+            "origin",
+            partial(mended.with_shifted_pixels, images=group, shift_px=(-shift, -shift)),
+        )
     penalty = penalty_of(problem)
     for j, group, g, square in errors.split(_worst_points(errors.known)):
         t, p, distance = hypotheses.quadratic(g, square)
@@ -159,13 +165,18 @@ def image_causes(errors: ImageErrors, normal: Callable[[Array], tuple[Array, Arr
             seen = ", ".join(names[k] for k in group)
             yield Cause(
                 f"two points under the id {ids[j]}: images {seen} show another one, "
-                f"{float(np.linalg.norm(distance)):.2f} m away", "give one of them its own id", float(t), 3,
-                float(t - 3 * penalty), "split", partial(mended.with_split_point, point=j, images=group),
-            )  # fmt: skip
+                f"{float(np.linalg.norm(distance)):.2f} m away",
+                "give one of them its own id",
+                float(t),
+                3,
+                float(t - 3 * penalty),
+                "split",
+                partial(mended.with_split_point, point=j, images=group),
+            )
 
 
 def single_rays(known: ResidualCofactors) -> Iterator[Cause]:
-    """Errors of single image points."""
+    """Yield the errors of single image points."""
     image, penalty = suspects(known)[0], penalty_of(known.problem)
     t, d, _ = image.quadratic()
     for j, gain, free in zip(image.point.tolist(), t.tolist(), d.tolist(), strict=True):
@@ -175,7 +186,10 @@ def single_rays(known: ResidualCofactors) -> Iterator[Cause]:
 
 
 def _worst_points(residuals: ResidualCofactors) -> Index:
-    """Ground points with the largest errors, tested with all their observations; few of a large block."""
+    """Return the ground points with the largest errors, tested with all their observations.
+
+    Only a few of a large block.
+    """
     squares = np.zeros(len(residuals.problem.active))
     for family in suspects(residuals, "points"):
         squares[family.point] = family.quadratic()[0]

@@ -1,7 +1,7 @@
 """Regularisation of more than 2000 image unknowns: Tikhonov's method with sampled traces, without a decomposition.
 
 The penalty is the deviation in prior sigmas. Rank and singular values are not computed. With the cofactors Q of the
-solution and kappa, the resolution is ``I - (kappa + p) Q``; p is 1 with priors, else 0.
+solution and kappa, the resolution is ``I - (kappa + p) Q``; p is 1 with priors and 0 without.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from fg_orient.quality.cofactors import PointCofactors
 
 
 def large_regularisation(problem: Problem) -> Regularisation:
-    """Regularisation of a large problem at its start.
+    """Choose the regularisation of a large problem at its start.
 
-    InputError: another method, penalty or unit; a rule that needs a decomposition.
+    InputError: another method, penalty or unit was chosen, or a rule that needs a decomposition.
     """
     options, z = problem.block.options, problem.n_free_unknowns
     if (options.regularisation, options.penalty, options.regularised_units) != (
@@ -48,7 +48,7 @@ def large_regularisation(problem: Problem) -> Regularisation:
 
 
 def _choice(problem: Problem) -> KappaChoice:
-    """Kappa by the rule of the options."""
+    """Choose kappa by the rule of the options."""
     options = problem.block.options
     if options.kappa_rule == "bayes":
         return KappaChoice(1.0, "bayes")
@@ -67,7 +67,7 @@ def _choice(problem: Problem) -> KappaChoice:
 
 
 def sampled_ridge(problem: Problem, rule: str) -> SampledRidge:
-    """Tikhonov solutions of the reduced system at the start, without priors."""
+    """Return the Tikhonov solutions of the reduced system at the start, without priors."""
     equations = NormalEquations.of(without_penalties(problem), problem.start)
     priors = problem.n_free_unknowns if problem.block.options.priors else 0
     rows = problem.n_observations - priors - 3 * int(problem.active.sum())
@@ -75,7 +75,10 @@ def sampled_ridge(problem: Problem, rule: str) -> SampledRidge:
 
 
 def large_record(problem: Problem, state: State, cofactors: PointCofactors | None) -> dict[str, Any]:
-    """Values of ``resolution.record_of`` for a large problem; null: they need a decomposition or the cofactors."""
+    """Return values of ``resolution.record_of`` for a large problem.
+
+    Values that need a decomposition or cofactors are null.
+    """
     chosen = problem.regularisation
     assert chosen is not None and chosen.kappa is not None
     p, z = 1.0 if problem.block.options.priors else 0.0, problem.n_free_unknowns
@@ -86,7 +89,11 @@ def large_record(problem: Problem, state: State, cofactors: PointCofactors | Non
     solve = NormalEquations.of(without_penalties(problem), state).factor(chosen.kappa + p)
     share = 1.0 - (chosen.kappa + p) * q
     columns: dict[str, Array] = {
-        "resolution": share, "sd_posterior": np.sqrt(q), "sd_noise": nothing,
-        "bias_plug_in": -chosen.kappa * solve(x[:, None])[:, 0], "bias_bound": nothing, "rmse_simulated": nothing,
-    }  # fmt: skip
+        "resolution": share,
+        "sd_posterior": np.sqrt(q),
+        "sd_noise": nothing,
+        "bias_plug_in": -chosen.kappa * solve(x[:, None])[:, 0],
+        "bias_bound": nothing,
+        "rmse_simulated": nothing,
+    }
     return {"effective_unknowns": float(share.sum()), "columns": columns}

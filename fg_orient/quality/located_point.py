@@ -1,4 +1,4 @@
-"""Points located with the adjusted orientation, with covariance from measurement, orientation and height.
+"""Location of points with the adjusted orientation, with covariance from measurement, orientation and height.
 
 The whitened rows of the image points at the located point, ``e + J dx + G dX = 0``, are solved for dX; a point of one
 image has a third row, the height (or the slope of the DEM). With B the inverse or, for several images, the
@@ -6,7 +6,7 @@ pseudo-inverse ``(G^T G)^-1 G^T``::
 
     C = B (I + J C_x J^T) B^T
 
-C_x is the joint covariance of the images; it includes the correlation of their errors.
+C_x is the joint covariance of the images, so it includes the correlation of their errors.
 
 Error ellipses and the radii CE90, LE90 and SE90 follow exactly from the covariance: the normal density is integrated
 over the circle or sphere. The usual rule, CE90 = 2.146 times the mean of the two sigmas, is valid for circles only: for
@@ -48,9 +48,9 @@ class LocatedPoint:
     Parameters
     ----------
     ground_m : (3,) array
-        ECEF, or X, Y, Z of a local system.
+        Coordinates in ECEF, or X, Y, Z of a local system.
     covariance_m2 : (3, 3) array
-        In the same axes.
+        Covariance in the same axes.
     axes : (3, 3) array
         Rotation to East, North, Up; identity in a local system.
     """
@@ -98,7 +98,7 @@ class LocatedPoint:
 
 @dataclass(frozen=True)
 class Orientation:
-    """Adjusted orientation of a block: ``scale`` turns roots of cofactors into standard deviations."""
+    """Adjusted orientation of a block; ``scale`` converts roots of cofactors to standard deviations."""
 
     problem: Problem
     state: State
@@ -106,24 +106,26 @@ class Orientation:
     scale: float
 
     def index(self, image: str) -> int:
-        """Index of an image; InputError for an unknown image."""
+        """Return the index of an image; InputError for an unknown image."""
         place = self.problem.block.find(f"image:{image}")
         if place is None:
             raise InputError.of("covariance.no_such", place="image", value=image)
         return place[1]
 
     def measured(self, pixels: Mapping[str, Pixel], sigma_px: Pixel | None) -> ImagePoints:
-        """Image points of one ground point.
+        """Return the image points of one ground point.
 
-        Default sigmas: medians of the image's measurements times ``scale``.
+        Default sigmas are the medians of the image's measurements times ``scale``.
         """
         o = self.problem.observations
         rows = []
         for image, (line, sample) in pixels.items():
             k = self.index(image)
             own = o.image == k
-            usual = (self.scale * float(np.median(s[own])) if own.any() else np.nan
-                     for s in (o.sigma_line_px, o.sigma_sample_px))  # fmt: skip
+            usual = (
+                self.scale * float(np.median(s[own])) if own.any() else np.nan
+                for s in (o.sigma_line_px, o.sigma_sample_px)
+            )
             rows.append((k, 0, line, sample, *(sigma_px or usual)))
         columns = [np.array(c) for c in zip(*rows, strict=True)]
         if not (np.isfinite(columns[4:]).all() and np.min(columns[4:]) > 0.0):
@@ -131,7 +133,7 @@ class Orientation:
         return ImagePoints(*columns)
 
     def rows(self, points: ImagePoints, ground_m: Array) -> tuple[Array, Array, Array]:
-        """Whitened residuals (2k,), their derivatives by the ground point (2k, 3), and ``J C_x J^T`` (2k, 2k)."""
+        """Return whitened residuals (2k,), derivatives by the ground point (2k, 3), and ``J C_x J^T`` (2k, 2k)."""
         p, k = self.problem, len(points)
         records = whitened_records(p.models, points, ground_m[None], p.origin_m)
         at = State(self.state.image, (ground_m - p.origin_m)[None])
@@ -142,9 +144,15 @@ class Orientation:
 
 
 def locate(
-    orientation: Orientation, image: str, pixel: Pixel, *, height_m: float | None, dem: HeightSurface | None,
-    height_sigma_m: float, sigma_px: Pixel | None,
-) -> LocatedPoint:  # fmt: skip
+    orientation: Orientation,
+    image: str,
+    pixel: Pixel,
+    *,
+    height_m: float | None,
+    dem: HeightSurface | None,
+    height_sigma_m: float,
+    sigma_px: Pixel | None,
+) -> LocatedPoint:
     """Locate a pixel of one image at a height or on a DEM; see ``Solution.locate``."""
     if (height_m is None) == (dem is None):
         raise InputError.of("statistics.one_height", place="height_m, dem")
@@ -164,7 +172,7 @@ def locate(
 
 
 def _slope(dem: HeightSurface, ground_m: Array, axes: Array) -> Array:
-    """Slope of the DEM to East and North, metres per metre, over 2 m around the point."""
+    """Return the slope of the DEM to East and North, metres per metre, over 2 m around the point."""
     steps = SLOPE_M * np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
     lon, lat, _ = ellipsoid.geodetic_array(np.ascontiguousarray(ground_m + steps @ axes)).T
     east, west, north, south = dem.height_m(np.degrees(lon), np.degrees(lat))
@@ -181,9 +189,11 @@ def intersect(orientation: Orientation, pixels: Mapping[str, Pixel], *, sigma_px
     p, points = orientation.problem, orientation.measured(pixels, sigma_px)
     corrections = p.corrections(orientation.state)
     ground = initial.intersect(
-        [p.block.images[k].sensor for k in points.image], points.line, points.sample,
+        [p.block.images[k].sensor for k in points.image],
+        points.line,
+        points.sample,
         [corrections[k] for k in points.image],
-    )[0]  # fmt: skip
+    )[0]
     for _ in range(MAX_STEPS):
         residual, g, c = orientation.rows(points, ground)
         step = -np.linalg.lstsq(g, residual, rcond=None)[0]
@@ -207,7 +217,7 @@ _NODE, _WEIGHT = np.polynomial.legendre.leggauss(NODES)
 
 @dataclass(frozen=True)
 class ErrorEllipse:
-    """Ellipse of one sigma (39 % of the errors).
+    """Error ellipse of one sigma (contains 39 % of the errors).
 
     Parameters
     ----------
@@ -222,7 +232,7 @@ class ErrorEllipse:
 
 
 def error_ellipse(covariance_m2: Array) -> ErrorEllipse:
-    """Error ellipse of East and North from their covariance (2, 2)."""
+    """Compute the error ellipse of East and North from their covariance (2, 2)."""
     size, axes = np.linalg.eigh(covariance_m2)
     minor, major = np.sqrt(np.maximum(size, 0.0))
     east, north = axes[:, 1]
@@ -230,7 +240,7 @@ def error_ellipse(covariance_m2: Array) -> ErrorEllipse:
 
 
 def radius(covariance: Array, probability: float = 0.9) -> float:
-    """Radius of the interval, circle or sphere around 0 that contains this share of normal errors.
+    """Compute the radius of the interval, circle or sphere around 0 that contains this share of normal errors.
 
     Parameters
     ----------
@@ -242,14 +252,15 @@ def radius(covariance: Array, probability: float = 0.9) -> float:
     Returns
     -------
     float
-        In the unit of the root of the covariance.
+        Radius in the unit of the root of the covariance.
     """
     from scipy.optimize import brentq
 
     sigma = np.sqrt(np.maximum(np.linalg.eigvalsh(np.atleast_2d(covariance)), 0.0))[::-1]
     if sigma[0] == 0.0:
         return 0.0
-    low = float(normal_quantile(0.5 * (1.0 + probability)))  # errors along one axis; ``high``: equal along all axes
+    # the lower bound belongs to errors along one axis, the upper one to equal errors along all axes
+    low = float(normal_quantile(0.5 * (1.0 + probability)))
     if len(sigma) == 1 or sigma[1] == 0.0:
         return float(low * sigma[0])
     high = float(np.sqrt(chi_square_limit(len(sigma), 1.0 - probability)))
@@ -259,12 +270,12 @@ def radius(covariance: Array, probability: float = 0.9) -> float:
 
 
 def inside(sigma: Array, r: float) -> float:
-    """Probability of a distance below r for independent normal errors with these sigmas (d,), largest first."""
+    """Return probability of a distance below r for independent normal errors with these sigmas (d,), largest first."""
     return float(_inside(sigma, np.array([r]))[0])
 
 
 def _inside(sigma: Array, r: Array) -> Array:
-    """See :func:`inside`, for radii (n,); one axis is integrated after the other."""
+    """Compute :func:`inside` for radii (n,); one axis is integrated after the other."""
     if sigma[0] == 0.0:
         return np.ones_like(r)
     if len(sigma) == 1:

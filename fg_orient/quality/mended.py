@@ -1,4 +1,4 @@
-"""Blocks in which a supposed mistake in the measured coordinates is undone; the given block stays as it is."""
+"""Copies of blocks in which a supposed mistake in the measured coordinates is corrected."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from fg_orient.quality.stated_sigmas import WORDS
 def with_measured(
     block: Block, roles: Collection[Role], change: Callable[[Array], Array], only: Collection[str] = ()
 ) -> Block:
-    """Block in which the measured coordinates (n, 3) m of control or check points are changed.
+    """Return the block in which the measured coordinates (n, 3) m of control or check points are changed.
 
     Parameters
     ----------
     block : Block
     roles : collection of Role
-        Control, check, or both. Coordinates of check points are changed when they are opened.
+        Control, check, or both roles. Coordinates of check points are changed when they are opened.
     change : callable
     only : collection of str
         Ids of the points; default: all of these roles.
@@ -52,7 +52,7 @@ def with_measured(
 
 
 def shifted(block: Block, roles: Collection[Role], error_m: Array, only: Collection[str] = ()) -> Block:
-    """Block without a constant error (3,) m East, North, Up (or along the local axes) of these measured coordinates."""
+    """Remove a constant error (3,) m East, North, Up (or along the local axes) from measured coordinates."""
 
     def change(ecef_m: Array) -> Array:
         if not block.georeferenced:
@@ -64,7 +64,7 @@ def shifted(block: Block, roles: Collection[Role], error_m: Array, only: Collect
 
 
 def heights_times(block: Block, roles: Collection[Role], factor: float, only: Collection[str] = ()) -> Block:
-    """Block with the measured heights of these points multiplied by a factor."""
+    """Return the block with the measured heights of these points multiplied by a factor."""
 
     def change(ecef_m: Array) -> Array:
         if not block.georeferenced:
@@ -77,7 +77,7 @@ def heights_times(block: Block, roles: Collection[Role], factor: float, only: Co
 
 
 def with_sigmas(block: Block, group: str, factor: float) -> Block:
-    """Block with the standard deviations of a group multiplied by a factor; see :data:`stated_sigmas.WORDS`."""
+    """Return block with the standard deviations of a group multiplied by a factor; see :data:`stated_sigmas.WORDS`."""
     o, known = block.observations, block.points.known
     words = {word: name for name, (word, _) in WORDS.items()}
     if words[group] == "image":
@@ -98,7 +98,7 @@ def with_coordinates_of(block: Block, points: dict[str, str]) -> Block:
 
 
 def with_shifted_pixels(block: Block, images: Collection[int], shift_px: tuple[float, float]) -> Block:
-    """Block with line and sample of the image points of some images shifted."""
+    """Return the block with line and sample of the image points of some images shifted."""
     o = block.observations
     mine = np.isin(o.image, list(images))
     line, sample = (np.where(mine, x + d, x) for x, d in zip((o.line, o.sample), shift_px, strict=True))
@@ -106,7 +106,7 @@ def with_shifted_pixels(block: Block, images: Collection[int], shift_px: tuple[f
 
 
 def with_split_point(block: Block, point: int, images: Collection[int]) -> Block:
-    """Block in which the image points of a ground point in some images belong to another, new tie point."""
+    """Return the block in which the image points of a ground point in some images belong to another, new tie point."""
     o, points, known = block.observations, block.points, block.points.known
     name = points.ids[point]
     while name in points.ids:
@@ -118,6 +118,7 @@ def with_split_point(block: Block, point: int, images: Collection[int]) -> Block
         np.append(known.fixed, False),
     )  # fmt: skip
     return replace(
-        block, observations=replace(o, point=of),
+        block,
+        observations=replace(o, point=of),
         points=replace(points, ids=(*points.ids, name), roles=(*points.roles, Role.TIE), known=coordinates),
-    )  # fmt: skip
+    )

@@ -22,19 +22,20 @@ from fg_orient.model.errors import FgOrientError, Finding, finding
 from fg_orient.model.names import Role
 from fg_orient.quality.mended import with_coordinates_of, with_measured
 
-#: Minimum number of points, factor by which another reading must fit better, most images compared.
+#: Minimum number of points, factor by which another reading must fit better, maximum number of images compared.
 LEAST_POINTS: Final = 3
 BETTER: Final = 10.0
 MOST_IMAGES: Final = 30
-#: Median distance in pixels up to which nothing is mixed up: other readings move points farther.
+#: Median distance in pixels up to which no mix-up is assumed: other readings move points farther.
 FAR_PX: Final = 30.0
 #: Standard deviations within which two control points have the same coordinates.
 SAME: Final = 3.0
-#: Distance in pixels of points that a sensor cannot project: on the other side of the Earth, for instance.
+#: Distance in pixels assigned to points that a sensor cannot project, for instance on the other side of the Earth.
 NOWHERE_PX: Final = 1e6
-#: Distance in metres from the centre of an image above which a point is not projected: all projections could fail.
+#: Maximum distance in metres from the centre of an image of a point that is projected: farther away the projection can
+#: fail.
 REACH_M: Final = 2e6
-#: Most control points whose places are compared.
+#: Maximum number of control points whose places are compared.
 MOST_POINTS: Final = 300
 
 Reading = Callable[[Array, Array, Any], tuple[Array, Array]]
@@ -65,7 +66,7 @@ READINGS: Final[dict[str, Reading]] = {
 
 
 def _unpacked(angle: Array, *, seconds: bool) -> Array:
-    """Return degrees of an angle whose first two decimals are minutes and, as an option, whose next two are seconds."""
+    """Return degrees of an angle whose first two decimals are minutes; as an option the next two are seconds."""
     degrees = np.trunc(angle)
     minutes = (angle - degrees) * 100.0
     if seconds:
@@ -92,7 +93,7 @@ LOCAL_READINGS: Final[dict[str, Callable[[Array], Array]]] = {"X and Y exchanged
 
 @dataclass(frozen=True)
 class MixUp:
-    """Another reading of the coordinates that fits control points of an image much better.
+    """Other reading of the coordinates that fits the control points of an image much better.
 
     Parameters
     ----------
@@ -101,15 +102,15 @@ class MixUp:
         Key of :data:`READINGS`, :data:`GROUND_READINGS` or :data:`LOCAL_READINGS`; "" for the metadata of another
         image.
     other : int
-        That image; -1 for another reading.
+        Image with these metadata; -1 for another reading.
     points : tuple of int
-        Control points that it fits.
+        Control points that the reading fits.
     of : int
         Number of control points of the image.
     whole : bool
-        Whether hardly any point of the image lies where the tables say.
+        True if hardly any point of the image lies at the place that the tables state.
     best_px, given_px : float
-        Median distance of these between measured image points and projected ones, with this reading and as given.
+        Median distance between measured and projected image points of these points, with this reading and as given.
     """
 
     image: int
@@ -124,13 +125,22 @@ class MixUp:
     def finding(self, block: Block) -> Finding:
         """Return the doubt on this image."""
         name = self.reading or f"the metadata of image {block.images[self.other].id}"
-        return finding("solution.mix_up", image=block.images[self.image].id, n=len(self.points), of=self.of,
-                       best_px=self.best_px, given_px=self.given_px, reading=name, before="", after="",
-                       left="")  # fmt: skip
+        return finding(
+            "solution.mix_up",
+            image=block.images[self.image].id,
+            n=len(self.points),
+            of=self.of,
+            best_px=self.best_px,
+            given_px=self.given_px,
+            reading=name,
+            before="",
+            after="",
+            left="",
+        )
 
 
 def mix_ups(block: Block) -> tuple[MixUp, ...]:
-    """Images whose control points fit far better with another reading of their coordinates, or other metadata.
+    """Find images whose control points fit far better with another reading of their coordinates, or other metadata.
 
     At least three control points, and more than half of the control points far from their image points, must fit
     better.
@@ -144,7 +154,7 @@ def mix_ups(block: Block) -> tuple[MixUp, ...]:
 
 
 def _of_image(block: Block, k: int) -> MixUp | None:
-    """Mix-up of an image."""
+    """Return the mix-up of an image."""
     o, known = block.observations, block.points.known.ecef_m
     row = np.flatnonzero((o.image == k) & np.isfinite(known[o.point]).all(axis=1))
     if len(row) < LEAST_POINTS:
@@ -177,11 +187,12 @@ class IdMixUp:
     Parameters
     ----------
     points : tuple of (str, str)
-        Point, and the point whose place its image points show. Two rows: ids that are exchanged.
+        Point, and point at whose place its image points lie. Two rows: the ids are exchanged.
     best_px, given_px : float
-        Median distance between measured image points and projected ones, at the other place and at the own one.
+        Median distance between measured and projected image points, at the place of the other point and at the point's
+        own place.
     copied : bool
-        Its coordinates are those of the other point instead.
+        True if instead the point has the coordinates of the other point.
     """
 
     points: tuple[tuple[str, str], ...]
@@ -190,22 +201,33 @@ class IdMixUp:
     copied: bool = False
 
     def finding(self, block: Block) -> Finding:
-        """Doubt on these points."""
+        """Return the doubt on these points."""
         (name, other), *rest = self.points
         if self.copied:
-            return finding("solution.id_copied", place=f"point {name}", other=other, given_px=self.given_px, before="",
-                           after="", left="")  # fmt: skip
-        what = f"ids of the control points {name} and {other} exchanged" if rest else \
-               f"one control point under two ids: the image points of {name} show the place of {other}"  # fmt: skip
-        return finding("solution.id_mix_up", what=what, best_px=self.best_px, given_px=self.given_px, before="",
-                       after="", left="")  # fmt: skip
+            return finding(
+                "solution.id_copied",
+                place=f"point {name}",
+                other=other,
+                given_px=self.given_px,
+                before="",
+                after="",
+                left="",
+            )
+        what = (
+            f"ids of the control points {name} and {other} exchanged"
+            if rest
+            else f"one control point under two ids: the image points of {name} show the place of {other}"
+        )
+        return finding(
+            "solution.id_mix_up", what=what, best_px=self.best_px, given_px=self.given_px, before="", after="", left=""
+        )
 
 
 def id_mix_ups(block: Block) -> tuple[IdMixUp, ...]:
-    """Control points whose image points lie near the place of another control point, and far from their own.
+    """Find control points whose image points lie near the place of another control point, and far from their own.
 
-    The metadata project most points close to their image points; points with more than ten times this distance are
-    tested.
+    With the metadata, most points are projected close to their image points. Points with more than ten times this
+    distance are tested.
     """
     o, control = block.observations, block.points.where(Role.CONTROL)
     if not LEAST_POINTS <= len(control) <= MOST_POINTS:
@@ -227,7 +249,7 @@ def id_mix_ups(block: Block) -> tuple[IdMixUp, ...]:
         away[o.image[row] == k] = np.linalg.norm(pixels[:, None] - projected, axis=2)
     distance = np.full((len(control),) * 2, np.inf)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # two points that no image shows together
+        warnings.simplefilter("ignore", RuntimeWarning)  # no image shows both points
         for a in np.flatnonzero(seen).tolist():
             distance[a] = np.nanmedian(away[place[o.point[row]] == a], axis=0)
     distance = np.where(np.isnan(distance), np.inf, distance)
@@ -251,14 +273,17 @@ def id_mix_ups(block: Block) -> tuple[IdMixUp, ...]:
 
 
 def with_right_ids(block: Block, found: Sequence[IdMixUp]) -> Block:
-    """Give control points the coordinates of the places that they show; a copied control point gets none."""
+    """Give control points the coordinates of the places where they lie in the images.
+
+    a copied control point gets none.
+    """
     gone = np.isin(block.points.ids, [one.points[0][0] for one in found if one.copied])
     right = with_coordinates_of(block, {name: other for one in found if not one.copied for name, other in one.points})
     return replace(right, points=right.points.without_coordinates(gone, Role.TIE)) if gone.any() else right
 
 
 def undone(block: Block, found: Sequence[MixUp]) -> Block:
-    """The block with its tables and metadata read in the other way."""
+    """Return the block with its tables and metadata in the other reading."""
     o, images = block.observations, list(block.images)
     line, sample, of = o.line.copy(), o.sample.copy(), o.image.copy()
     for one in found:
@@ -287,7 +312,7 @@ def undone(block: Block, found: Sequence[MixUp]) -> Block:
     check = np.array([place[one] for one in block.withheld.ids], np.intp)
 
     def read(ecef_m: Array) -> Array:
-        """The other reading of check points that it brings far nearer to their places in the images."""
+        """Return the other reading for check points that it moves far nearer to their places in the images."""
         moved = _read(name, ecef_m)
         given, other = (_of_points(block, check, xyz) for xyz in (ecef_m, moved))
         wrong = (given > FAR_PX) & (BETTER * other < given)
@@ -297,26 +322,27 @@ def undone(block: Block, found: Sequence[MixUp]) -> Block:
 
 
 def _readings(block: Block, k: int, row: Index, projected: Array) -> dict[tuple[str, int], Array]:
-    """Distances (n,) in pixels of image points, projected (n, 2) as given, for each reading and each other image."""
+    """Return distances (n,) px of image points, projected (n, 2) as given, for each reading and each other image."""
     o, sensor, out = block.observations, block.images[k].sensor, dict[tuple[str, int], Array]()
     pixels = np.stack([o.line[row], o.sample[row]], axis=1)
     for name, reading in READINGS.items():
         try:
             out[name, -1] = _away(projected, np.stack(reading(o.line[row], o.sample[row], sensor), axis=1))
-        except AttributeError:  # no size of the image
+        except AttributeError:  # the size of the image is unknown
             continue
     for name in GROUND_READINGS if block.georeferenced else LOCAL_READINGS:
         other = _read(name, block.points.known.ecef_m[o.point[row]])
         out[name, -1] = _away(_projected(sensor, other), pixels)
     if len(block.images) <= MOST_IMAGES:
         ground = block.points.known.ecef_m[o.point[row]]
-        out |= {("", j): _away(_projected(image.sensor, ground), pixels)
-                for j, image in enumerate(block.images) if j != k}  # fmt: skip
+        out |= {
+            ("", j): _away(_projected(image.sensor, ground), pixels) for j, image in enumerate(block.images) if j != k
+        }
     return out
 
 
 def _of_points(block: Block, points: Index, ecef_m: Array) -> Array:
-    """Median distances (n,) in pixels of ground points with these coordinates from their image points."""
+    """Return the median distances (n,) px between ground points at these coordinates and their image points."""
     o = block.observations
     place = np.full(len(block.points.ids), -1)
     place[points] = np.arange(len(points))
@@ -331,7 +357,7 @@ def _of_points(block: Block, points: Index, ecef_m: Array) -> Array:
 
 
 def _read(name: str, ecef_m: Array) -> Array:
-    """Coordinates (n, 3) in another reading; nan where they are impossible."""
+    """Return the coordinates (n, 3) in another reading; nan where they are impossible."""
     if name in LOCAL_READINGS:
         return LOCAL_READINGS[name](ecef_m)
     lon, lat, height = ecef_to_geodetic(ecef_m)
@@ -342,7 +368,7 @@ def _read(name: str, ecef_m: Array) -> Array:
 
 
 def _projected(sensor: Any, ground_m: Array) -> Array:
-    """Line and sample (n, 2) of ground points with the metadata; nan if they cannot be projected."""
+    """Project ground points with the metadata to line and sample (n, 2); nan if they cannot be projected."""
     out = np.full((len(ground_m), 2), np.nan)
     near = np.linalg.norm(ground_m - sensor.centre_m, axis=1) <= REACH_M
     with contextlib.suppress(FgOrientError, AttributeError):
@@ -352,5 +378,5 @@ def _projected(sensor: Any, ground_m: Array) -> Array:
 
 
 def _away(projected: Array, pixels: Array) -> Array:
-    """Return distances (n,) px of projected and measured image points; points that cannot be projected are far."""
+    """Return distances (n,) px of projected and measured image points; points that cannot be projected are far away."""
     return np.asarray(np.nan_to_num(np.linalg.norm(pixels - projected, axis=1), nan=NOWHERE_PX, posinf=NOWHERE_PX))

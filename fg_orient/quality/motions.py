@@ -1,13 +1,13 @@
-"""Motions of a block as a whole that only the priors fix.
+"""Motions of the whole block that only the priors fix.
 
 Connected images and their ground points may be shifted, rotated and scaled together: seven motions. Control points fix
-some of them, sensors others: an image with position unknowns only cannot follow a rotation. The images *follow* a
-motion if values of their unknowns exist with which the moved ground has nearly the same image coordinates. A followed
-motion is tested by its effect on all observations, with the ground points free.
+some of them, sensors fix others: an image with position unknowns only cannot follow a rotation. The images *follow* a
+motion if some values of their unknowns give the moved ground nearly the same image coordinates. A followed motion is
+tested by its effect on all observations, with the ground points free.
 
-Navigation unknowns: shifts and drifts of strips, lever arm and boresight that only their priors determine. Directions
-of the block without priors that are determined worse than their prior sigma are held by the priors. An unknown is named
-if its share in these directions is at least :data:`HELD`.
+Navigation unknowns that only their priors determine: shifts and drifts of strips, lever arm and boresight. The priors
+hold directions that the block without priors determines worse than their prior sigma. An unknown is named if its share
+in these directions is at least :data:`HELD`.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from fg_orient.sensors.latitudinal import observed_by_angles
 
 Effect = Callable[[Array, Array], Array]
 
-#: Images follow a motion if less than this share of its effect on their image coordinates remains.
+#: Largest share of the effect of a motion on the image coordinates that remains when the images follow it.
 FOLLOWED: Final = 0.1
-#: A named motion is free if this share of its length is in the space of free motions.
+#: Least share of the length of a named motion in the space of free motions; then the motion is free.
 MATCH: Final = 0.9
-#: Least share of a named motion that is independent of the motions named before.
+#: Least share of a named motion that is independent of the motions named before it.
 NEW: Final = 0.1
-#: Size of a motion in sentences: half of the points move by this distance or more.
+#: Size of a motion in sentences, in metres: half of the points move by this distance or more.
 SHIFT_M: Final = 10.0
 _TINY: Final = 1e-10
-#: Features are parallel if the second singular value of their directions is at most this share of the first.
+#: Largest ratio of the second to the first singular value of the directions of parallel features.
 PARALLEL: Final = 0.05
 
 
@@ -50,11 +50,11 @@ class FreeMotions:
     images, control, features : tuple of str
         Ids of the images, of the control points and of the control features of the part.
     words : tuple of str
-        One per free motion: "shifted together East".
+        One text per free motion: "shifted together East".
     felt : (d,) array
         Root mean square of the residuals, in sigmas, after each motion by 10 m.
     strength : (d,) array
-        The same as a singular value: root of the sum of squares per unit of the image unknowns in prior sigmas.
+        The same effect as a singular value: root of the sum of squares per unit of the image unknowns in prior sigmas.
     moves : (z, d) array
         Motions in the unknowns of all images (shared ones once), prior sigmas.
     remedy : str
@@ -80,7 +80,7 @@ class FreeMotions:
 
 @dataclass(frozen=True)
 class _Part:
-    """The seven motions of connected images, and their effects.
+    """Seven motions of connected images, and their effects.
 
     ``images``, ``rows`` (of the image points), ``points`` and ``control`` are indices; ``chords`` (3,) m by the id of
     each control feature; ``axes`` (3, 3), ``middle`` (3,) m: axes and centre of rotation; ``shift`` (N, 3, 7) m:
@@ -121,10 +121,10 @@ class _Part:
         for k in images:
             own, p = mine[image[mine] == k], problem.parameters[k]
             if len(own):
-                # a camera that several images have in common stays unchanged
+                # the parameters of a camera that several images share stay unchanged
                 a = np.where(p.own, rows.image[own, :, : len(p)], 0.0).reshape(2 * len(own), len(p))
                 b = np.einsum("nij,njd->nid", rows.ground[own], shift[point[own]]).reshape(-1, 7)
-                # compressed: few rows instead of two per image point
+                # compressed to few rows instead of two per image point
                 r = np.asarray(np.linalg.qr(np.hstack([a, b]), mode="r"))
                 a, b = r[:, : len(p)], r[:, len(p) :]
                 x = -np.linalg.lstsq(a, b, rcond=None)[0]
@@ -134,7 +134,7 @@ class _Part:
         return cls(images, mine, points, control, chords, axes, middle, shift, moves, np.vstack(left), np.vstack(whole))
 
     def effect(self, problem: Problem, rows: Rows, effect_of: Effect | None) -> Array:
-        """Effect (q, 7) of each motion on the observations, in sigmas."""
+        """Return the effect (q, 7) of each motion on the observations, in sigmas."""
         if effect_of is not None:
             return effect_of(problem.free(self.moves), self.shift)
         observed = self.control[problem.observed[self.control]]
@@ -145,7 +145,7 @@ class _Part:
         return np.vstack([self.left, at_control, (rows.image[fixed] @ padded).reshape(-1, 7)])
 
     def candidates(self, problem: Problem) -> list[tuple[str, Array]]:
-        """Motions with names, as coefficients (7,): those that do not move the control points come first."""
+        """Return named motions as coefficients (7,); motions that do not move the control points come first."""
         axes = problem.axis_names
         own = [(f"shifted together {n}", e) for n, e in zip(axes, np.eye(7), strict=False)]
         own += [(f"turned together about {n}", e) for n, e in zip(axes, np.eye(7)[3:], strict=False)]
@@ -164,28 +164,30 @@ class _Part:
             along = np.linalg.svd(ground - middle, full_matrices=False)[2][0]
             first.append((f"turned about the line through control points {named(ids)}", self._rotation(along, middle)))
         where = of_ids("control point", ids)
-        first += [(f"turned about {n} through {where}", self._rotation(a, middle))
-                  for n, a in zip(axes, self.axes, strict=True)]  # fmt: skip
+        first += [
+            (f"turned about {n} through {where}", self._rotation(a, middle))
+            for n, a in zip(axes, self.axes, strict=True)
+        ]
         apart = np.concatenate([self.axes @ (self.middle - middle), np.zeros(3), np.ones(1)])
         return [*first, (f"scaled from {where}", apart), *own]
 
     def _rotation(self, axis: Array, through: Array) -> Array:
-        """Coefficients (7,) of a rotation about an axis through a point."""
+        """Return the coefficients (7,) of a rotation about an axis through a point."""
         return np.concatenate([self.axes @ np.cross(axis, self.middle - through), self.axes @ axis, np.zeros(1)])
 
     def scaled(self, c: Array) -> Array:
-        """Coefficients of the motion by which half of the points move 10 m or more."""
+        """Scale the coefficients of a motion so that half of the points move 10 m or more."""
         far = np.linalg.norm(self.shift[self.points] @ c, axis=1)
         typical = float(np.median(far))
         return np.asarray(c * SHIFT_M / (typical if typical > NEW * far.max() else float(far.max())))
 
 
 def free_motions(problem: Problem, rows: Rows, effect_of: Effect | None, images: Index) -> FreeMotions:
-    """Motions of a part of the block that its observations do not fix.
+    """Find the motions of a part of the block that its observations do not fix.
 
     Without control points a followed motion by 10 m is free if it changes the residuals by less than their sigma (root
-    mean square): only the nonlinearity of the models acts against it. With control it is free if its effect on
-    all observations together is less than one sigma: they determine it to no better than 10 m.
+    mean square). Only the nonlinearity of the models then acts against it. With control it is free if its effect on all
+    observations together is less than one sigma: the observations do not determine it to 10 m.
 
     Parameters
     ----------
@@ -193,10 +195,10 @@ def free_motions(problem: Problem, rows: Rows, effect_of: Effect | None, images:
     rows : Rows
         At the start.
     effect_of : callable or None
-        Effect (q, d) on all observations of movements of the images (z, d), shared unknowns once, and of named points
-        (N, 3, d); the other points follow. None: the points take part in a motion as they are.
+        Function that returns the effect (q, d) on all observations of movements of the images (z, d), shared unknowns
+        once, and of named points (N, 3, d); the other points follow. None: the points follow the motion unchanged.
     images : int array
-        The images of the part.
+        Images of the part.
     """
     part = _Part.of(problem, rows, images)
     ids = tuple(problem.block.images[k].id for k in images)
@@ -221,7 +223,7 @@ def free_motions(problem: Problem, rows: Rows, effect_of: Effect | None, images:
 
 
 def _weakest(effect: Array, measure: Array, limit: float) -> Array:
-    """Coefficients (k, d) of the combinations whose effect is below ``limit`` times their measure."""
+    """Return coefficients (k, d) of the combinations whose effect is below ``limit`` times their measure."""
     k = measure.shape[1]
     if not k:
         return np.zeros((0, 0))
@@ -235,7 +237,7 @@ def _weakest(effect: Array, measure: Array, limit: float) -> Array:
 
 
 def without(space: Array, directions: Array) -> Array:
-    """Orthonormal basis of a space (n, d) without the projections of directions (n, k) of length 1 onto it."""
+    """Return an orthonormal basis of a space (n, d) without the projections of unit vectors (n, k) onto it."""
     along, s, _ = np.linalg.svd(space @ (space.T @ directions), full_matrices=False)
     along = along[:, s > UNOBSERVABLE]
     basis, s, _ = np.linalg.svd(space - along @ (along.T @ space), full_matrices=False)
@@ -263,7 +265,7 @@ def _named(candidates: list[tuple[str, Array]], free: Array, size: Array) -> lis
 def _remedy(
     words: tuple[str, ...], images: tuple[str, ...], control: tuple[str, ...], features: tuple[str, ...]
 ) -> str:
-    """Measurements that fix these motions."""
+    """Describe the measurements that fix these motions."""
     if not words:
         return ""
     if len(control) == 1:
@@ -283,22 +285,42 @@ def _remedy(
 
 # --- navigation unknowns --------------------------------------------------------------------------
 
-#: Least share of an unknown in the directions held by the priors: two strips that shift together have a half each.
+#: Least share of an unknown in the directions held by the priors; two strips that shift together have one half each.
 HELD: Final = 0.4
-#: Beginning of the names of unknowns of one kind: term, reason, remedy.
+#: Texts by the beginning of the names of unknowns of one kind: term, reason, remedy.
 _KINDS: Final = (
     ("gnss_shift", "shift of the receiver", "the whole block moves with it", "measure control points"),
-    ("gnss_drift", "drift of the receiver", "the block is stretched or turned with it",
-     "measure control points at both ends of the strip, or fly a cross strip"),
-    ("ins_shift", "shift of the attitude", "the boresight, or a turn of the block, looks the same",
-     "fly strips to and fro, or measure control points"),
-    ("ins_drift", "drift of the attitude", "the block bends or turns with it",
-     "measure control points at both ends of the strip, or more tie points between strips"),
-    ("lever", "lever arm", "a shift of the receiver or of the block looks the same",
-     "measure it on the ground, or fly to and fro with control points"),
-    ("boresight", "boresight", "the shift of the attitude, or a turn of the block, looks the same",
-     "fly strips to and fro, or measure control points"),
-)  # fmt: skip
+    (
+        "gnss_drift",
+        "drift of the receiver",
+        "the block is stretched or turned with it",
+        "measure control points at both ends of the strip, or fly a cross strip",
+    ),
+    (
+        "ins_shift",
+        "shift of the attitude",
+        "the boresight, or a turn of the block, looks the same",
+        "fly strips to and fro, or measure control points",
+    ),
+    (
+        "ins_drift",
+        "drift of the attitude",
+        "the block bends or turns with it",
+        "measure control points at both ends of the strip, or more tie points between strips",
+    ),
+    (
+        "lever",
+        "lever arm",
+        "a shift of the receiver or of the block looks the same",
+        "measure it on the ground, or fly to and fro with control points",
+    ),
+    (
+        "boresight",
+        "boresight",
+        "the shift of the attitude, or a turn of the block, looks the same",
+        "fly strips to and fro, or measure control points",
+    ),
+)
 
 
 def held_on_board(problem: Problem, values: Array, directions: Array, limit: float) -> tuple[str, ...]:
@@ -308,11 +330,11 @@ def held_on_board(problem: Problem, values: Array, directions: Array, limit: flo
     ----------
     problem : Problem
     values : (k,) array
-        Singular values of the block without priors, prior sigmas.
+        Singular values of the block without priors, in prior sigmas.
     directions : (k, u) array
-        Their directions (rows), shared unknowns once.
+        Directions (rows) of these values, shared unknowns once.
     limit : float
-        Directions below it are held by the priors.
+        Limit below which the priors hold a direction.
     """
     ties = problem.ties
     share = np.sum(directions[values < limit] ** 2, axis=0)

@@ -1,4 +1,4 @@
-"""Observability: directions of the unknowns that the observations do not determine, described before the adjustment.
+"""Observability: directions of the unknowns that the observations do not determine, found before the adjustment.
 
 A whitened Jacobian with respect to unknowns in prior sigmas is decomposed by SVD. A direction of singular value s is
 
@@ -6,12 +6,12 @@ A whitened Jacobian with respect to unknowns in prior sigmas is decomposed by SV
 - **held by the prior** if 1e-5 < s < 1: the prior contains more information than the observations;
 - **determined** if s >= 1.
 
-Each image is analysed with fixed ground points. This is the optimistic case: a direction that is unobservable there is
+Each image is analysed with fixed ground points. This is the optimistic case: a direction that is unobservable then is
 unobservable in every adjustment of the image. The whole block is analysed with the ground points eliminated
 (``fg_orient.quality.elimination``).
 
-Unobservable directions of an image are matched with the physical candidates of its model (``silent_directions``),
-directions of the block with its motions (``fg_orient.quality.motions``).
+Unobservable directions of an image are matched with the physical candidates of its model (``silent_directions``).
+Directions of the block are matched with its motions (``fg_orient.quality.motions``).
 """
 
 from __future__ import annotations
@@ -39,11 +39,12 @@ from fg_orient.quality.weakest import Weakest, weakest
 from fg_orient.sensors.base import ImageModel
 from fg_orient.sensors.latitudinal import observed_by_angles
 
-#: Least singular value of directions that the observations determine better than the prior.
+#: Least singular value of directions that the observations determine better than the prior does.
 DETERMINED: Final = 1.0
-#: A candidate explains an unobservable direction if this share of its length is in the null space.
+#: Least share of the length of a candidate in the null space; then it explains an unobservable direction.
 MATCH: Final = 0.9
-#: Condition of a Jacobian above which its normal equations, with the square as condition, have no correct digit.
+#: Condition number of a Jacobian above which its normal equations, with the squared condition number, have no correct
+#: digit.
 NEEDS_SCALING: Final = float(np.finfo(float).eps ** -0.5)
 
 
@@ -61,12 +62,12 @@ class ImageObservability:
     weak : int
         Number of directions held by the prior.
     sentences : tuple of str
-        One per unobservable direction.
+        One sentence per unobservable direction.
     held : tuple of str
-        One per direction held by the prior, by descending singular value: its largest unknown.
+        Largest unknown of each direction held by the prior, by descending singular value.
     condition, raw_condition : float or None
-        Condition of the Jacobian with unknowns in prior sigmas, and with unknowns in raw units (coefficients per
-        line, as publications write them); None without full rank.
+        Condition number of the Jacobian with unknowns in prior sigmas, and with unknowns in raw units (coefficients per
+        line, as in publications). None without full rank.
     summary : str
         Summary in one sentence.
     """
@@ -87,7 +88,7 @@ class ImageObservability:
         return len(self.singular_values) - self.rank_defect - self.weak
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for ``result.json`` (docs/results.md)."""
+        """Return plain values for ``result.json`` (docs/results.md)."""
         return {
             "image": self.image, "rank_defect": self.rank_defect, "weak": self.weak, "determined": self.determined,
             "held_by_the_prior": list(self.held), "condition": self.condition, "raw_condition": self.raw_condition,
@@ -97,7 +98,7 @@ class ImageObservability:
 
 
 def analyse(image: str, jacobian: Array, model: ImageModel) -> ImageObservability:
-    """Analyse the unknowns of one image that no other image shares.
+    """Analyse the unknowns of one image, without unknowns that other images share.
 
     Parameters
     ----------
@@ -106,7 +107,7 @@ def analyse(image: str, jacobian: Array, model: ImageModel) -> ImageObservabilit
     jacobian : (2n, k) array
         Whitened, with respect to the unknowns in prior sigmas.
     model : ImageModel
-        Names the unknowns and the physically unobservable directions.
+        Model that names the unknowns and the physically unobservable directions.
     """
     own = model.parameters.own
     parameters, jacobian = model.parameters.take(own), jacobian[:, own]
@@ -126,7 +127,7 @@ def analyse(image: str, jacobian: Array, model: ImageModel) -> ImageObservabilit
 
 
 def _name_directions(null: Array, parameters: ImageParameters, candidates: list[tuple[str, Array]]) -> list[str]:
-    """Unobservable directions in words: best matching candidates, then combinations of unknowns."""
+    """Describe unobservable directions: by the best matching candidates, then by combinations of unknowns."""
     matched, rest = list[int](), null
     while rest.shape[1]:
         shares = [0.0 if k in matched else float(np.linalg.norm(rest.T @ d)) for k, (_, d) in enumerate(candidates)]
@@ -140,19 +141,19 @@ def _name_directions(null: Array, parameters: ImageParameters, candidates: list[
 
 
 def _combination(direction: Array, words: list[str], most: int, least: float) -> str:
-    """Largest components of a direction: at most this number, of at least this size, the first one positive."""
+    """Describe at most ``most`` largest components of a direction, of size ``least`` or more; the first is positive."""
     order = np.argsort(-np.abs(direction))[:most]
     d = direction * np.sign(direction[order[0]])
     return " ".join(f"{d[j]:+.2f} {words[j]}" for j in order if abs(d[j]) > least)
 
 
 def _name_by_unknowns(directions: Array, words: tuple[str, ...]) -> tuple[str, ...]:
-    """Largest unknown of each direction (d, k), no unknown twice, in the order of the directions."""
+    """Return the largest unknown of each direction (d, k), no unknown twice, in the order of the directions."""
     shares = directions**2
     largest = shares == shares.max(axis=1, keepdims=True)
     if largest.sum(axis=1).max(initial=0) <= 1 and largest.sum(axis=0).max(initial=0) <= 1:
-        return tuple(words[j] for j in shares.argmax(axis=1))  # usual case: all largest unknowns are different
-    # scipy.optimize has the same, but takes 0.1 s to load
+        return tuple(words[j] for j in shares.argmax(axis=1))  # usual case: the largest unknowns are all different
+    # scipy.optimize has the same function, but takes 0.1 s to load
     rows, places = csgraph.min_weight_full_bipartite_matching(sparse.csr_array(2.0 - shares))
     return tuple(words[j] for j in places[np.argsort(rows)])
 
@@ -173,7 +174,7 @@ _VELOCITY: Final = (("velocity along track", "along track"), ("velocity across t
 
 
 def _summary(texts: list[str], held: int, k: int, condition: float | None, raw: float | None) -> str:
-    """Unobservable directions, number of directions held by the prior, and need of scaling, in one line."""
+    """Summarise unobservable directions, number of directions held by the prior, and need of scaling, in one line."""
     silent = [t for t in texts if t.endswith("acts on nothing")]
     yaw = [t for t in texts if "acts as yaw" in t]
     names = [short for long, short in _VELOCITY if any(t.startswith(long) for t in silent)]
@@ -194,28 +195,29 @@ def _summary(texts: list[str], held: int, k: int, condition: float | None, raw: 
 
 @dataclass(frozen=True)
 class BlockObservability:
-    """Directions of the unknowns of all images, determined by all observations without priors, ground points free.
+    """Directions of the unknowns of all images in an adjustment without priors, with free ground points.
 
     Parameters
     ----------
     singular_values : (u,) array, descending
         u unknowns of all images, shared ones once; empty for a large block.
     sentences : tuple of str
-        One per unobservable direction: motions of the block by name, others by their largest components.
+        One sentence per unobservable direction: motions of the block by name, other directions by their largest
+        components.
     weak : int
         Number of directions determined 100 times worse than their prior sigma, without unobservable ones.
     datum : tuple of str
-        One per common shift, rotation or change of scale of all images that no control point fixes.
+        One text per common shift, rotation or change of scale of all images that no control point fixes.
     motions : tuple of FreeMotions
-        Free motions of each part of the block that has any.
+        Free motions of each part of the block with such motions.
     structure : Structure
         Parts of the block, and unknowns with too few observations.
     unexplained : int
         Number of unobservable directions that are not motions of the block.
     on_board : tuple of str
-        One per shift, drift, lever arm or boresight of the navigation that the priors hold.
+        One text per shift, drift, lever arm or boresight of the navigation that the priors hold.
     null : (z, d) array or None
-        Unobservable directions of the unknowns of all images (shared ones once); None where they were not computed.
+        Unobservable directions of the unknowns of all images (shared ones once); None if they were not computed.
     """
 
     singular_values: Array
@@ -244,12 +246,12 @@ class BlockObservability:
 
     @property
     def relative(self) -> bool:
-        """Whether only the priors determine the position of the block: free motions and no control."""
+        """True if only the priors determine the position of the block: it has free motions and no control."""
         uncontrolled = not any(m.control or m.features for m in self.motions)
         return uncontrolled and 0 < len(self.motions) == self.structure.n_parts
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for ``result.json`` (docs/results.md)."""
+        """Return plain values for ``result.json`` (docs/results.md)."""
         counts = self.counts or dict.fromkeys(("unobservable", "held_by_the_prior", "determined"))
         motions = [
             {"images": list(m.images), "control": list(m.control), "words": list(m.words),
@@ -262,7 +264,7 @@ class BlockObservability:
         }  # fmt: skip
 
     def deficiencies(self, problem: Problem) -> tuple[Finding, ...]:
-        """One finding per part with free motions, and a finding that lists the parts."""
+        """Return one finding per part with free motions, and a finding that lists the parts."""
         options, structure = problem.block.options, self.structure
         code = "solution.motions_inner" if options.datum == "inner" else "solution.motions"
         out = [
@@ -279,7 +281,7 @@ class BlockObservability:
 
 #: Without priors, directions below this singular value are reported.
 WEAK_WITHOUT_PRIORS: Final = 1e-2
-#: Rows times squared unknowns up to which a block with priors is analysed as a whole.
+#: Maximum of rows times squared unknowns for the analysis of a whole block with priors.
 WORK_LIMIT: Final = 2e9
 
 
@@ -289,7 +291,10 @@ def affordable(problem: Problem) -> bool:
 
 
 def _least(problem: Problem, parts: int) -> Weakest | None:
-    """Weakest directions at the start; None where the border of the normal equations does not determine the points."""
+    """Return the weakest directions at the start.
+
+    None if the border of the normal equations does not determine the points.
+    """
     with contextlib.suppress(Singular):
         border = border_of(problem, problem.start)
         return None if border is None else weakest(border, WEAK_WITHOUT_PRIORS, parts)
@@ -306,9 +311,10 @@ def analyse_block(problem: Problem, structure: Structure | None = None, *, whole
     ----------
     problem : Problem
     structure : Structure, optional
-        Of the block, if it is known.
+        Structure of the block, if it is known.
     whole : bool
-        False: no singular values, only the motions of the parts, in a time proportional to the observations.
+        False: only the motions of the parts are computed, in a time proportional to the observations, no singular
+        values.
     """
     structure = structure or analyse_structure(problem)
     rows = linearised(problem, problem.start)
@@ -348,7 +354,7 @@ def analyse_block(problem: Problem, structure: Structure | None = None, *, whole
 def _unobservable_sentences(
     problem: Problem, null: Array, motions: tuple[FreeMotions, ...], texts: list[list[str]]
 ) -> tuple[tuple[str, ...], int]:
-    """One sentence per unobservable direction (u, d) of the block, motions first; number of other directions."""
+    """Return one sentence per unobservable direction (u, d), motions first, and the number of other directions."""
     out, rest = list[str](), null
     for m, sentences in zip(motions, texts, strict=True):
         inside = m.unobservable
@@ -370,7 +376,7 @@ def _unobservable_sentences(
 
 
 def _motion_sentences(m: FreeMotions, problem: Problem, *, alone: bool) -> list[str]:
-    """One sentence per free motion of a part of the block."""
+    """Return one sentence per free motion of a part of the block."""
     who = "block: the images" if alone else f"block: images {named(m.images)}"
     options = problem.block.options
     holder = "the priors alone hold it" if options.priors else "the regularisation alone holds it"
@@ -384,7 +390,7 @@ def _motion_sentences(m: FreeMotions, problem: Problem, *, alone: bool) -> list[
 
 
 def _control_words(m: FreeMotions) -> str:
-    """Number and ids of the control points, or of the control features, of a part."""
+    """Describe number and ids of the control points, or of the control features, of a part."""
     if m.features and not m.control:
         return f"control feature{'s' if len(m.features) > 1 else ''} {named(m.features)} only"
     if not m.control:
@@ -393,14 +399,14 @@ def _control_words(m: FreeMotions) -> str:
 
 
 def part_sentence(m: FreeMotions, *, priors: bool) -> str:
-    """Sentence on the number and the names of the free motions of a part of the block."""
+    """Describe the number and the names of the free motions of a part of the block."""
     by = "held by the priors alone" if priors else "free"
     many = f"{len(m)} motions are" if len(m) > 1 else "1 motion is"
     return f"images {named(m.images)}, {_control_words(m)}: {many} {by} ({', '.join(m.words)})"
 
 
 def _parts(problem: Problem, structure: Structure) -> Finding:
-    """Finding that lists the parts of the block without common ground points."""
+    """Report the parts of the block, which have no common ground points."""
     ids = problem.block.points.ids
     parts = []
     for p in range(structure.n_parts):

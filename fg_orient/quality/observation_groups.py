@@ -1,6 +1,6 @@
-"""Groups of observations with a common variance: image points, control points by axes, priors by kind; their residuals.
+"""Groups of observations with a common variance: image points, control points by axes, priors by kind.
 
-A grouping is a tuple of words of :data:`GROUPINGS`. Other observations are ungrouped and keep their sigmas.
+A grouping is a tuple of words of :data:`GROUPINGS`. All other observations keep their sigmas.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from fg_orient.model.parameters import N_EOP, parameter_name
 from fg_orient.quality.hypotheses import CHECKED
 from fg_orient.quality.residuals import LARGEST, GroupCofactors, ResidualCofactors, cost
 
-#: Groupings of image points (one of them) and of control points: all axes, or position and height.
+#: Groupings of image points (select one of them) and of control points: all axes, or position and height.
 IMAGE_GROUPINGS: Final = ("image", "image_by_role", "image_by_image", "image_by_sensor")
 GROUPINGS: Final = (*IMAGE_GROUPINGS, "control", "position", "height", "priors")
 
@@ -37,7 +37,7 @@ class Groups:
     ----------
     names : tuple of str
     image : (n,) int array
-        Group of each of ``block.observations``.
+        Group of each row of ``block.observations``.
     axes : (3,) int array
         Groups of East, North, Up of every control point.
     prior : tuple of (u_k,) int arrays
@@ -55,9 +55,11 @@ def require_groups(groups: tuple[str, ...]) -> None:
     wrong = [name for name in groups if name not in GROUPINGS]
     if wrong or not groups:
         raise InputError.of(
-            "statistics.groups", option="variance_components", value=", ".join(wrong) or "none",
+            "statistics.groups",
+            option="variance_components",
+            value=", ".join(wrong) or "none",
             known=", ".join(GROUPINGS),
-        )  # fmt: skip
+        )
     image = [name for name in groups if name in IMAGE_GROUPINGS]
     control = [name for name in groups if name in ("control", "position", "height")]
     for several in (image if len(image) > 1 else [], control if "control" in control and len(control) > 1 else []):
@@ -84,7 +86,7 @@ def groups_of(problem: Problem, groups: tuple[str, ...] = USUAL_GROUPS) -> Group
 
 
 def _image_labels(block: Block, groups: tuple[str, ...]) -> list[str | None]:
-    """Name of the group of every image point."""
+    """Return the name of the group of every image point."""
     o = block.observations
     if "image_by_image" in groups:
         return [f"image {block.images[k].id}" for k in o.image]
@@ -98,7 +100,7 @@ def _image_labels(block: Block, groups: tuple[str, ...]) -> list[str | None]:
 
 
 def _sensor_name(sensor: Any) -> str:
-    """Mission and instrument of a rigorous model, the kind of sensor otherwise."""
+    """Return the mission and instrument of a rigorous model, otherwise the kind of sensor."""
     metadata = getattr(sensor, "metadata", None)
     if metadata is not None:
         return f"{metadata.mission} {metadata.instrument}".strip()
@@ -106,7 +108,7 @@ def _sensor_name(sensor: Any) -> str:
 
 
 def _prior_kinds() -> dict[str, str]:
-    """Kind of prior of each named unknown, without the unknowns of frame cameras."""
+    """Return the kind of prior of each named unknown, without the unknowns of frame cameras."""
     eop = ("prior position", "prior velocity", "prior attitude")
     out = {parameter_name(code): eop[code // 9] for code in range(N_EOP)}
     out |= {parameter_name(code): "prior look angles" for code in range(N_EOP, N_EOP + 12)}
@@ -118,8 +120,8 @@ _PRIOR_KIND: Final = _prior_kinds()
 
 
 def scaled(block: Block, groups: Groups, factor: Array) -> Block:
-    """The block with the sigmas of its groups multiplied by their factors (g,)."""
-    by_group = np.append(factor, 1.0)  # -1 is the last
+    """Return the block with the sigmas of its groups multiplied by their factors (g,)."""
+    by_group = np.append(factor, 1.0)  # -1 selects the last element
     o, known, options = block.observations, block.points.known, block.options
     image = by_group[groups.image]
     observations = replace(o, sigma_line_px=o.sigma_line_px * image, sigma_sample_px=o.sigma_sample_px * image)
@@ -130,9 +132,11 @@ def scaled(block: Block, groups: Groups, factor: Array) -> Block:
             f, given = float(by_group[groups.names.index(declaration.component)]), getattr(options, option)
             changed[option] = tuple(f * x for x in given) if isinstance(given, tuple) else f * given
     return replace(
-        block, observations=observations, points=replace(block.points, known=coordinates),
+        block,
+        observations=observations,
+        points=replace(block.points, known=coordinates),
         options=replace(options, **changed),
-    )  # fmt: skip
+    )
 
 
 # --- residuals of a solution by groups -----------------------------------------------------------------
@@ -145,7 +149,7 @@ class GroupedResiduals:
     known : ResidualCofactors
     groups : Groups
     largest : int, optional
-        Elements of the matrices of all groups above which they are not computed.
+        Maximum number of elements of the matrices of all groups; larger matrices are not computed.
     """
 
     known: ResidualCofactors
@@ -166,7 +170,7 @@ class GroupedResiduals:
         ]).astype(np.intp)  # fmt: skip
 
     def sums(self) -> tuple[Array, Array, Index]:
-        """Sums of squares q, redundancies r and numbers of rows of all groups."""
+        """Return the sums of squares q, redundancies r and numbers of rows of all groups."""
         known = self.known
         v = np.concatenate([known.v_image.ravel(), known.v_control.ravel(), known.v_prior])
         blocks = (known.image, known.control)
@@ -184,9 +188,9 @@ class GroupedResiduals:
         return GroupCofactors(self.known, self.labels, len(self.groups.names))
 
     def medians(self) -> Array:
-        """Return the median quadratic form of each group's units over the chi-square median; nan if unchecked.
+        """Return the median quadratic form of each group's units over the chi-square median; nan without redundancy.
 
-        Points with a single image point are left out: their form is the same for image and ground.
+        Points with a single image point are left out: their quadratic form is the same for image and ground.
         """
         known, parts = self.known, dict[int, list[float]]()
         problem, o = known.problem, known.problem.observations
@@ -204,7 +208,7 @@ class GroupedResiduals:
 
 
 def _add(parts: dict[int, list[float]], labels: Index, v: Array, q: Array) -> None:
-    """Add the quadratic form of one unit, over the median of chi-square, to each of its groups."""
+    """Add the quadratic form of one unit, divided by the median of chi-square, to each of its groups."""
     for label in set(labels.tolist()) - {-1}:
         mine = np.flatnonzero(labels == label)
         size, axes = np.linalg.eigh(q[np.ix_(mine, mine)])

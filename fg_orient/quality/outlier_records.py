@@ -1,4 +1,4 @@
-"""Results of the outlier tests: the test of one suspect, and of all suspects."""
+"""Records of the outlier tests: the test of one suspect, and the tests of all suspects."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from factors.arrays import Array
 from fg_orient.adjustment.problem import Problem
 from fg_orient.quality import hypotheses
 
-# places and small numbers of all suspects, in half of the memory
+# positions and small numbers of all suspects, in half of the memory
 Small = npt.NDArray[np.int32]
 
 
@@ -31,7 +31,8 @@ class GroupTest:
     dimension : int
         d; 0 if the other observations do not check the suspect.
     statistic : float or None
-        w, tau or t for d = 1; T, T/m0^2 or F for more. None if not tested, as ``critical`` and ``probability``.
+        w, tau or t for d = 1; T, T/m0^2 or F for more. None if not tested; then ``critical`` and ``probability`` are
+        also None.
     critical : float or None
         Limit of the statistic; above it a gross error is suspected.
     probability : float or None
@@ -63,7 +64,7 @@ class GroupTest:
 
     @property
     def suspicious(self) -> bool:
-        """Whether the statistic is above its limit."""
+        """True if the statistic is above its limit."""
         return self.statistic is not None and self.critical is not None and self.statistic > self.critical
 
     @property
@@ -72,7 +73,7 @@ class GroupTest:
         return _name(self.part, self.image, self.point)
 
     def sentence(self) -> str:
-        """Sentence on the suspect, its error and the test."""
+        """Describe the suspect, its error and the test in a sentence."""
         if self.statistic is None or self.critical is None:
             return f"{self.name}: not tested, the other observations do not check it"
         size = ", ".join(f"{value:+.2f}" for value in self.error)
@@ -85,7 +86,7 @@ class GroupTest:
 
 @dataclass(frozen=True)
 class OutlierTests(Sequence[GroupTest]):
-    """Tests of all suspects: most suspicious first, untested suspects last; stored by columns, rows on demand.
+    """Tests of all suspects, most suspicious first, untested suspects last; stored by columns, rows are made on demand.
 
     Parameters
     ----------
@@ -97,7 +98,7 @@ class OutlierTests(Sequence[GroupTest]):
     level_each : float
         Level of each test: a suspect is suspicious if its probability is not larger.
     n_tested : int
-        Number of tested hypotheses; inseparable suspects are one.
+        Number of tested hypotheses; a class of inseparable suspects counts once.
     parts, units : tuple of str
     part : (n,) int array
         Positions in ``parts``.
@@ -140,7 +141,7 @@ class OutlierTests(Sequence[GroupTest]):
     @overload
     def __getitem__(self, place: slice) -> tuple[GroupTest, ...]: ...
     def __getitem__(self, place: int | slice) -> GroupTest | tuple[GroupTest, ...]:
-        """Return one test, or some tests; suspicious tests have their inseparable suspects."""
+        """Return one test, or several tests; suspicious tests include their inseparable suspects."""
         if isinstance(place, slice):
             return tuple(self[k] for k in range(*place.indices(len(self))))
         k = range(len(self))[place]
@@ -150,12 +151,20 @@ class OutlierTests(Sequence[GroupTest]):
             float(a[k]) if d else None for a in (self.statistic, self.critical, self.probability)
         )
         return GroupTest(
-            *self._where(k), d, statistic, critical, probability, error, self._inseparable(k),
-            hypotheses.SYMBOLS[self.test][d > 1], self.level_each, self.units[self.part[k]],
-        )  # fmt: skip
+            *self._where(k),
+            d,
+            statistic,
+            critical,
+            probability,
+            error,
+            self._inseparable(k),
+            hypotheses.SYMBOLS[self.test][d > 1],
+            self.level_each,
+            self.units[self.part[k]],
+        )
 
     def suspicious(self) -> tuple[GroupTest, ...]:
-        """Suspicious tests."""
+        """Return the suspicious tests."""
         return self[: self.n_suspicious]
 
     @property
@@ -164,7 +173,7 @@ class OutlierTests(Sequence[GroupTest]):
         return int(np.count_nonzero(self.statistic > self.critical))
 
     def _inseparable(self, k: int) -> tuple[str, ...]:
-        """Other suspects that may contain the error of a suspicious one."""
+        """Return other suspects that may contain the error of a suspicious one."""
         if not self.statistic[k] > self.critical[k]:
             return ()
         same = self.of_class == self.of_class[k]
@@ -172,14 +181,14 @@ class OutlierTests(Sequence[GroupTest]):
         return tuple(_name(*self._where(int(i))) for i in np.flatnonzero(same))
 
     def _where(self, k: int) -> tuple[str, str, str]:
-        """Part, image and point of a suspect."""
+        """Return part, image and point of a suspect."""
         block, row = self.problem.block, int(self.row[k])
         image = "" if row < 0 else block.images[int(self.problem.observations.image[row])].id
         return self.parts[self.part[k]], image, block.points.ids[self.point[k]]
 
 
 def _name(part: str, image: str, point: str) -> str:
-    """Name of a suspect."""
+    """Return the name of a suspect."""
     if part == "point":
         return f"point {point} with all its observations"
     seen = f"point {point} in image {image}" if image else f"point {point}"

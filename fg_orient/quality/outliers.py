@@ -1,8 +1,9 @@
 """Outlier tests: each observation is tested against all others with the covariance of the residuals.
 
 Suspects and their T: ``fg_orient.quality.suspects``. Tests and control of multiple tests:
-``fg_orient.quality.hypotheses``. Inseparable suspects (position of a control point and its only image point) are one
-hypothesis and are named together. The search that leaves observations out is ``fg_orient.orientation.outlier_search``.
+``fg_orient.quality.hypotheses``. Inseparable suspects (for example the position of a control point and its only image
+point) are one hypothesis and are named together. The search that excludes observations is
+``fg_orient.orientation.outlier_search``.
 """
 
 from __future__ import annotations
@@ -27,21 +28,27 @@ SAME: Final = 1e-6
 
 
 def outlier_tests(
-    known: ResidualCofactors, chi2: float, *, level: float, test: str, control: str, kind: Kind = "groups",
+    known: ResidualCofactors,
+    chi2: float,
+    *,
+    level: float,
+    test: str,
+    control: str,
+    kind: Kind = "groups",
     components: VarianceComponents | None = None,
-) -> OutlierTests:  # fmt: skip
+) -> OutlierTests:
     """Test all suspects of a kind at a least-squares solution.
 
     Parameters
     ----------
     known : ResidualCofactors
-        Of the solution.
+        Residuals of the solution, with their cofactors.
     chi2 : float
         Weighted sum of squares of all residuals.
     level, test, control, kind
         See ``fg_orient.quality.hypotheses`` and :func:`suspects`; InputError for an unknown name or invalid level.
     components : VarianceComponents, optional
-        Variance components in the sigmas of the problem; the degrees of freedom then differ from test to test
+        Variance components in the sigmas of the problem. The degrees of freedom then differ from test to test
         (``fg_orient.quality.variance_components``).
     """
     hypotheses.require_names(test, control, level)
@@ -56,10 +63,19 @@ def outlier_tests(
 
 
 def assess_suspects(
-    problem: Problem, families: Sequence[Suspects], chi2: float, *, level: float, test: str, control: str,
+    problem: Problem,
+    families: Sequence[Suspects],
+    chi2: float,
+    *,
+    level: float,
+    test: str,
+    control: str,
     freedom: Array | None = None,
-) -> OutlierTests:  # fmt: skip
-    """Test suspects and sort them; see :func:`outlier_tests`. ``freedom`` (n,) is both v^T v and f of each."""
+) -> OutlierTests:
+    """Test suspects and sort them; see :func:`outlier_tests`.
+
+    ``freedom`` (n,) replaces both v^T v and f of each suspect.
+    """
     sizes = [len(s.point) for s in families]
     results = [s.quadratic() for s in families]
     t, d = np.concatenate([r[0] for r in results]), np.concatenate([r[1] for r in results])
@@ -69,7 +85,7 @@ def assess_suspects(
             error[end - len(own) : end, : own.shape[1]] = own
     part, point, row = np.repeat(np.arange(len(families)), sizes), _column(families, "point"), _column(families, "row")
     parts, units = tuple(s.part for s in families), tuple(s.unit for s in families)
-    del families, results  # half of the memory of the tests
+    del families, results  # halves the memory of the tests
     f: Array = np.asarray(float(problem.redundancy) if freedom is None else freedom)
     squares: Array = np.asarray(chi2 if freedom is None else freedom)
     tested = hypotheses.can_be_tested(d, f, test)
@@ -87,18 +103,34 @@ def assess_suspects(
     order = np.lexsort((row < 0, -t[first], np.where(tested, probability[first], np.inf)))
     in_part, of_point, at, rank, group = (values[order].astype(np.int32) for values in (part, point, row, d, of_class))
     return OutlierTests(
-        problem, test, control, level, each, len(classes), parts, units, in_part, of_point, at, rank,
-        t[order], statistic[order], critical[order], probability[order], error[order], group,
-    )  # fmt: skip
+        problem,
+        test,
+        control,
+        level,
+        each,
+        len(classes),
+        parts,
+        units,
+        in_part,
+        of_point,
+        at,
+        rank,
+        t[order],
+        statistic[order],
+        critical[order],
+        probability[order],
+        error[order],
+        group,
+    )
 
 
 def _column(families: Sequence[Suspects], name: str) -> Index:
-    """One column of all suspects."""
+    """Return one column of all suspects."""
     return np.concatenate([getattr(s, name) for s in families])
 
 
 def _classes(point: Index, d: Index, t: Array, tested: Mask) -> tuple[Index, Index]:
-    """First member of each class of inseparable suspects, and class (n,) of each suspect; -1: not tested.
+    """Return the first member of each class of inseparable suspects, and the class (n,) of each; -1: not tested.
 
     Suspects of one point with the same d and, apart from rounding, the same T are inseparable.
     """

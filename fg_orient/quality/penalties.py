@@ -1,10 +1,10 @@
-"""Penalties of the correction functions of images: first and second derivatives.
+"""Penalties on the correction functions of images: first and second derivatives.
 
-The coefficients of one component of an image, such as those of roll, are a function of one normalised variable t in
-[-1, 1], line or sample: polynomial coefficients and the curves of ``factors.geometry.polynomials``. The function is
-divided by the prior sigma of its first coefficient. A penalty is the mean square of a derivative at :data:`TIMES` equal
-times, by divided differences, which are exact for quadratics. It never joins components or images, and a constant has
-no penalty.
+The coefficients of one component of an image, such as roll, form a function of one normalised variable t in [-1, 1],
+line or sample: polynomial coefficients and the curves of ``factors.geometry.polynomials``. The function is divided by
+the prior sigma of its first coefficient. A penalty is the mean square of a derivative at :data:`TIMES` equal times, by
+divided differences, which are exact for quadratics. It never combines components or images, and a constant has no
+penalty.
 """
 
 from __future__ import annotations
@@ -18,15 +18,18 @@ from factors.geometry import polynomials
 from fg_orient.adjustment.problem import Problem
 from fg_orient.model.parameters import ImageParameters, term_of
 
-#: Times of the derivatives of a function.
+#: Number of times at which the derivatives of a function are formed.
 TIMES: Final = 11
-#: Roundings of a function's values up to which a derivative is zero.
+#: Derivatives up to this multiple of the rounding of the function's values count as zero.
 ROUNDINGS: Final = 100.0
 _ORDER: Final = {"gradient": 1, "laplace": 2}
 
 
 def penalty_rows(problem: Problem) -> Array | None:
-    """Rows L (k, z) of the free image unknowns in prior sigmas, by the options; None for the deviation alone."""
+    """Return the rows L (k, z) of the free image unknowns in prior sigmas, by the options.
+
+    None for the deviation alone.
+    """
     options = problem.block.options
     if options.penalty == "deviation":
         return None
@@ -42,7 +45,7 @@ def penalty_rows(problem: Problem) -> Array | None:
 
 
 def image_penalty(parameters: ImageParameters, order: int, intervals: int) -> Array:
-    """Rows (k, u) of the unknowns of an image in prior sigmas; order of the derivative, intervals of the curves."""
+    """Return rows (k, u) of an image in prior sigmas, for an order of the derivative and a number of intervals."""
     functions: dict[str, list[int]] = {}
     for j, name in enumerate(parameters.names):
         if (term := term_of(name)) is not None and term.kind:
@@ -61,7 +64,7 @@ def image_penalty(parameters: ImageParameters, order: int, intervals: int) -> Ar
 
 
 def _values(name: str, t: Array, intervals: int) -> Array:
-    """Values (n,) of the function of one coefficient at t."""
+    """Return the values (n,) of the function of one coefficient at t."""
     number = int(name[len(name.rstrip("0123456789")) :])
     if name.rstrip("0123456789").endswith("c"):
         return np.asarray(polynomials.curves(t, intervals)[:, number])

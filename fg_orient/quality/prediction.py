@@ -1,4 +1,4 @@
-"""Consistency of excluded observations with the adjustment of the others.
+"""Test of excluded observations for consistency with the adjustment of the other observations.
 
 The excluded observations are tested as if they were included. With their misclosure v at the solution of the other
 observations, their Jacobian J in whitened rows, the cofactors Q of the unknowns, ``S = I + J Q J^T`` and the columns E
@@ -6,10 +6,10 @@ of the error in these rows::
 
     T = (E^T S^-1 v)^T (E^T S^-1 E)^+ (E^T S^-1 v)
 
-is the T of the outlier test in the adjustment with them (its residuals are ``S^-1 v``, weighted, with these cofactors;
-leave one out, Kok 1984), and v^T v increases by ``v^T S^-1 v`` if they are included again. A ground point that the
-other observations do not determine is first intersected from the excluded observations; the test uses the remaining
-combinations.
+is the T of the outlier test in the adjustment that includes these observations. (There the whitened residuals are
+``S^-1 v``, with these cofactors; leave one out, Kok 1984.) If they are included again, v^T v increases by ``v^T S^-1
+v``. A ground point that the other observations do not determine is first intersected from the excluded observations;
+the test uses the remaining combinations.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ STEP_M: Final = 1e-6
 
 @dataclass(frozen=True)
 class ConsistencyTest:
-    """Consistency test of excluded observations.
+    """Result of the consistency test of excluded observations.
 
     Parameters
     ----------
     quadratic : float
         T.
     dimension : int
-        d; 0 if the other observations do not check them.
+        d; 0 if the other observations do not check the excluded ones.
     statistic : float or None
         w, tau, t, or T, T/m0^2, F (``fg_orient.quality.hypotheses``); None if d is 0.
     probability : float or None
@@ -55,7 +55,7 @@ class ConsistencyTest:
 
     @classmethod
     def of(cls, t: float, d: int, chi2: float, redundancy: float, test: str) -> ConsistencyTest:
-        """Test of T with v^T v and its degrees of freedom; see ``fg_orient.quality.hypotheses``."""
+        """Test T with v^T v and its degrees of freedom; see ``fg_orient.quality.hypotheses``."""
         given = np.array([t]), np.array([d])
         if not hypotheses.can_be_tested(given[1], redundancy, test)[0]:
             return cls(t, 0, None, None)
@@ -63,14 +63,14 @@ class ConsistencyTest:
         return cls(t, d, *(float(law(*given, chi2, redundancy, test)[0]) for law in laws))
 
     def with_freedom(self, freedom: float, test: str) -> ConsistencyTest:
-        """The same test with these degrees of freedom instead of the redundancy."""
+        """Return the same test with these degrees of freedom instead of the redundancy."""
         t, d = self.quadratic, self.dimension
         return ConsistencyTest.of(t, d, freedom + t, freedom + d, test) if d else self
 
 
 @dataclass(frozen=True)
 class Excluded:
-    """Excluded observations of one ground point, and the place of the suspected error among them.
+    """Excluded observations of one ground point, and which of them has the suspected error.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class Excluded:
     rows : tuple of int
         Image points of the full problem, all of this ground point.
     control : bool
-        Whether the measured coordinates of the point are excluded, too.
+        True if the measured coordinates of the point are excluded, too.
     part : str
         "image", "position", "height" or "point".
     row : int
@@ -94,7 +94,7 @@ class Excluded:
 
 @dataclass(frozen=True, eq=False)
 class Misclosures:
-    """Misclosures of excluded observations at the solution of the others, whitened.
+    """Misclosures of excluded observations at the solution of the other observations, whitened.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def misclosures(full: Problem, rest: Problem, state: State, excluded: Sequence[E
     Parameters
     ----------
     full : Problem
-        With these observations; the same images, options and ground points as ``rest``.
+        Problem with these observations; it has the same images, options and ground points as ``rest``.
     rest, state
         Adjustment without these observations.
     excluded : sequence of Excluded
@@ -133,7 +133,7 @@ def misclosures(full: Problem, rest: Problem, state: State, excluded: Sequence[E
     start = np.where(rest.active[:, None], state.ground, full.start.ground)
     out: list[Misclosures | None] = [None] * len(excluded)
     left = dict(enumerate(excluded))
-    while left:  # without the others a ground point has a different place in each of its groups
+    while left:  # a ground point has a different place in each of its groups, which are intersected separately
         some = {k: left.pop(k) for k in {one.point: k for k, one in left.items()}.values()}
         at = State(state.image, start.copy())
         lost = {k for k, one in some.items() if full.active[one.point] and not rest.active[one.point]}
@@ -141,7 +141,8 @@ def misclosures(full: Problem, rest: Problem, state: State, excluded: Sequence[E
         some = {k: one for k, one in some.items() if k not in open_}
         for k, (v, d_image, d_ground, images) in zip(some, _rows(full, at, list(some.values())), strict=True):
             e = _columns(full, some[k])
-            e = e / np.linalg.norm(e, axis=0)  # before the projection: its length after it is the checked share
+            # scaled before the projection: the length after it is then the checked share
+            e = e / np.linalg.norm(e, axis=0)
             points: tuple[int, ...] = ()
             if rest.active[some[k].point]:
                 d_image, points = np.hstack([d_image, d_ground]), (some[k].point,)
@@ -155,20 +156,20 @@ def misclosures(full: Problem, rest: Problem, state: State, excluded: Sequence[E
 def consistency_in_turn(
     groups: Sequence[Misclosures], levels: Sequence[float], rest: Problem, cofactors: Cofactors, chi2: float, test: str
 ) -> list[ConsistencyTest]:
-    """Test groups in order, each with the earlier groups that fit, in the linear model of one adjustment.
+    """Test groups in order, each together with the earlier groups that fit, in the linear model of one adjustment.
 
-    After group a is included, the misclosures of the others and their cofactors are ``v' = v - S_a S_aa^-1 v_a``,
-    ``S' = S - S_a S_aa^-1 S_a^T``, and v^T v has increased by ``v_a^T S_aa^-1 v_a``.
+    After group a is included, the misclosures of the other groups and their cofactors are ``v' = v - S_a S_aa^-1 v_a``
+    and ``S' = S - S_a S_aa^-1 S_a^T``. v^T v has increased by ``v_a^T S_aa^-1 v_a``.
 
     Parameters
     ----------
     groups : sequence of Misclosures
-        Of different ground points.
+        Misclosures of different ground points.
     levels : sequence of float
-        A group fits if its probability is larger.
+        Level of each group; a group fits if its probability is larger.
     rest : Problem
     cofactors, chi2
-        Of the adjustment of ``rest``.
+        Cofactors and v^T v of the adjustment of ``rest``.
     test : str
     """
     images = tuple(sorted({k for one in groups for k in one.images}))
@@ -176,8 +177,10 @@ def consistency_in_turn(
     sizes = dict(zip(images, np.diff(rest.first)[np.array(images, np.intp)].tolist(), strict=True))
     names = [(True, k, size) for k, size in sizes.items()] + [(False, j, 3) for j in points]
     places = np.cumsum([0, *(size for _, _, size in names)])
-    columns = {(is_image, k): np.arange(size) + begin
-               for (is_image, k, size), begin in zip(names, places.tolist(), strict=False)}  # fmt: skip
+    columns = {
+        (is_image, k): np.arange(size) + begin
+        for (is_image, k, size), begin in zip(names, places.tolist(), strict=False)
+    }
     first = np.cumsum([0, *(len(one.v) for one in groups)])
     design, v = np.zeros((first[-1], places[-1])), np.concatenate([one.v for one in groups])
     for begin, one in zip(first.tolist(), groups, strict=False):
@@ -196,7 +199,7 @@ def consistency_in_turn(
 
 
 def _columns(full: Problem, one: Excluded) -> Array:
-    """Columns E (m, k) of the suspected error in the rows of :func:`_rows`; their scale does not matter."""
+    """Return the columns E (m, k) of the suspected error in the rows of :func:`_rows`; their scale does not matter."""
     whole = np.eye(2 * len(one.rows) + 3 * one.control)
     if one.part == "point":
         return whole
@@ -218,7 +221,7 @@ def _judged(v: Array, e: Array, s: Array, chi2: float, redundancy: float, test: 
 def _rows(
     full: Problem, at: State, excluded: Sequence[Excluded]
 ) -> Iterator[tuple[Array, Array, Array, tuple[int, ...]]]:
-    """Whitened misclosures (m,), Jacobians (m, u) and (m, 3), and the images of u, of each group at a state."""
+    """Yield whitened misclosures (m,), Jacobians (m, u) and (m, 3), and the images of u, for each group at a state."""
     first = np.cumsum([0, *(len(one.rows) for one in excluded)])
     taken = np.array([row for one in excluded for row in one.rows], np.intp)
     rays = linearised(full, at, taken)
@@ -234,7 +237,7 @@ def _rows(
 
 
 def _intersect(full: Problem, at: State, lost: dict[int, Excluded]) -> set[int]:
-    """Intersect ground points in ``at`` from their groups with fixed orientation; the groups that converge."""
+    """Intersect ground points in ``at`` from their groups with fixed orientation; return the groups that converge."""
     left, done = dict(lost), set[int]()
     for _ in range(MAX_STEPS):
         if not left:

@@ -1,22 +1,22 @@
-"""Regularisation of the image unknowns: penalty, rank and kappa, chosen at the start values for all backends.
+"""Regularisation of the image unknowns: penalty, rank and kappa are chosen at the start values for all backends.
 
 With the ground points eliminated (``fg_orient.quality.elimination``), a step of the image unknowns solves ``A x = l``.
-x is the total deviation from the metadata, in prior sigmas, which are units only; with priors a row ``x = 0`` per
-unknown remains. The norm of the method is ``|D x|``; D changes the units. With ``A D^-1 = U S V^T``:
+x is the total deviation from the metadata, in prior sigmas. These are units only; with priors there is also a row ``x =
+0`` per unknown. The method uses the norm ``|D x|``, where D changes the units. With ``A D^-1 = U S V^T``:
 
 - tikhonov: ``|A x - l|^2 + kappa |L D x|^2`` is minimised; L is the identity, or a penalty of the correction functions;
 - truncated: directions with ``s^2 < kappa`` stay at the metadata, ``v^T D x = 0``;
 - minimum_norm: directions with ``s <= rank_cut s_1`` stay there: the pseudo-inverse of Moore and Penrose;
-- generalised_ridge, stein, ridge_stein: as minimum_norm, and the others are shrunk
+- generalised_ridge, stein, ridge_stein: as minimum_norm, but the other directions are shrunk
   (``fg_orient.adjustment.linear.shrinkage``).
 
-Held directions are observed with a weight w of at least s_1: a residual of one sigma moves a direction of singular
-value s by ``s / w^2``, which is :data:`HELD` or less unless w would exceed :data:`STIFFEST` times s_1. The result of
+Held directions are observed with a weight w of at least s_1. A residual of one sigma moves a direction of singular
+value s by ``s / w^2``. This is :data:`HELD` or less, unless w would exceed :data:`STIFFEST` times s_1. The result of
 each method is a matrix R of rows that all backends add (``fg_orient.adjustment.penalty``).
 
 Rules of kappa work on a system in standard form (Eldén 1982; Hansen 1998, 2.3): unknowns ``y`` with penalty ``|y|^2``,
-unpenalised directions eliminated, directions below the rank cut removed. Its number of rows is that of all whitened
-image and control observations without those that the ground points and the unpenalised directions use up.
+unpenalised directions eliminated, directions below the rank cut removed. It has as many rows as there are whitened
+image and control observations, minus the number of ground coordinates and unpenalised directions.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.quality.elimination import UNOBSERVABLE, reduced_system
 from fg_orient.quality.penalties import penalty_rows
 
-#: Movement of a held direction, in units of the norm, by a residual of one sigma.
+#: Largest movement of a held direction, in units of the norm, by a residual of one sigma.
 HELD: Final = 1e-10
-#: Largest weight of held directions, as a multiple of the largest singular value: the condition grows with it.
+#: Largest weight of held directions as a multiple of the largest singular value: the condition number grows with it.
 STIFFEST: Final = 1e3
-#: Least ratio of neighbouring singular values around the cut for a clear rank.
+#: Least ratio of the singular values on both sides of the cut for a clear rank.
 GAP: Final = 100.0
 SOURCE: Final = "Tikhonov 1963; Hansen 1998"
 
@@ -64,14 +64,13 @@ def require_possible(block: Block) -> None:
 
 
 def with_regularisation(problem: Problem) -> Problem:
-    """Problem with the penalty of its options as observations, and their record.
+    """Add the penalty of the options to a problem as observations, and record it.
 
     Raises
     ------
     InputError
-        A method or a rule that is not possible for more than 2000 image unknowns; an unknown rule; the penalty and the
-        observations leave a direction undetermined; normal equations that are too ill-conditioned for the Schur
-        backend.
+        A method or a rule is not possible for more than 2000 image unknowns; a rule is unknown; penalty and
+        observations leave a direction undetermined; the normal equations are too ill-conditioned for the Schur backend.
     Breakdown
         The rule finds no kappa.
     """
@@ -96,7 +95,7 @@ def with_regularisation(problem: Problem) -> Problem:
 
 
 def _chosen(problem: Problem, system: LinearSystem) -> Regularisation:
-    """Regularisation of a reduced system in prior sigmas."""
+    """Choose the regularisation of a reduced system in prior sigmas."""
     options = problem.block.options
     units = _units(problem, system)
     design, observed = system.require_design("regularisation")
@@ -155,7 +154,7 @@ def _with_all_rows(design: Array, rows: Array, *, priors: bool) -> tuple[float, 
 
 
 def _units(problem: Problem, system: LinearSystem) -> Array:
-    """D (z,): units of the norm for one prior sigma."""
+    """Return D (z,): units of the norm for one prior sigma."""
     kind = problem.block.options.regularised_units
     if kind == "columns":
         return column_lengths(system)
@@ -165,7 +164,7 @@ def _units(problem: Problem, system: LinearSystem) -> Array:
 
 
 def _require_complete(problem: Problem, penalty: Array, null: Array) -> None:
-    """Refuse a penalty that does not see directions ``null`` (z, d) without observations, unless priors hold them."""
+    """Refuse a penalty that does not act on unobserved directions ``null`` (z, d), unless priors hold them."""
     if problem.block.options.priors or not null.shape[1]:
         return
     left = null @ np.linalg.svd(penalty @ null)[2].T
@@ -177,12 +176,12 @@ def _require_complete(problem: Problem, penalty: Array, null: Array) -> None:
 
 
 def standard_form(system: LinearSystem, penalty: Array | None, cut: float) -> LinearSystem:
-    """System with the penalty |y|^2 and full rank; see the module docstring.
+    """Return the system with the penalty |y|^2 and full rank; see the module docstring.
 
     Parameters
     ----------
     system : LinearSystem
-        With A (r, z).
+        System with A (r, z).
     penalty : (k, z) array or None
         L; None: the identity.
     cut : float
@@ -211,13 +210,13 @@ def standard_form(system: LinearSystem, penalty: Array | None, cut: float) -> Li
 
 
 def given_inputs(system: LinearSystem) -> Given:
-    """Inputs of the rules: observations have the standard deviation 1, unknowns one prior sigma."""
+    """Return the inputs of the rules: observations have the standard deviation 1, unknowns one prior sigma."""
     rows = len(system.require_design("noise")[0]) + system.rest.rows
     return Given(start_solver="svd", noise_norm=float(np.sqrt(rows)), sigma_observed=1.0, sigma_unknown=1.0)
 
 
 def _by_rule(problem: Problem, standard: LinearSystem) -> KappaChoice:
-    """Kappa of the rule of the options."""
+    """Choose kappa by the rule of the options."""
     options = problem.block.options
     choice = choose_kappa(options.kappa_rule, standard, given_inputs(standard))
     if not options.priors or options.kappa_rule == "bayes":
@@ -231,7 +230,7 @@ def _by_rule(problem: Problem, standard: LinearSystem) -> KappaChoice:
 
 
 def findings(problem: Problem) -> list[Finding]:
-    """Note on the regularisation, and doubts about the rank of a minimum norm."""
+    """Report a note on the regularisation, and doubts about the rank of a minimum norm."""
     chosen, options = problem.regularisation, problem.block.options
     if chosen is None:
         return []
@@ -239,8 +238,17 @@ def findings(problem: Problem) -> list[Finding]:
     if chosen.method not in ("tikhonov", "truncated"):
         weak = int(np.count_nonzero(s[: chosen.rank] <= UNOBSERVABLE))
         if chosen.gap < GAP:
-            out.append(finding("regularise.rank_ambiguous", rank=chosen.rank, z=z, above=s[chosen.rank - 1] / s[0],
-                               below=s[chosen.rank] / s[0], cut=options.rank_cut, gap=GAP))  # fmt: skip
+            out.append(
+                finding(
+                    "regularise.rank_ambiguous",
+                    rank=chosen.rank,
+                    z=z,
+                    above=s[chosen.rank - 1] / s[0],
+                    below=s[chosen.rank] / s[0],
+                    cut=options.rank_cut,
+                    gap=GAP,
+                )
+            )
         if weak and options.regularised_units == "prior_sigmas":
             out.append(finding("regularise.weak", n=weak, prior_sigmas=1.0 / UNOBSERVABLE))
     note = finding(
@@ -258,7 +266,7 @@ def share_of_penalty(problem: Problem, state: State, chi2: float) -> float | Non
 
 
 def kappa_text(chosen: Regularisation) -> str | None:
-    """Kappa and its rule in words; None for a minimum norm."""
+    """Describe kappa and its rule; None for a minimum norm."""
     if chosen.kappa is None:
         return None
     return f"{chosen.kappa:.3g}" + (f" by the rule {chosen.rule}" if chosen.rule else "")

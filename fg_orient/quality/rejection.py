@@ -1,13 +1,14 @@
 """Rejection of gross errors: fit, test, exclude the worst observation, fit again.
 
-One observation after the other (Baarda 1968), because a gross error increases the statistics of its neighbours, too.
-Each domain supplies its fit and its tests, which may name several observations of a round in their order
-(``fg_orient.quality.successive``); this loop decides which are left out or put back and when the search ends.
+The observations are excluded one after the other (Baarda 1968), because a gross error also increases the statistics of
+its neighbours. Each domain supplies its fit and its tests. The tests may name several observations of a round in their
+order (``fg_orient.quality.successive``). This loop decides which observations are excluded or included again, and when
+the search ends.
 
 An early choice among suspects may be wrong. After each fit the excluded observations are therefore predicted from the
-others, and observations that fit are included again before another observation is left out. Each observation returns at
-most once. Every round but the last is one of at most three changes of an observation (out, back, out again), so the
-search ends.
+others. Observations that fit are included again before another observation is excluded. Each observation returns at
+most once. Every round except the last changes an observation, and each observation changes at most three times (out,
+back, out again), so the search ends.
 
 The record of a search in an adjustment (``fg_orient.orientation.outlier_search``) is :class:`Search`.
 """
@@ -28,13 +29,13 @@ if TYPE_CHECKING:
 F = TypeVar("F")
 T = TypeVar("T")
 
-#: Maximum share of gross errors among the observations; with more of them the model is wrong.
+#: Maximum share of gross errors among the observations; with more of them the model must be wrong.
 MOST: Final = 0.25
 
 
 @dataclass(frozen=True)
 class Change(Generic[T]):
-    """Observations that were left out or included again after a fit; empty after the last fit."""
+    """Observations that were excluded or included again after a fit; empty after the last fit."""
 
     left_out: tuple[T, ...] = ()
     put_back: tuple[T, ...] = ()
@@ -47,15 +48,15 @@ class Rejection(Generic[F, T]):
     Parameters
     ----------
     fit : object
-        Of the last round.
+        Fit of the last round.
     changes : tuple of Change
         One per fit.
     out : tuple
-        Observations that stay out, in the order in which they were left out.
+        Observations that stay excluded, in the order of their exclusion.
     worst : object or None
         Most suspicious observation of the last fit; None: no observation is suspicious.
     error : Exception or None
-        Error of the fit without ``worst``; None: ``worst`` remains because too many are out.
+        Error of the fit without ``worst``. None: ``worst`` remains because too many observations are excluded.
     """
 
     fit: F
@@ -74,25 +75,25 @@ def reject(
     returning: Callable[[F, Sequence[T], Sequence[T]], Sequence[T]] = lambda *_: (),
     impossible: tuple[type[Exception], ...] = (),
 ) -> Rejection[F, T]:
-    """Leave out the worst observation and fit again until no observation is suspicious.
+    """Exclude the worst observation and fit again until no observation is suspicious.
 
     Parameters
     ----------
     first : object
         Fit of all observations.
     fit : callable
-        Fits without the excluded observations, given these and the previous fit.
+        Function that fits without the excluded observations, given these and the previous fit.
     worst : callable
-        Observations to leave out, the most suspicious first, given a fit and the excluded observations; empty if no
-        observation is suspicious.
+        Function that returns observations to exclude, the most suspicious first, given a fit and the excluded
+        observations; empty if no observation is suspicious.
     most : int
         Maximum number of excluded observations.
     returning : callable, optional
-        Observations to put back together, given a fit, the excluded observations, and those of them that may return.
-        Without this function no observation returns.
+        Function that returns observations to include again together, given a fit, the excluded observations, and those
+        of them that may return. Without this function no observation returns.
     impossible : tuple of exception classes
-        Errors of a fit that the remaining observations do not determine. Of several exclusions the second half is then
-        undone, and so on. If the fit is still impossible without the first alone, the search ends.
+        Errors of a fit whose observations do not determine it. Of several exclusions the second half is then undone,
+        and so on. If the fit is still impossible without the first observation alone, the search ends.
     """
     last, out, changes, returned = first, list[T](), list[Change[T]](), list[T]()
     while True:
@@ -132,15 +133,15 @@ class ExcludedObservation:
     test : GroupTest
         Test in the adjustment with the observation.
     round : int
-        Number of this adjustment, from 1.
+        Number of this adjustment, counted from 1.
     with_it : tuple of str
-        Observations without use when it is excluded, such as the other image point of a point measured twice.
+        Observations that are useless without it, such as the other image point of a point measured twice.
     fit : ConsistencyTest
-        Consistency with the adjustment without it: when it was put back, otherwise in the last round.
+        Consistency with the adjustment without it: when it was included again, otherwise in the last round.
     readmitted : int or None
-        Adjustment after which it was put back; None: it stays out.
+        Adjustment after which it was included again; None: it stays excluded.
     pixel : (float, float)
-        Measured line and sample; nan for others than image points.
+        Measured line and sample; nan for observations other than image points.
     """
 
     test: GroupTest
@@ -151,7 +152,7 @@ class ExcludedObservation:
     pixel: tuple[float, float] = (math.nan, math.nan)
 
     def sentence(self) -> str:
-        """Sentence on the observation, its test, and its return."""
+        """Describe the observation, its test, and its return in a sentence."""
         also = f"; with it {', '.join(self.with_it)}" if self.with_it else ""
         back = "" if self.readmitted is None else f"; put back after round {self.readmitted}: it fits to the rest"
         return f"{self.test.sentence()}{also}{back}"
@@ -164,7 +165,7 @@ class Round:
     Parameters
     ----------
     number : int
-        From 1.
+        Number, counted from 1.
     sigma0 : float
     redundancy : float
     n_tested : int
@@ -184,7 +185,7 @@ class Round:
 
 @dataclass(frozen=True)
 class Search:
-    """A search for gross errors.
+    """Record of a search for gross errors.
 
     Parameters
     ----------
@@ -194,11 +195,11 @@ class Search:
     given_up : Finding or None
         Reason why the search ended with suspicious observations; None if no observation is suspicious.
     went_with : tuple of str
-        Image points that stay out because they would be the only image point of a point.
+        Image points that stay excluded because they would be the only image point of a point.
     check_points : tuple of str
-        Ids of check points without remaining image points: they are not in the accuracy.
+        Ids of check points without remaining image points: they are not included in the accuracy.
     kept : tuple of int
-        Rows of the given block's image points that stay.
+        Rows of the given block's image points that are kept.
     """
 
     rounds: tuple[Round, ...]
@@ -210,12 +211,12 @@ class Search:
 
     @property
     def left_out(self) -> tuple[ExcludedObservation, ...]:
-        """Observations that stay out."""
+        """Observations that stay excluded."""
         return tuple(one for one in self.found if one.readmitted is None)
 
     @property
     def tests(self) -> tuple[GroupTest, ...]:
-        """Tests of the observations that stay out, in the order in which they were left out."""
+        """Tests of the observations that stay excluded, in the order of their exclusion."""
         return tuple(one.test for one in self.left_out)
 
     @property
@@ -225,16 +226,17 @@ class Search:
 
     @property
     def complete(self) -> bool:
-        """Whether no observation is suspicious any more."""
+        """True if no observation is suspicious any more."""
         return not self.given_up
 
     def findings(self) -> tuple[Finding, ...]:
-        """Findings on excluded observations and on an incomplete search."""
+        """Return the findings on excluded observations and on an incomplete search."""
         out = []
         if self.left_out:
             names = [one.test.name for one in self.left_out]
-            out.append(finding("search.left_out", n=len(names), rounds=len(self.rounds), names=names,
-                               with_them=self.went_with))  # fmt: skip
+            out.append(
+                finding("search.left_out", n=len(names), rounds=len(self.rounds), names=names, with_them=self.went_with)
+            )
             out.append(finding("search.conditional"))
             if self.check_points:
                 out.append(finding("search.check_points", n=len(self.check_points), points=self.check_points))

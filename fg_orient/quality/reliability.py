@@ -1,4 +1,4 @@
-"""Reliability: how far the observations check each other (Baarda 1968; Förstner 1985; Luhmann et al. 2019, 2.4.4).
+"""Reliability: how well the observations check each other (Baarda 1968; Förstner 1985; Luhmann et al. 2019, 2.4.4).
 
 A bias b of one observation (sigma s, redundancy number r) changes its residual by r b and the test statistic
 ``w = v / (s sqrt(r))`` by ``b sqrt(r) / s``. The test of size alpha detects it with the given power if the square of
@@ -28,21 +28,21 @@ from fg_orient.model.errors import InputError
 from fg_orient.quality.hypotheses import eigen
 from fg_orient.quality.residuals import ResidualCofactors, by_parts, parts_of_rows
 
-#: Baarda's usual choice: probabilities of a false alarm, and of detecting the minimal detectable bias.
+#: Baarda's usual choice of the probabilities of a false alarm, and of detecting the minimal detectable bias.
 ALPHA, POWER = 0.001, 0.80
-#: Limit of the redundancy number of checkable observations; below it the minimal detectable bias exceeds 41 sigmas
-#: (Förstner 1985 calls 0.01 the limit of local redundancy).
+#: Least redundancy number of a checkable observation; below it the minimal detectable bias exceeds 41 sigmas (Förstner
+#: 1985 calls 0.01 the limit of local redundancy).
 CHECKABLE: Final = 0.01
-#: Smaller redundancy numbers are rounding errors of zero: quantities derived from them are not given.
+#: Smaller redundancy numbers are rounding errors of zero; quantities derived from them are not given.
 ROUNDING: Final = 1e-6
-#: Delta-bar above which an error is unseen: seven times the radius of the point's 95 % region. Three rays in a
-#: plane count as two where two of them enclose less than 0.38 of the angle to the third one.
+#: Delta-bar above which an error is undetected: seven times the radius of the point's 95 % region. Three rays in a
+#: plane count as two if the angle between two of them is less than 0.38 of their angle to the third ray.
 UNSEEN: Final = 20.0
 
 
 @cache
 def noncentrality(alpha: float = ALPHA, power: float = POWER, dimension: int = 1) -> float:
-    """Non-centrality delta of chi-square with which a test of size alpha has this power.
+    """Return the non-centrality delta of chi-square with which a test of size alpha has this power.
 
     17.075 for 0.001, 0.80 and one dimension (Baarda 1968). ``dimension`` is the number of coordinates tested together.
     """
@@ -56,18 +56,18 @@ class Reliability:
     Parameters
     ----------
     redundancy : (n, d) array
-        Redundancy numbers, 0 to 1: the share of an error in its residual.
+        Redundancy numbers, 0 to 1: the share of an observation error that appears in its residual.
     least : (n,) array
         Redundancy number of the least checked direction.
     direction : (n, d) array
         This direction, a unit vector in the unit of the coordinates, with a positive largest component.
     normalised : (n, d) array
-        Normalised residuals w, adjusted minus observed, N(0, 1) with correct sigmas.
+        Normalised residuals w, adjusted minus observed; N(0, 1) if the sigmas are correct.
     minimal_detectable_bias : (n, d) array
-        Of each coordinate, in its unit.
+        Minimal detectable bias of each coordinate, in its unit.
     smallest, largest : (n,) arrays
-        Minimal detectable bias of the coordinates tested together, in the best and the least checked direction (unit of
-        the coordinates).
+        Minimal detectable bias of the coordinates tested together, in the best and in the least checked direction (unit
+        of the coordinates).
     ground_m : (n, d) array
         External reliability: shift of the ground point by the minimal detectable bias, m.
     ground : (n, d) array
@@ -106,7 +106,7 @@ class BlockReliability:
     control : Reliability
         Control points ``np.flatnonzero(problem.observed)``: East, North, Up (X, Y, Z in a local system); m.
     cofactors : ResidualCofactors
-        Of all residuals, with the redundancy numbers of priors and extra observations.
+        Cofactors of all residuals, with the redundancy numbers of priors and extra observations.
     """
 
     alpha: float
@@ -117,12 +117,12 @@ class BlockReliability:
 
 
 def reliability(cofactors: ResidualCofactors, *, alpha: float = ALPHA, power: float = POWER) -> BlockReliability:
-    """Redundancy numbers, normalised residuals, internal and external reliability of all observations.
+    """Compute redundancy numbers, normalised residuals, internal and external reliability of all observations.
 
     Parameters
     ----------
     cofactors : ResidualCofactors
-        Of a solution without a loss.
+        Cofactors of a solution without a loss.
     alpha, power : float
         Probabilities of the test; 0 < alpha < power < 1.
 
@@ -139,24 +139,38 @@ def reliability(cofactors: ResidualCofactors, *, alpha: float = ALPHA, power: fl
 
     def some(k: slice) -> list[Array]:
         of_rays = rays.points[o.point[k]]
-        found = _reliability(cofactors.image[k], cofactors.v_image[k], sigma[k], rays.response[k], of_rays,
-                             rays.on_image[k], alpha, power)  # fmt: skip
+        found = _reliability(
+            cofactors.image[k],
+            cofactors.v_image[k],
+            sigma[k],
+            rays.response[k],
+            of_rays,
+            rays.on_image[k],
+            alpha,
+            power,
+        )
         return [getattr(found, f.name) for f in fields(found)]
 
     image = Reliability(*by_parts(len(o), some))
     points, sigma_m = rays.points[problem.observed], 1.0 / np.linalg.norm(w, axis=2)
     control = _reliability(
-        cofactors.control, cofactors.v_control, sigma_m, points @ np.swapaxes(w, 1, 2), points,
-        np.full(sigma_m.shape, np.nan), alpha, power,
-    )  # fmt: skip
-    return BlockReliability(alpha, power, image, control, cofactors)  # fmt: skip
+        cofactors.control,
+        cofactors.v_control,
+        sigma_m,
+        points @ np.swapaxes(w, 1, 2),
+        points,
+        np.full(sigma_m.shape, np.nan),
+        alpha,
+        power,
+    )
+    return BlockReliability(alpha, power, image, control, cofactors)
 
 
 def unseen_shifts(known: ResidualCofactors) -> Array:
-    """Shift (N, 3) of each unknown point to East, North, Up by an unseen error of one pixel; nan without such an error.
+    """Compute the shift (N, 3) East, North, Up of each unknown point by an unseen error of one pixel; nan without one.
 
-    An error of a ray along its least checked direction is unseen if the minimal detectable bias, both coordinates
-    tested together, shifts the point by more than :data:`UNSEEN` of its own sigmas. For a tie point with two rays this
+    An error of a ray along its least checked direction is unseen if its minimal detectable bias shifts the point by
+    more than :data:`UNSEEN` of its own sigmas. Both coordinates are tested together. For a tie point with two rays this
     direction is the epipolar line. The ray with the largest shift counts. Under a loss the rays have their final
     weights. The error may have either sign; the largest component of the shift is positive.
     """
@@ -165,7 +179,7 @@ def unseen_shifts(known: ResidualCofactors) -> Array:
     for part in parts_of_rows(len(o)):
         size, axes = eigen(known.image[part])
         axis, point = axes[:, :, :1], o.point[part]
-        moved = rays.response[part] @ axis  # of a whitened error of length 1
+        moved = rays.response[part] @ axis  # shift by a whitened error of length 1
         effect = _in_own_sigmas(rays.points[point], moved)[:, 0]
         unseen = np.flatnonzero(effect > limit * np.sqrt(np.maximum(size[:, 0], ROUNDING)))
         sigma = np.stack([o.sigma_line_px[part], o.sigma_sample_px[part]], axis=1)[unseen]
@@ -173,7 +187,7 @@ def unseen_shifts(known: ResidualCofactors) -> Array:
         some.append((point[unseen], moved[unseen, :, 0] / pixels[:, None]))
     point, shift = (np.concatenate(values) for values in zip(*some, strict=True))
     out = np.full((len(problem.active), 3), np.nan)
-    order = np.argsort(np.linalg.norm(shift, axis=1), kind="stable")  # the largest last
+    order = np.argsort(np.linalg.norm(shift, axis=1), kind="stable")  # the largest comes last
     out[point[order]] = shift[order]
     at = np.flatnonzero(np.isfinite(out[:, 0]))
     shift = np.einsum("nij,nj->ni", problem.axes(known.state.ground[at] + problem.origin_m), out[at])
@@ -185,10 +199,10 @@ def unseen_shifts(known: ResidualCofactors) -> Array:
 def _reliability(
     q: Array, v: Array, sigma: Array, response: Array, points: Array, eop: Array, alpha: float, power: float
 ) -> Reliability:
-    """Reliability of n observations of d coordinates from whitened cofactors (n, d, d) and residuals (n, d).
+    """Compute reliability of n observations of d coordinates from whitened cofactors (n, d, d) and residuals (n, d).
 
-    ``response`` (n, 3, d): effect of a whitened unit error on the ground point, of cofactors ``points`` (n, 3, 3);
-    ``eop`` (n, d): on the image, in its sigmas.
+    ``response`` (n, 3, d): effect of a whitened unit error on the ground point, which has the cofactors ``points`` (n,
+    3, 3); ``eop`` (n, d): effect on the image, in its sigmas.
     """
     d = q.shape[1]
     r = np.einsum("nii->ni", q).copy()
@@ -201,25 +215,32 @@ def _reliability(
     group = noncentrality(alpha, power, d)
     least, most = (np.where(np.isfinite(s) & (s > 0.0), s, np.nan) for s in (spread[:, 0], spread[:, -1]))
     return Reliability(
-        r, size[:, 0], _direction(axes[:, :, 0] * sigma), v / np.sqrt(known), bias * sigma,
+        r,
+        size[:, 0],
+        _direction(axes[:, :, 0] * sigma),
+        v / np.sqrt(known),
+        bias * sigma,
         np.where(size[:, -1] > ROUNDING, np.sqrt(group / most), np.nan),
         np.where(checked, np.sqrt(group / least), np.nan),
-        bias * np.linalg.norm(response, axis=1), bias * _in_own_sigmas(points, response), bias * eop,
-    )  # fmt: skip
+        bias * np.linalg.norm(response, axis=1),
+        bias * _in_own_sigmas(points, response),
+        bias * eop,
+    )
 
 
 def _direction(axis: Array) -> Array:
-    """Unit vectors (n, d) whose largest component is positive."""
+    """Return unit vectors (n, d) whose largest component is positive."""
     largest = np.take_along_axis(axis, np.abs(axis).argmax(axis=1)[:, None], axis=1)
     return np.asarray(axis / np.where(largest < 0.0, -1.0, 1.0) / np.linalg.norm(axis, axis=1, keepdims=True))
 
 
 def _in_own_sigmas(points: Array, response: Array) -> Array:
-    """Roots of ``x^T Q^-1 x`` (n, d) of the columns (n, 3, d); nan for points that are not unknowns."""
+    """Return the roots of ``x^T Q^-1 x`` (n, d) for columns x (n, 3, d); nan for points that are not unknowns."""
     out = np.full((len(points), response.shape[2]), np.nan)
     free = np.einsum("nii->n", points) > 0.0
     q, x = (np.ascontiguousarray(each[free].transpose(1, 2, 0)) for each in (points, response))
-    with np.errstate(all="ignore"):  # Q = L D L^T, element by element: LAPACK takes four times as long for small ones
+    # Q = L D L^T, element by element: LAPACK takes four times as long for small matrices
+    with np.errstate(all="ignore"):
         l1, l2 = q[1, 0] / q[0, 0], q[2, 0] / q[0, 0]
         d1 = q[1, 1] - l1 * q[1, 0]
         l3 = (q[2, 1] - l2 * q[1, 0]) / d1

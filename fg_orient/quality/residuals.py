@@ -1,4 +1,4 @@
-"""Residuals of a solution with their cofactors: common input of reliability, outlier tests and variance components.
+"""Residuals of a solution with their cofactors: input of reliability, outlier tests and variance components.
 
 Cofactors of the residuals are ``Q_vv = I - A N^-1 A^T``; the traces are redundancy numbers, and their sum is the
 redundancy (Baarda 1968). Residuals are whitened (divided by their a priori sigmas), adjusted minus observed. The
@@ -52,14 +52,15 @@ from fg_orient.quality.elimination import (
 )
 from fg_orient.quality.hypotheses import CHECKED
 
-#: Elements of the matrices W_j of all groups up to which they are formed: 0.5 GB each kind; 4 groups, 4000 unknowns.
+#: Maximum number of elements of the matrices W_j of all groups, 0.5 GB each kind; for example 4 groups and 4000
+#: unknowns.
 LARGEST: Final = 2**26
-#: Unknowns over those of a point up to which the rows of the point are a full matrix.
+#: Ratio of all unknowns to those of a point up to which the rows of the point are a full matrix.
 FULL: Final = 8
 
 
 def parts_of_rows(n: int) -> list[slice]:
-    """Divide n rows into slices, at least one: temporary arrays of a slice fit into the cache."""
+    """Divide n rows into slices, at least one, so that temporary arrays of a slice fit into the cache."""
     return [slice(k, k + CHUNK) for k in range(0, max(n, 1), CHUNK)]
 
 
@@ -81,11 +82,11 @@ class ResidualCofactors:
     Parameters
     ----------
     problem : Problem
-        Under a loss the problem with the weights at the solution (``fg_orient.adjustment.robust.weighted_problem``).
+        Problem; under a loss with the weights at the solution (``fg_orient.adjustment.robust.weighted_problem``).
     state : State
         The solution.
     cofactors : Cofactors
-        Of any backend.
+        Cofactors of any backend.
     """
 
     problem: Problem
@@ -93,7 +94,7 @@ class ResidualCofactors:
     cofactors: Cofactors
 
     def compute(self) -> None:
-        """Compute residuals and cofactors of the image points: nothing needs their records any more."""
+        """Compute residuals and cofactors of the image points; afterwards their records are not needed any more."""
         _ = self.v_image, self.rays
 
     @cached_property
@@ -178,7 +179,7 @@ class ResidualCofactors:
                 rays.on_image[rows] = np.linalg.norm(own, axis=1)
 
     def _of_extra(self, extra: ExtraObservation) -> Array:
-        """Redundancy numbers of the rows of an extra observation."""
+        """Return the redundancy numbers of the rows of an extra observation."""
         _, blocks = extra_blocks(self.problem, extra, self.state, jacobian=True)
         parts: dict[tuple[bool, int], Array] = {}
         for a, block in blocks:
@@ -193,7 +194,7 @@ class ResidualCofactors:
 
 
 def cost(problem: Problem, n_groups: int) -> int:
-    """Elements of the matrices of :class:`GroupCofactors`: one per group, and one of ungrouped observations."""
+    """Count the elements of the matrices of :class:`GroupCofactors`: one per group, and one of ungrouped rows."""
     return (n_groups + 1) * (problem.n_free_unknowns + 3 * len(problem.named_points())) ** 2
 
 
@@ -203,9 +204,9 @@ class GroupCofactors:
     Parameters
     ----------
     known : ResidualCofactors
-        Of a solution by any backend.
+        Residuals of a solution by any backend.
     labels : (n,) int array
-        Group of every row: image points, control points in East, North, Up, priors, extra observations; -1: none.
+        Group of every row: image points, control points in East, North, Up, priors, extra observations; -1: no group.
     n_groups : int
     """
 
@@ -219,7 +220,7 @@ class GroupCofactors:
         return eliminated_points(self._problem, self._rows, self._named, only=only, groups=self._size)
 
     def _all(self) -> Iterator[PointRows]:
-        """Rows of all ground points, priors and extra observations."""
+        """Yield the rows of all ground points, priors and extra observations."""
         yield from self._points()
         problem = self._problem
         begin = 2 * len(problem.observations) + 3 * int(problem.observed.sum())
@@ -277,21 +278,22 @@ class GroupCofactors:
         return 0.5 * (out + out.T)
 
     def shares(self, points: Index, rows: Index, columns: Array) -> Array:
-        """Shares c of the groups in the variances of errors.
+        """Return the shares c of the groups in the variances of errors.
 
         Parameters
         ----------
         points : (n,) int array
             Ground points of the suspects.
         rows : (n, m) int array
-            Rows of the suspects, all of their ground point.
+            Row numbers of the suspects; all rows of a suspect belong to its ground point.
         columns : (n, m, k) array
             Change of the residuals in these rows with the errors.
 
         Returns
         -------
         (n, g + 1) array
-            ``tr((E^T R E)^+ E^T R E_j R E) / d``, the last of ungrouped observations; each row has the sum 1.
+            ``tr((E^T R E)^+ E^T R E_j R E) / d``; the last column belongs to ungrouped observations, and each row has
+            the sum 1.
         """
         out = np.zeros((len(points), self._size))
         for part in self._points(points):
@@ -309,7 +311,10 @@ class GroupCofactors:
 
 
 def _shares(free: Array, q: Array, own: Array, error: Array, select: Array) -> Array:
-    """Shares (n, g) of errors (n, r, k); F, H (n, r, r), ``A W_j A^T`` (n, g, r, r), groups of the rows (n, r, g)."""
+    """Return shares (n, g) for errors (n, r, k).
+
+    F, H (n, r, r), ``A W_j A^T`` (n, g, r, r), groups of the rows (n, r, g).
+    """
     size, axes = np.linalg.eigh(np.swapaxes(error, 1, 2) @ (free - q) @ error)
     checked = size > CHECKED * np.maximum(size[:, -1:], np.finfo(float).tiny)
     scaled = error @ np.where(checked[:, None], axes / np.sqrt(np.where(checked, size, 1.0))[:, None], 0.0)

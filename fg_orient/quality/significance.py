@@ -1,19 +1,19 @@
-"""Significance of the unknowns of the images: t of each coefficient, F of groups of them.
+"""Significance of the image unknowns: t tests of single coefficients, F tests of groups.
 
-``m_j = m0 sqrt(q_jj)``, ``t = |x_j| / m_j`` with f degrees of freedom (Terlemezoğlu 2019, eqs. 2.78-2.80; m0^2 =
-v^T P v / f), of d unknowns together ``F = x^T Q^-1 x / (d m0^2)`` with d and f. The hypothesis is that the correction
-is zero: an insignificant orientation parameter keeps the value of the metadata, an insignificant term of a look-angle
-polynomial or an RPC compensation is dropped. Of many single tests 5 % are significant by chance: ``adjusted`` is Holm's
-(1979) probability over all coefficients. F tests of groups are not adjusted.
+One unknown has ``m_j = m0 sqrt(q_jj)`` and ``t = |x_j| / m_j`` with f degrees of freedom (Terlemezoğlu 2019, eqs.
+2.78-2.80; m0^2 = v^T P v / f). d unknowns together have ``F = x^T Q^-1 x / (d m0^2)`` with d and f. The hypothesis is
+that the correction is zero. An insignificant orientation parameter keeps the value of the metadata; an insignificant
+term of a look-angle polynomial or an RPC compensation is dropped. Of many single tests 5 % are significant by chance.
+Therefore ``adjusted`` is Holm's (1979) probability over all coefficients. F tests of groups are not adjusted.
 
-A prior observation of a tested unknown has the value that the hypothesis states, without an error. Under it,
-with the others drawn from their priors, the corrections therefore have the variance ``Q - Q P Q`` (P: inverse of the
-prior covariance of the tested unknowns, I in prior sigmas; Q and P are their blocks), not Q. T is their square in this
-variance, and m0 is that without these priors: ``m0^2 = (v^T P v - x^T (P^-1 - Q)^-1 x) / (f - d)``. T / (d m0^2) is
-F of d and f - d, and equal to the test of the adjustment without the priors of the tested unknowns. An unknown that
-only its prior determines (``prior_share`` near 1) is never significant: the observations contain no information about
-it. Correlated unknowns may each be insignificant but significant together, so they are dropped one at a time
-(``fg_orient.orientation.reduction``).
+The prior observation of a tested unknown has exactly the value that the hypothesis states. If the hypothesis is true
+and the other unknowns follow their priors, the corrections have the variance ``Q - Q P Q``, not Q. (P is the inverse of
+the prior covariance of the tested unknowns, I in prior sigmas; Q and P are their blocks.) T is the square of the
+corrections in this variance. m0 is computed without these priors: ``m0^2 = (v^T P v - x^T (P^-1 - Q)^-1 x) / (f - d)``.
+T / (d m0^2) has the distribution F of d and f - d. It equals the test of an adjustment without the priors of the tested
+unknowns. An unknown that only its prior determines (``prior_share`` near 1) is never significant: the observations
+contain no information about it. Correlated unknowns may each be insignificant but significant together, so they are
+dropped one at a time (``fg_orient.orientation.reduction``).
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class CoefficientTest:
     value, sd : float
         Correction and its standard deviation, ``unit``.
     t : float
-        With priors it is not ``value / sd``; see the module.
+        t; with priors it is not ``value / sd``, see the module.
     probability : float
         Probability of this or a larger t if the correction is zero.
     adjusted : float
@@ -64,7 +64,7 @@ class CoefficientTest:
     prior_share : float or None
         Share of the prior in the weight of the unknown, 0 to 1; None without priors.
     freedom : float
-        Degrees of freedom of t: f, with priors f - 1, with estimated variance components Satterthwaite's.
+        Degrees of freedom of t: f; with priors f - 1; with estimated variance components Satterthwaite's value.
     """
 
     image: str
@@ -114,7 +114,8 @@ class Significance:
     level : float
     coefficients : tuple of CoefficientTest
     groups : tuple of GroupTest
-        Each coefficient over all images (if several), each component, each degree of one kind (``parameters.Term``).
+        Tests of each coefficient over all images (if several), of each component, and of each degree of one kind
+        (``parameters.Term``).
     """
 
     redundancy: float
@@ -123,16 +124,17 @@ class Significance:
     groups: tuple[GroupTest, ...]
 
     def significant(self, test: CoefficientTest) -> bool:
-        """Whether a coefficient is significant among all coefficients."""
+        """Return whether a coefficient is significant among all coefficients."""
         return test.adjusted <= self.level
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
+        """Return plain values for JSON."""
         return {
-            "redundancy": self.redundancy, "level": self.level,
+            "redundancy": self.redundancy,
+            "level": self.level,
             "coefficients": [{**vars(c), "significant": self.significant(c)} for c in self.coefficients],
             "groups": [dict(vars(g)) for g in self.groups],
-        }  # fmt: skip
+        }
 
 
 def significance(
@@ -143,11 +145,11 @@ def significance(
     Parameters
     ----------
     known : ResidualCofactors
-        Of a solution by any backend, without a loss; NoSolutionError without redundancy.
+        Residuals of a solution by any backend, without a loss; NoSolutionError without redundancy.
     sigma0 : float
         m0.
     freedom : UnknownFreedom or None
-        With estimated variance components: their scale replaces m0 and its degrees of freedom.
+        Scale and degrees of freedom with estimated variance components; they replace m0 and its degrees of freedom.
     level : float
         Probability of a false alarm among all coefficients.
     """
@@ -161,8 +163,11 @@ def significance(
     m0, nu = (sigma0, np.full(len(x), float(f))) if freedom is None else (1.0, freedom.each())
     scale = np.concatenate([parameters.sigma for parameters in problem.parameters])
     priors, images = problem.block.options.priors, problem.block.images
-    labels = [(images[k].id, name, unit) for k, parameters in enumerate(problem.parameters)
-              for name, unit in zip(parameters.names, parameters.units, strict=True)]  # fmt: skip
+    labels = [
+        (images[k].id, name, unit)
+        for k, parameters in enumerate(problem.parameters)
+        for name, unit in zip(parameters.names, parameters.units, strict=True)
+    ]
     j = places_of(problem, lambda _: True)
     x, q, nu, shares = x[j], q[j], nu[j], np.minimum(q, 1.0)[j] if priors else None
     noise = m0 * np.sqrt(q)
@@ -178,7 +183,10 @@ def significance(
 def group_test(
     known: ResidualCofactors, sigma0: float, freedom: UnknownFreedom | None, name: str, index: Index
 ) -> GroupTest:
-    """F test of the unknowns at places (d,) in ``problem.image_columns``; others as of :func:`significance`."""
+    """Test the unknowns at places (d,) in ``problem.image_columns`` together by F.
+
+    Others as in :func:`significance`.
+    """
     problem, q = known.problem, known.cofactors.unknowns(index)
     _require_unbiased(problem)
     m0, f = (sigma0, float(problem.redundancy)) if freedom is None else (1.0, freedom.together(index))
@@ -196,7 +204,7 @@ def _require_unbiased(problem: Problem) -> None:
 
 
 def under_priors(x: Array, q: Array, m0: float, f: float, estimated: bool) -> tuple[float, int, float]:
-    """F of unknowns x (d,) in prior sigmas with cofactors q (d, d), number of tested directions, f without priors.
+    """Return F of unknowns x (d,) with cofactors q (d, d), prior sigmas; tested directions; f without priors.
 
     ``estimated``: m0 is computed from all residuals, with f degrees of freedom, without the priors of x.
     """
@@ -212,23 +220,28 @@ def under_priors(x: Array, q: Array, m0: float, f: float, estimated: bool) -> tu
 
 
 def coefficient_tests(
-    labels: Sequence[tuple[str, str, str]], x: Array, sd: Array, freedom: Array, scale: Array | None = None,
-    shares: Array | None = None, noise: Array | None = None,
-) -> tuple[CoefficientTest, ...]:  # fmt: skip
-    """Tests of single unknowns.
+    labels: Sequence[tuple[str, str, str]],
+    x: Array,
+    sd: Array,
+    freedom: Array,
+    scale: Array | None = None,
+    shares: Array | None = None,
+    noise: Array | None = None,
+) -> tuple[CoefficientTest, ...]:
+    """Test single unknowns.
 
     Parameters
     ----------
     labels : sequence of (str, str, str)
-        Image or camera, name and unit of each.
+        Image or camera, name and unit of each unknown.
     x, sd, freedom : (k,) arrays
-        Corrections, their standard deviations, degrees of freedom of these.
+        Corrections, their standard deviations, and the degrees of freedom of these.
     scale : (k,) array, optional
-        Factors of ``x`` and ``sd`` to the units; default: 1.
+        Factors that convert ``x`` and ``sd`` to the units; default: 1.
     shares : (k,) array, optional
-        Of the priors.
+        Shares of the priors.
     noise : (k,) array, optional
-        Standard deviations of ``x`` if it is zero in truth; default: ``sd``.
+        Standard deviations of ``x`` if its true value is zero; default: ``sd``.
     """
     t, scale = np.abs(x) / (sd if noise is None else noise), np.ones(len(x)) if scale is None else scale
     p = t_two_sided(freedom, t)
@@ -239,16 +252,20 @@ def coefficient_tests(
 
 
 def together(name: str, x: Array, q: UnknownCofactors, m0: float, f: float) -> GroupTest:
-    """F test of unknowns x (d,) with cofactors q; f: degrees of freedom of m0."""
+    """Test unknowns x (d,) with cofactors q together by F; f: degrees of freedom of m0."""
     d, statistic = len(x), q.square(x) / (len(x) * m0**2)
     return GroupTest(name, d, statistic, float(f_tail(d, f, statistic)), f)
 
 
 def camera_significance(
-    labels: Sequence[tuple[str, str]], values: Array, cofactors: Array, m0: float, redundancy: int,
+    labels: Sequence[tuple[str, str]],
+    values: Array,
+    cofactors: Array,
+    m0: float,
+    redundancy: int,
     freedom: Callable[[Sequence[int]], float] | None = None,
-) -> Significance:  # fmt: skip
-    """Tests of distortion parameters with the hypothesis 0: each, and the parts of the distortion of each camera.
+) -> Significance:
+    """Test the hypothesis 0 for each distortion parameter, and for the parts of the distortion of each camera.
 
     Parameters
     ----------
@@ -258,9 +275,10 @@ def camera_significance(
     cofactors : (k, k) array
     m0 : float
     redundancy : int
-        Above 0.
+        Redundancy, above 0.
     freedom : callable, optional
-        Degrees of freedom of the variance of some parameters together, by their numbers; default: the redundancy.
+        Function of the numbers of some parameters: degrees of freedom of the variance of these parameters together;
+        default: the redundancy.
     """
     freedom = freedom or (lambda _: float(redundancy))
     part = [next((words for words, form in DISTORTION.items() if form.fullmatch(name)), "") for _, name in labels]
@@ -270,8 +288,11 @@ def camera_significance(
         parts.setdefault(f"{part[k]} of {labels[k][0]}", []).append(k)
     each = np.array([freedom([k]) for k in rows], float)
     coefficients = coefficient_tests([(*labels[k], "") for k in rows], values[rows], sd[rows], each)
-    groups = (together(name, values[at], DenseUnknowns(cofactors[np.ix_(at, at)]), m0, freedom(at))
-              for name, at in parts.items() if len(at) > 1)  # fmt: skip
+    groups = (
+        together(name, values[at], DenseUnknowns(cofactors[np.ix_(at, at)]), m0, freedom(at))
+        for name, at in parts.items()
+        if len(at) > 1
+    )
     return Significance(redundancy, LEVEL, coefficients, tuple(groups))
 
 
@@ -283,7 +304,7 @@ def places_of(problem: Problem, wanted: Callable[[str], object]) -> Index:
 
 
 def _groups(problem: Problem) -> dict[str, Index]:
-    """Groups of more than one unknown: coefficient over all images, component, degree."""
+    """Return groups of more than one unknown: coefficient over all images, component, degree."""
     names = list(dict.fromkeys(name for p in problem.parameters for name in p.names))
     groups: dict[str, Index] = {}
     if problem.n_images > 1:

@@ -7,8 +7,8 @@ are right, and
 
     q r / S ~ chi2(r^2 / S)                                              (Satterthwaite 1946)
 
-No eigenvalue of R_gg is above 1, hence ``S <= r``: where S is not computed, r replaces it, and the test is on the
-safe side.
+S is not larger than r, because no eigenvalue of R_gg is above 1. If S is not computed, r replaces it, which makes the
+test conservative.
 """
 
 from __future__ import annotations
@@ -27,9 +27,10 @@ from fg_orient.quality.outlier_records import OutlierTests
 from fg_orient.quality.residuals import ResidualCofactors
 from fg_orient.quality.variance_components import components_of, one_round
 
-#: Elements of the matrices of all groups up to which S is computed in every adjustment: a small part of its time.
+#: Maximum number of elements of the matrices of all groups for which S is computed in every adjustment: a small part of
+#: its time.
 QUICK: Final = 2**18
-#: Names of the groups in words, and their units.
+#: Names of the groups in sentences, and their units.
 WORDS: Final = {
     "image": ("image points", "px"), "position": ("control points horizontally", "m"),
     "height": ("control points vertically", "m"),
@@ -45,15 +46,15 @@ class StatedSigma:
     group : str
         "image points", "control points horizontally" or "control points vertically".
     stated : float or None
-        The stated sigma, if all observations of the group have the same.
+        Stated sigma; None if the observations of the group have different sigmas.
     unit : str
         "px" or "m".
     factor, sd : float
-        Estimated sigma over the stated one, and its standard deviation.
+        Ratio of the estimated to the stated sigma, and its standard deviation.
     redundancy : float
-        Of the group.
+        Redundancy of the group.
     larger, smaller : float
-        Probability of so large, and of so small a sum of squares if all sigmas are right.
+        Probability of such a large, or such a small sum of squares if all sigmas are correct.
     """
 
     group: str
@@ -75,26 +76,31 @@ class StatedSigma:
         return f"stated {self.stated:.4g} {self.unit}, estimated {estimated} {self.unit}"
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for the record of a run."""
+        """Return plain values for the record of a run."""
         stated = self.stated
         return {
-            "group": self.group, "stated": stated, "unit": self.unit,
+            "group": self.group,
+            "stated": stated,
+            "unit": self.unit,
             "estimated": None if stated is None else stated * self.factor,
             "estimated_sd": None if stated is None else stated * self.sd,
-            "factor": self.factor, "factor_sd": self.sd, "redundancy": self.redundancy, "sentence": self.words,
-        }  # fmt: skip
+            "factor": self.factor,
+            "factor_sd": self.sd,
+            "redundancy": self.redundancy,
+            "sentence": self.words,
+        }
 
 
 def stated_sigmas(known: ResidualCofactors, without: OutlierTests | None = None) -> tuple[StatedSigma, ...]:
-    """Groups with enough redundancy for an estimate.
+    """Return the groups with enough redundancy for an estimate.
 
     Parameters
     ----------
     known : ResidualCofactors
-        Of a solution without a loss.
+        Residuals of a solution without a loss.
     without : OutlierTests, optional
-        The point of the first suspect has a gross error, which is no error of the sigmas: its suspects do not count in
-        the probabilities, the worst of each group.
+        Tests. The point of the first suspect has a gross error, which is not an error of the sigmas: its worst suspects
+        in each group do not count in the probabilities.
     """
     largest = QUICK if len(known.problem.observations) <= EXACT_RAYS else 0
     residuals = GroupedResiduals(known, groups_of(known.problem, USUAL_GROUPS), largest=largest)
@@ -114,8 +120,18 @@ def stated_sigmas(known: ResidualCofactors, without: OutlierTests | None = None)
     for g, (name, one) in enumerate(zip(names, found.components, strict=True)):
         if not one.held and one.sd is not None:
             words, unit = WORDS[name]
-            out.append(StatedSigma(words, _common(known.problem, name), unit, one.factor, one.sd, one.redundancy,
-                                   float(larger[g]), float(smaller[g])))  # fmt: skip
+            out.append(
+                StatedSigma(
+                    words,
+                    _common(known.problem, name),
+                    unit,
+                    one.factor,
+                    one.sd,
+                    one.redundancy,
+                    float(larger[g]),
+                    float(smaller[g]),
+                )
+            )
     return tuple(out)
 
 

@@ -1,14 +1,14 @@
-"""Structural rank: unknowns with too few observations, determined before any number is computed.
+"""Structural rank: unknowns with too few observations, found from the structure of the block without numbers.
 
 Unknowns and observations form a bipartite graph. Its coarse decomposition (Dulmage & Mendelsohn 1958) gives the
 unknowns that have no observation under the best assignment. All unknowns of an image occur in the same observations,
-and so do the three coordinates of a ground point. Whole images and ground points are therefore used instead of single
-unknowns. The assignment is a flow: an image point supplies two observations, a control point three; an image needs one
-observation per unknown, a ground point three.
+and this also holds for the three coordinates of a ground point. Whole images and ground points are therefore used
+instead of single unknowns. The assignment is a flow: an image point supplies two observations, a control point three;
+an image needs one observation per unknown, a ground point three.
 
-Most blocks need no flow. Each point may get its three observations in equal shares from its image points. If the rest
-is enough for each image, these shares are a fractional flow, and an integer flow exists too (the constraints of a flow
-are totally unimodular). This test reads the observations a few times.
+Most blocks need no flow. Each point can take its three observations in equal shares from its image points. If the
+remaining observations are sufficient for each image, these shares are a fractional flow. An integer flow then also
+exists (the constraints of a flow are totally unimodular). This test reads the observations a few times.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ NAMED: Final = 10
 
 @dataclass(frozen=True)
 class Lack:
-    """Unknowns for which there are too few observations.
+    """Unknowns that have too few observations.
 
     Parameters
     ----------
     images, points : tuple of str
         Ids of a connected under-determined part of the decomposition.
     free : int
-        Minimum number of free directions.
+        Minimum number of undetermined directions.
     sentence, remedy : str
     """
 
@@ -53,11 +53,11 @@ class Structure:
     Parameters
     ----------
     part : (M,) int array
-        Part of the block of each image; parts have no ground point or extra observation in common.
+        Part of the block of each image; different parts have no common ground point or extra observation.
     point_part : (N,) int array
         Part of each ground point; -1 for points in no observation.
     lacks : tuple of Lack
-        Empty if the structural rank is full.
+        Unknowns with too few observations; empty if the structural rank is full.
     """
 
     part: Index
@@ -76,7 +76,7 @@ class Structure:
 
 
 def analyse_structure(problem: Problem) -> Structure:
-    """Parts of a block, and unknowns with too few observations, to which priors belong."""
+    """Find the parts of a block, and its unknowns with too few observations; priors count as observations."""
     part, point_part = _parts(problem)
     image_need, point_need = _needs(problem)
     lacks = () if _enough(problem, image_need, point_need) else _lacking(problem, image_need, point_need)
@@ -89,12 +89,12 @@ def named(ids: list[str] | tuple[str, ...]) -> str:
 
 
 def of_ids(noun: str, ids: list[str] | tuple[str, ...]) -> str:
-    """Noun with ids: "image 1", "images 1, 2"."""
+    """Return a noun with ids: "image 1", "images 1, 2"."""
     return f"{noun}{'s' if len(ids) > 1 else ''} {named(ids)}"
 
 
 def _needs(problem: Problem) -> tuple[Index, Index]:
-    """Observations that each image (M,) and each ground point (N,) needs beside priors, penalties and coordinates.
+    """Count the observations that images (M,) and points (N,) need besides priors, penalties and coordinates.
 
     Shared unknowns of images are not counted, so the defect is a lower bound; the singular values include them.
     """
@@ -104,7 +104,7 @@ def _needs(problem: Problem) -> tuple[Index, Index]:
 
 
 def _enough(problem: Problem, image_need: Index, point_need: Index) -> bool:
-    """Whether equal shares of image points are enough for all points and images (sufficient condition)."""
+    """Return whether equal shares of image points are enough for all points and images (sufficient condition)."""
     o = problem.observations
     rays = np.bincount(o.point, minlength=len(point_need))
     if np.any(2 * rays < point_need):
@@ -115,7 +115,7 @@ def _enough(problem: Problem, image_need: Index, point_need: Index) -> bool:
 
 
 def _groups(problem: Problem) -> tuple[Index, Index, Index]:
-    """Pairs (observation, unknown), and sizes of the observations; images are unknowns 0 .. M-1, points M ..."""
+    """Return pairs (observation, unknown), and sizes of the observations; images are unknowns 0 .. M-1, points M ..."""
     o, m = problem.observations, problem.n_images
     n = len(o)
     rows, columns, sizes = [np.tile(np.arange(n), 2)], [np.concatenate([o.image, m + o.point])], [np.full(n, 2)]
@@ -128,12 +128,12 @@ def _groups(problem: Problem) -> tuple[Index, Index, Index]:
 
 
 def _parts(problem: Problem) -> tuple[Index, Index]:
-    """Parts of the block by images and unknown ground points; a fixed point links no images."""
+    """Find the parts of the block by images and unknown ground points; a fixed point does not connect images."""
     m, n_points, o = problem.n_images, len(problem.active), problem.observations
     linking = problem.active[o.point]
     image, point = o.image[linking].astype(np.intp), o.point[linking]
     first = np.full(n_points, -1, np.intp)
-    first[point[::-1]] = image[::-1]  # each point is represented by the first image that sees it
+    first[point[::-1]] = image[::-1]  # the first image that sees a point represents it
     pairs = np.unique(image * m + first[point])
     links = list(zip((pairs // m).tolist(), (pairs % m).tolist(), strict=True))
     for extra in problem.block.extra:
@@ -147,7 +147,7 @@ def _parts(problem: Problem) -> tuple[Index, Index]:
 
 
 def _joined(m: int, links: list[tuple[int, int]]) -> list[int]:
-    """Least node of the part of each node below m; larger nodes occur in links only."""
+    """Return the least node of the part of each node below m; larger nodes occur only in links."""
     above: dict[int, int] = {}
 
     def least(node: int) -> int:
@@ -163,7 +163,7 @@ def _joined(m: int, links: list[tuple[int, int]]) -> list[int]:
 
 
 def _lacking(problem: Problem, image_need: Index, point_need: Index) -> tuple[Lack, ...]:
-    """Decomposition by the flow from a source through observations and unknowns to a sink."""
+    """Decompose by the flow from a source through observations and unknowns to a sink."""
     row, column, supply = _groups(problem)
     need = np.concatenate([image_need, point_need])
     flow, got = _flow(row, column, supply, need)
@@ -185,7 +185,7 @@ def _lacking(problem: Problem, image_need: Index, point_need: Index) -> tuple[La
 
 
 def _flow(row: Index, column: Index, supply: Index, need: Index) -> tuple[Index, Index]:
-    """Largest flow along the pairs (observation, unknown), and to each unknown."""
+    """Compute the largest flow along the pairs (observation, unknown), and to each unknown."""
     from scipy import sparse
     from scipy.sparse import csgraph
 
@@ -203,10 +203,10 @@ def _flow(row: Index, column: Index, supply: Index, need: Index) -> tuple[Index,
 
 
 def _under_determined(row: Index, column: Index, flow: Index, missing: Index, n_rows: int) -> tuple[Index, Mask]:
-    """Connected part of each unknown, and whether the unknown is under-determined.
+    """Return the connected part of each unknown, and whether the unknown is under-determined.
 
-    Under-determined unknowns are reached from unknowns with unmet needs, through any observation that contains them, to
-    the unknowns that this observation was assigned to.
+    The search starts at unknowns with unmet needs. It continues through any observation that contains them to the
+    unknowns to which this observation was assigned: these are under-determined, too.
     """
     from scipy import sparse
     from scipy.sparse import csgraph
@@ -225,7 +225,7 @@ def _under_determined(row: Index, column: Index, flow: Index, missing: Index, n_
 
 
 def _seen_once(problem: Problem, points: list[int]) -> Lack:
-    """Points with one image point: their position along this ray is not determined."""
+    """Report points with one image point: their position along this ray is not determined."""
     o, block = problem.observations, problem.block
     ids = tuple(block.points.ids[j] for j in points)
     only = dict(zip(o.point.tolist(), o.image.tolist(), strict=True))
@@ -239,7 +239,7 @@ def _seen_once(problem: Problem, points: list[int]) -> Lack:
 
 
 def _lack(problem: Problem, images: Index, points: Index, free: int) -> Lack:
-    """Images, or images with their points, that have too few image points."""
+    """Report images, or images with their points, that have too few image points."""
     block, o = problem.block, problem.observations
     ids, names = tuple(block.images[k].id for k in images), tuple(block.points.ids[j] for j in points)
     unknowns = int(np.diff(problem.first)[images].sum())

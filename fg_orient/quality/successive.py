@@ -1,15 +1,15 @@
-"""Suspects that a search would leave out one after the other, from one adjustment.
+"""Suspects that a search would exclude one after the other, computed from one adjustment.
 
 After a suspect with the columns e of its error is left out, the residuals of the other observations and their cofactors
 are, in the linear model, equal to an adjustment without it (Kok 1984)::
 
     v' = v - Q e (e^T Q e)^+ e^T v,     Q' = Q - Q e (e^T Q e)^+ e^T Q,     v^T v' = v^T v - T,     f' = f - d
 
-so that the tests of the next rounds follow from the tests of this round. The search adjusts again with all of them left
-out, tests all observations again, and includes observations that fit.
+So the tests of the next rounds follow from the tests of this round. The search adjusts again with all of them excluded,
+tests all observations again, and includes observations that fit.
 
-Rays of a point with three and more may be *rivals*: each alone explains the residuals, with likelihoods that differ by
-less than 1 to 100. The data do not show which one is wrong, so all of them are left out.
+Rays of a point with three or more rays may be *rivals*: each of them alone explains the residuals, with likelihoods
+that differ by less than 1 to 100. The data do not show which ray is wrong, so all of them are excluded.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ from fg_orient.quality.suspects import Kind, suspects
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-#: Suspects that take part, those with the smallest probabilities: at least, for each suspicious one (a gross error
-#: hides others), and at most.
+#: Number of suspects that are used, those with the smallest probabilities: the minimum, the number for each suspicious
+#: one (a gross error hides others), and the maximum.
 LEAST: Final = 256
 EACH: Final = 2
 MOST: Final = 4096
-#: Ratio of the gross errors of one round: second-order terms of the largest may look like an error below this share.
+#: Largest ratio of the gross errors of one round: second-order terms of the largest may look like a smaller error.
 LINEAR: Final = 50.0
-#: Changes of the cofactors for which there is memory at first.
+#: Number of changes of the cofactors for which memory is allocated at first.
 FIRST: Final = 64
 #: Controls of multiple tests whose level of a single test does not depend on the other tests.
 FIXED_LEVEL: Final = ("none", "bonferroni", "sidak")
@@ -48,16 +48,16 @@ FIXED_LEVEL: Final = ("none", "bonferroni", "sidak")
 
 @dataclass(frozen=True)
 class Exclusion:
-    """A suspect to leave out.
+    """A suspect to exclude.
 
     Parameters
     ----------
     place : int
-        Among the tests.
+        Position among the tests.
     test : GroupTest
-        Its test without those before it.
+        Test of the suspect after exclusion of the suspects before it.
     number : int
-        Equal for rivals.
+        Number of the exclusion; rivals have the same number.
     """
 
     place: int
@@ -66,20 +66,20 @@ class Exclusion:
 
 
 def successive(known: ResidualCofactors, tests: OutlierTests, chi2: float, kind: Kind, most: int) -> list[Exclusion]:
-    """Suspects to leave out, the most suspicious first; only the first where the others cannot be predicted.
+    """Return suspects to exclude, the most suspicious first; only the first if the others cannot be predicted.
 
     Parameters
     ----------
     known : ResidualCofactors
-        Of the adjustment.
+        Residuals of the adjustment.
     tests : OutlierTests
-        Its tests.
+        Tests of the adjustment.
     chi2 : float
         Weighted sum of squares of all residuals.
     kind : str
-        Of the suspects.
+        Kind of the suspects.
     most : int
-        Largest number.
+        Maximum number of suspects.
     """
     if not tests.n_suspicious or most < 1:
         return []
@@ -104,7 +104,7 @@ def successive(known: ResidualCofactors, tests: OutlierTests, chi2: float, kind:
         if not tested[k] or p[k] > tests.level_each or LINEAR**2 * t[k] < largest:
             break
         same = tested & (tests.point[of] == tests.point[of[k]]) & (d == d[k]) & (t >= (1.0 - SAME) * t[k])
-        # of inseparable ones the first image point of the table, whatever the rounding
+        # among inseparable suspects the first image point of the table is chosen, whatever the rounding
         k = int(np.lexsort((tests.row[of], tests.row[of] < 0, ~same))[0])
         going, point = [k], tests.point[of[k]]
         if tests.row[of[k]] >= 0 and rays[point] > 2:
@@ -114,12 +114,15 @@ def successive(known: ResidualCofactors, tests: OutlierTests, chi2: float, kind:
         found = [_test(tests, int(of[i]), t[i], d[i], error[i] / scale[i], p[i], chi2, f) for i in going]
         names = [test.name for test in found]
         out += [
-            Exclusion(int(of[i]), test if len(going) == 1 else replace(test, inseparable=(*names[:n], *names[n + 1 :])),
-                      len(out))
+            Exclusion(
+                int(of[i]),
+                test if len(going) == 1 else replace(test, inseparable=(*names[:n], *names[n + 1 :])),
+                len(out),
+            )
             for n, (i, test) in enumerate(zip(going, found, strict=True))
-        ]  # fmt: skip
+        ]
         rays[point] -= len(going)
-        # the whole observation goes: line and sample, or position and height
+        # the whole observation is excluded: line and sample, or position and height
         gone = (tests.point[of] == point) & np.isin(tests.row[of], tests.row[of[going]])
         for i in np.flatnonzero(gone).tolist():
             decrease, checked = candidates.leave_out(i)
@@ -130,17 +133,20 @@ def successive(known: ResidualCofactors, tests: OutlierTests, chi2: float, kind:
 def _test(
     tests: OutlierTests, place: int, t: float, d: int, error: Array, probability: float, chi2: float, f: float
 ) -> GroupTest:
-    """Test a suspect without the earlier suspects."""
+    """Test a suspect after exclusion of the earlier suspects."""
     at = np.array([t]), np.array([d])
     return replace(
-        tests[place], dimension=int(d), statistic=float(hypotheses.statistics(*at, chi2, f, tests.test)[0]),
-        critical=float(hypotheses.limits(tests.level_each, at[1], f, tests.test)[0]), probability=float(probability),
+        tests[place],
+        dimension=int(d),
+        statistic=float(hypotheses.statistics(*at, chi2, f, tests.test)[0]),
+        critical=float(hypotheses.limits(tests.level_each, at[1], f, tests.test)[0]),
+        probability=float(probability),
         error=error[np.isfinite(error)],
-    )  # fmt: skip
+    )
 
 
 class _Candidates:
-    """Suspects from which one after the other is left out.
+    """Suspects that are excluded one after the other.
 
     With the columns E of length 1 of all suspects, ``E^T Q E = B - A X A^T``: B between suspects of one ground point, A
     the Jacobian to the unknowns of the images, X their cofactors. A suspect i is left out in its checked directions W,
@@ -159,9 +165,10 @@ class _Candidates:
     Attributes
     ----------
     of_tests : (n,) int array
-        Places among the tests.
+        Positions among the tests.
     v, scale : (n, 2) arrays
-        ``E^T v``, and the lengths of E before; the second is zero, its length nan, for an error of one coordinate.
+        ``E^T v``, and the original lengths of the columns of E. For an error of one coordinate the second is zero, its
+        length nan.
     own : (n, 2, 2) array
         Cofactors of v of each suspect.
     """
@@ -205,13 +212,13 @@ class _Candidates:
         self._more, self._used = np.empty((FIRST, len(self._cofactors))), 0
 
     def leave_out(self, i: int) -> tuple[float, int]:
-        """Leave out a suspect; decrease of v^T v and of its degrees of freedom."""
+        """Exclude a suspect; return the decrease of v^T v and of its degrees of freedom."""
         size, axes = hypotheses.eigen(self.own[i])
         checked = size > hypotheses.CHECKED
         w, d = axes[:, checked] / np.sqrt(size[checked]), int(checked.sum())
         at, block, data = self._at[self._of_point[i]], self._blocks[self._of_point[i]], self._design.data
         begin, end = self._design.indptr[at], self._design.indptr[at + 1]
-        entry = begin[:, None] + np.arange(end[0] - begin[0])  # suspects of a ground point have the same columns
+        entry = begin[:, None] + np.arange(end[0] - begin[0])  # all suspects of a ground point have the same columns
         columns, mine = self._design.indices[entry[0]], np.flatnonzero(at // 2 == i)
         a, b = w.T @ data[entry[mine]], block[:, mine] @ w
         more = self._more[: self._used]

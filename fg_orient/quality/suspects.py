@@ -1,4 +1,4 @@
-"""Suspects: observations with a possible gross error in common, and the inputs of their tests.
+"""Suspects: observations that may have a common gross error, and the inputs of their tests.
 
 A suspect is an image point (line, sample), the position of a control point (East, North) or its height (Up); or a
 single coordinate; or a whole ground point. Its error may have any size and direction.
@@ -8,8 +8,8 @@ in these rows, the weighted sum of squares decreases by
 
     T = (E^T v)^T (E^T Q E)^+ (E^T v)
 
-if the error becomes an unknown, and ``(E^T Q E)^+ E^T v`` is its estimate (Baarda 1968; Kok 1984). d, the rank of
-``E^T Q E``, is the number of directions that the other observations check; without any the suspect cannot be tested.
+if the error becomes an unknown, and ``(E^T Q E)^+ E^T v`` is its estimate (Baarda 1968; Kok 1984). d, the rank of ``E^T
+Q E``, is the number of directions that the other observations check. If d is 0, the suspect cannot be tested.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Suspects:
     part : str
         "image", "position", "height"; "line", "sample", "east", "north", "up"; "point".
     unit : str
-        Of the error: "px line, sample", "m East, North", ...; "" for a whole point, whose error has several units.
+        Unit of the error: "px line, sample", "m East, North", ...; "" for a whole point, whose error has several units.
     point : (n,) int array
         Ground points.
     row : (n,) int array
@@ -68,7 +68,7 @@ class Suspects:
     columns: Array
 
     def quadratic(self) -> tuple[Array, Index, Array]:
-        """T (n,), its degrees of freedom d (n,) and the estimated error (n, k), zero in unchecked directions."""
+        """Return T (n,), its degrees of freedom d (n,) and the estimated error (n, k), zero in unchecked directions."""
         if self.v.ndim > 2:  # many draws of the residuals
             return self._quadratic(slice(None))
         t, d, error = by_parts(len(self.v), self._quadratic)
@@ -84,12 +84,12 @@ class Suspects:
 
 
 def suspects(known: ResidualCofactors, kind: Kind = "groups") -> list[Suspects]:
-    """All suspects of a kind.
+    """Return all suspects of a kind.
 
     Parameters
     ----------
     known : ResidualCofactors
-        Of a solution of least squares.
+        Residuals of a least-squares solution.
     kind : str
         "groups": image points (line and sample), positions (East and North) and heights of weighted control points;
         "coordinates": each coordinate alone; "points": a ground point with all its image points and its coordinates.
@@ -102,9 +102,9 @@ def suspects(known: ResidualCofactors, kind: Kind = "groups") -> list[Suspects]:
     image = (o.point, place, 2 * place[:, None] + np.arange(2), known.v_image, known.image)
     rows = n + 3 * np.arange(len(given))[:, None] + np.arange(3)
     control = (given, np.full(len(given), -1), rows, known.v_control, known.control)
-    # the residuals are adjusted minus observed
+    # the sign is negative because residuals are adjusted minus observed
     sigma = np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)
-    if len(o) and (sigma == sigma[0]).all():  # one matrix for all
+    if len(o) and (sigma == sigma[0]).all():  # one matrix for all suspects
         pixel = np.broadcast_to(-np.eye(2) / sigma[0], (len(o), 2, 2))
     else:
         pixel = -np.eye(2) / sigma[:, None]
@@ -116,7 +116,7 @@ def suspects(known: ResidualCofactors, kind: Kind = "groups") -> list[Suspects]:
             Suspects("line", "px line", *image, pixel[:, :, :1]),
             Suspects("sample", "px sample", *image, pixel[:, :, 1:]),
             *(Suspects(part, f"m {axis}", *control, metre[:, :, [k]]) for k, (part, axis) in enumerate(names)),
-        ]  # fmt: skip
+        ]
     return [
         Suspects("image", "px line, sample", *image, pixel),
         Suspects("position", f"m {east}, {north}", *control, metre[:, :, :2]),
@@ -125,7 +125,7 @@ def suspects(known: ResidualCofactors, kind: Kind = "groups") -> list[Suspects]:
 
 
 def _whole_points(known: ResidualCofactors) -> list[Suspects]:
-    """Ground points with all their observations; points with the same number of rows are one family."""
+    """Return ground points with all their observations; points with the same number of rows form one family."""
     problem, cofactors = known.problem, known.cofactors
     v = np.concatenate([known.v_image.ravel(), known.v_control.ravel()])
     rays, named = linearised(problem, known.state), problem.named_points()
@@ -140,8 +140,9 @@ def _whole_points(known: ResidualCofactors) -> list[Suspects]:
         point, rows, q = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
         order = np.argsort(point)
         unit = np.tile(np.eye(size), (len(point), 1, 1))
-        out.append(Suspects("point", "", point[order], np.full(len(point), -1), rows[order], v[rows[order]], q[order],
-                            unit))  # fmt: skip
+        out.append(
+            Suspects("point", "", point[order], np.full(len(point), -1), rows[order], v[rows[order]], q[order], unit)
+        )
     return out
 
 

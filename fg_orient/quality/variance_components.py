@@ -6,15 +6,15 @@ With whitened residuals v, their cofactors ``R = I - A N^-1 A^T`` and the rows o
     s_i^2 = q_i / r_i                                                      (Foerstner 1979)
     S s^2 = q                                                              (Helmert 1907, Grafarend et al. 1980)
 
-Both have the same fixed point, s_i = 1 for all groups, because the rows of S have the sums r. It is the maximum of the
+Both have the same fixed point, s_i = 1 for all groups, because the row sums of S are r. It is the maximum of the
 residual (restricted) likelihood (Patterson & Thompson 1971), and ``2 S^-1`` is the covariance of the s_i^2 there.
-Helmert's equations converge in a few rounds (S point by point: ``fg_orient.quality.residuals``). Foerstner's
-estimates are never negative; they replace negative variances of Helmert's equations, and all estimates if unknowns and
-groups are too many. Each round requires a new adjustment (``fg_orient.orientation.components``).
+Helmert's equations converge in a few rounds (S point by point: ``fg_orient.quality.residuals``). Foerstner's estimates
+are never negative. They replace negative variances of Helmert's equations, and all estimates if there are too many
+unknowns and groups. Each round requires a new adjustment (``fg_orient.orientation.components``).
 
 Ungrouped observations keep their given sigmas. A component is held if its estimate is not larger than its standard
-deviation: its redundancy is too small. The robust variant uses medians instead of sums. It tolerates gross errors in
-half of a group, if they neither change the solution nor affect other groups.
+deviation, because its redundancy is then too small. The robust variant uses medians instead of sums. It tolerates gross
+errors in half of a group, if they neither change the solution nor affect other groups.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Round:
     held : tuple of str
         Reasons why components are held, one per group.
     covariance : (g, g) array
-        Of the variances; nan in rows and columns of held components.
+        Covariance of the variances; nan in rows and columns of held components.
     count, redundancy : (g,) arrays
     exact : bool
     """
@@ -78,7 +78,7 @@ def one_round(
     keep : sequence of bool
         Components that are held in any case.
     judge : bool
-        False: hold only groups that no observation checks. Helmert's equations are unbiased for any weights and
+        False: hold only groups that no other observation checks. Helmert's equations are unbiased for any weights. They
         correct sigmas that are wrong by orders of magnitude, even if a group has no redundancy with these sigmas.
     """
     q, r, count = residuals.sums()
@@ -111,7 +111,7 @@ def _hold(s: Array, r: Array, held: list[str], keep: Sequence[bool], judge: bool
         scale = np.sqrt(np.outer(r[free], r[free]))  # redundancies may differ by orders of magnitude
         inverse = np.linalg.pinv(s[np.ix_(free, free)] / scale, rcond=1e-10, hermitian=True) / scale
         sd = np.zeros(len(r))
-        # 1 / r: the least possible variance, for a singular S
+        # 1 / r is the least possible variance; it replaces the diagonal of a singular S
         sd[free] = np.sqrt(2.0 * np.maximum(np.diag(inverse), 1.0 / r[free]))
         worst = int(np.argmax(np.where(kept & free, np.inf, sd)))
         if not (kept & free).any() and (sd[worst] < 1.0 or not judge):
@@ -139,7 +139,7 @@ class VarianceComponent:
     factor : float
         Factor of the given sigmas; 1 if the component is held.
     sd : float or None
-        Standard deviation of the factor; None if it is held, or with medians.
+        Standard deviation of the factor; None if the component is held, or with medians.
     held : str
         Reason why the component is held; empty if it is estimated.
     """
@@ -160,11 +160,11 @@ class VarianceComponents:
     ----------
     components : tuple of VarianceComponent
     covariance : (g, g) array
-        Of the variances s_i^2 of the estimated components, relative to their values.
+        Covariance of the variances s_i^2 of the estimated components, relative to their values.
     exact : bool
         False if the standard deviations neglect the dependence of the groups: they are lower bounds.
     rounds : int
-        Number of adjustments; 1: the factors of one solution, not iterated.
+        Number of adjustments; 1: the factors come from one solution, without iteration.
     method : str
     """
 
@@ -175,46 +175,46 @@ class VarianceComponents:
     method: Method
 
     def factor(self, group: str) -> float:
-        """Factor of a group by its name; KeyError for an unknown group."""
+        """Return the factor of a group by its name; KeyError for an unknown group."""
         return {c.group: c.factor for c in self.components}[group]
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Findings on held components and on standard deviations that are lower bounds."""
+        """Findings on held components, and on standard deviations that are lower bounds."""
         out = [finding("components.held", group=c.group, why=c.held) for c in self.components if c.held]
         if not self.exact and self.method == "helmert":
             out.append(finding("components.lower_bounds"))
         return tuple(out)
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for the record of a run."""
+        """Return plain values for the record of a run."""
         return {
-            "method": self.method, "rounds": self.rounds, "exact": self.exact,
+            "method": self.method,
+            "rounds": self.rounds,
+            "exact": self.exact,
             "components": [{**vars(c), "held": c.held or None} for c in self.components],
-        }  # fmt: skip
+        }
 
 
-def components_of(
-    groups: Groups, round_: Round, variance: Array, rounds: int, method: Method
-) -> VarianceComponents:  # fmt: skip
-    """Result of the last round; ``variance`` (g,): factors of the given variances."""
+def components_of(groups: Groups, round_: Round, variance: Array, rounds: int, method: Method) -> VarianceComponents:
+    """Return the result of the last round; ``variance`` (g,): factors of the given variances."""
     free = np.array([not text for text in round_.held], bool)
     components = []
     for g, name in enumerate(groups.names):
         factor = float(np.sqrt(variance[g]))
         sd = 0.5 * factor * float(np.sqrt(round_.covariance[g, g])) if free[g] and method == "helmert" else None
-        components.append(VarianceComponent(name, int(round_.count[g]), float(round_.redundancy[g]), factor, sd,
-                                            round_.held[g]))  # fmt: skip
+        components.append(
+            VarianceComponent(name, int(round_.count[g]), float(round_.redundancy[g]), factor, sd, round_.held[g])
+        )
     return VarianceComponents(tuple(components), round_.covariance[np.ix_(free, free)], round_.exact, rounds, method)
 
 
 def variance_components(
     known: ResidualCofactors, *, groups: tuple[str, ...] = USUAL_GROUPS, method: Method = "helmert"
 ) -> VarianceComponents:
-    """Components from one solution by any backend, without a loss; not iterated.
+    """Estimate components from one solution by any backend, without a loss and without iteration.
 
-    ``groups``: words of ``observation_groups.GROUPINGS``.
-    InputError: unknown groups or method.
+    ``groups``: words of ``observation_groups.GROUPINGS``. InputError: groups or method are unknown.
     """
     require_method(method)
     residuals = GroupedResiduals(known, groups_of(known.problem, groups))
@@ -228,29 +228,29 @@ def require_method(method: str) -> None:
         raise InputError.of("statistics.method", place="method", value=method, known=", ".join(METHODS))
 
 
-#: Degrees of freedom of a known variance: the F distribution equals chi-square to 1e-8.
+#: Degrees of freedom that stand for a known variance: the F distribution then equals chi-square to 1e-8.
 KNOWN: Final = 1e8
 
 
 def freedoms(residuals: GroupedResiduals, suspects: Sequence[Suspects], components: VarianceComponents) -> Array:
-    """Degrees of freedom (n,) of the tests of all suspects with estimated variance components.
+    """Compute the degrees of freedom (n,) of the tests of all suspects with estimated variance components.
 
     The variance of a suspect's estimated error is a sum of them ::
 
         Var = sum_j c_j s_j^2,   c_j = tr((E^T R E)^+ E^T R E_j R E) / d,   sum_j c_j = 1
 
-    with the variance ``c^T C c``, C the covariance of the s_j^2. Its degrees of freedom are ``nu = 2 / (c^T C c)``
-    (Satterthwaite 1946; of mixed models: Fai & Cornelius 1996). T of the suspect is then tested as in
-    ``fg_orient.quality.hypotheses`` with ``v^T v = f = nu``. The redundancy of the whole block would be too strict,
-    the redundancy of the suspect's group too lax (docs/variance-components.md); it is used for too many
+    with the variance ``c^T C c``, where C is the covariance of the s_j^2. Its degrees of freedom are ``nu = 2 / (c^T C
+    c)`` (Satterthwaite 1946; of mixed models: Fai & Cornelius 1996). T of the suspect is then tested as in
+    ``fg_orient.quality.hypotheses`` with ``v^T v = f = nu``. The redundancy of the whole block would be too strict, the
+    redundancy of the suspect's group too lax (docs/variance-components.md). The latter is used if there are too many
     unknowns and groups.
 
     Parameters
     ----------
     residuals : GroupedResiduals
-        Of the solution with these components.
+        Residuals of the solution with these components.
     suspects : sequence of Suspects
-        Of the same solution.
+        Suspects of the same solution.
     components : VarianceComponents
     """
     covariance, parts = _covariance(components), residuals.parts
@@ -262,7 +262,7 @@ def freedoms(residuals: GroupedResiduals, suspects: Sequence[Suspects], componen
 
 
 def _covariance(components: VarianceComponents) -> Array:
-    """C of all groups; zero for held components, and in the last row and column for ungrouped observations."""
+    """Return C of all groups; zero for held components, and in the last row and column for ungrouped observations."""
     names = [c.group for c in components.components]
     free = [k for k, c in enumerate(components.components) if not c.held]
     covariance = np.zeros((len(names) + 1, len(names) + 1))
@@ -271,24 +271,24 @@ def _covariance(components: VarianceComponents) -> Array:
 
 
 def _satterthwaite(share: Array, covariance: Array) -> Array:
-    """Degrees of freedom (n,) of shares (n, g)."""
+    """Return the degrees of freedom (n,) of shares (n, g)."""
     variance = np.einsum("ng,gh,nh->n", share, covariance, share)
     return np.asarray(np.minimum(KNOWN, 2.0 / np.maximum(variance, 2.0 / KNOWN)))
 
 
 def _own(residuals: GroupedResiduals, s: Suspects) -> Array:
-    """Shares (n, g) of the groups of the suspects' rows, if the contributions of all groups are not known."""
-    select = np.eye(len(residuals.groups.names) + 1)[residuals.labels]  # -1 is the last
+    """Return shares (n, g) of the groups in the suspects' rows, for use without the contributions of all groups."""
+    select = np.eye(len(residuals.groups.names) + 1)[residuals.labels]  # -1 selects the last row
     share = np.einsum("nm,nmg->ng", np.sum(s.columns**2, axis=2), select[s.rows])
     return np.asarray(share / share.sum(axis=1, keepdims=True))
 
 
 @dataclass(frozen=True, eq=False)
 class UnknownFreedom:
-    """Degrees of freedom of tests of image unknowns: their variance is a sum of the components, too.
+    """Degrees of freedom of tests of image unknowns, whose variance is also a sum of the components.
 
-    Cofactors ``Q = sum_j W_j`` (``fg_orient.quality.residuals``), so of unknowns with cofactors ``Q = L L^T``
-    together ``c_j = tr(L^-1 W_j L^-T) / d``.
+    The cofactors are ``Q = sum_j W_j`` (``fg_orient.quality.residuals``). For unknowns with cofactors ``Q = L L^T``
+    together, ``c_j = tr(L^-1 W_j L^-T) / d``.
 
     Parameters
     ----------
@@ -305,7 +305,10 @@ class UnknownFreedom:
 
     @classmethod
     def of(cls, known: ResidualCofactors, components: VarianceComponents) -> UnknownFreedom:
-        """Of a solution with these components; NoSolutionError if image unknowns and groups are too many."""
+        """Compute from a solution with these components.
+
+        NoSolutionError if there are too many image unknowns and groups.
+        """
         problem = known.problem
         groups = groups_of(problem, problem.block.options.variance_components)
         parts = GroupedResiduals(known, groups).parts
@@ -318,12 +321,12 @@ class UnknownFreedom:
         return cls(parts.parts, _covariance(components), free)
 
     def each(self) -> Array:
-        """Degrees of freedom (w,) of every unknown alone, in the order of ``problem.image_columns``."""
+        """Return the degrees of freedom (w,) of every unknown alone, in the order of ``problem.image_columns``."""
         share = np.einsum("guu->ug", self.parts)
         return _satterthwaite(share / share.sum(axis=1, keepdims=True), self.covariance)[self.free]
 
     def together(self, index: Index) -> float:
-        """Degrees of freedom of the F test of unknowns at these places."""
+        """Return the degrees of freedom of the F test of unknowns at these places."""
         mine = self.free[index]
         parts = self.parts[:, mine[:, None], mine]
         q = parts.sum(axis=0)
@@ -334,6 +337,6 @@ class UnknownFreedom:
 
 
 def least_freedom(components: VarianceComponents) -> float:
-    """Degrees of freedom of the least certain component, for observations that were not in the adjustment."""
+    """Return the degrees of freedom of the least certain component, for observations outside the adjustment."""
     variances = np.diag(components.covariance)
     return min(KNOWN, 2.0 / float(variances.max())) if len(variances) else KNOWN

@@ -1,22 +1,22 @@
-"""Datum of a block without control points: directions that the rays hardly see stay where the metadata put them.
+"""Datum of a block without control points: directions that the rays hardly determine stay at the metadata.
 
-A movement x of the image unknowns moves the image points by ``J x``. The ground points move with the images; the part
-that the points cannot follow appears in the residuals. With N = J^T J and S, the normal matrix of the images after the
-elimination of all points (no priors),
+A movement x of the image unknowns moves the image points by ``J x``. The ground points move with the images. The part
+of the movement that the points cannot follow appears in the residuals. With N = J^T J and S, the normal matrix of the
+images after the elimination of all points (no priors),
 
     S v = mu N v,    0 <= mu <= 1 without control points
 
-mu is the share of the movement v that the rays see. Translations of the block have mu = 0. Movements with a small mu
-are determined by the smallest errors of tie points and image models: a y-parallax of 0.3 px moves an image by
-0.3 / sqrt(mu) px. A loose prior does not prevent this, because tie points by the hundred outweigh it. With the RMS d of
-the residuals of the rays at the metadata, in sigmas, directions with ``mu max(1, d^2) < SEEN`` are therefore held at
-the metadata, ``v^T N x = 0``: inner constraints on the image unknowns, in the metric of the image points. A movement
-as large as the disagreement of the images would add less than 0.2 sigma to the residuals there. The other directions,
-which reduce the y-parallax, stay free. The correction is the smallest one of the image points with these y-parallaxes
-(minimum norm; Koch 1999, 1.5).
+mu is the share of the movement v that changes the residuals. Translations of the block have mu = 0. The smallest errors
+of tie points and image models determine movements with a small mu: a y-parallax of 0.3 px moves an image by 0.3 /
+sqrt(mu) px. A loose prior does not prevent this, because hundreds of tie points outweigh it. Such directions are
+therefore held at the metadata, ``v^T N x = 0``. The condition is ``mu max(1, d^2) < SEEN`` with the RMS d of the
+residuals of the rays at the metadata, in sigmas. These are inner constraints on the image unknowns, in the metric of
+the image points. A movement as large as the disagreement of the images would add less than 0.2 sigma to the residuals
+there. The other directions reduce the y-parallax and stay free. Of all corrections of the image points with these
+y-parallaxes, the result is the smallest (minimum norm; Koch 1999, 1.5).
 
-The cofactors Q of the solution then describe the shape. The held part of the error of the metadata, ``V V^T N x``
-with ``x ~ N(0, 1)`` in prior sigmas, is added where a position is compared with the Earth: at check points.
+The cofactors Q of the solution then describe the shape. The held part of the error of the metadata is ``V V^T N x``
+with ``x ~ N(0, 1)`` in prior sigmas. It is added if a position is compared with the Earth: at check points.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ from fg_orient.model.parameters import chosen_datum, with_options
 from fg_orient.quality.cofactors import CommonCofactors, PointCofactors
 from fg_orient.quality.free_network import without_priors
 
-#: Share of a movement that the rays must see (see above); below, a y-parallax moves an image by 5 times as much.
+#: Least share mu of a free movement (see above); below it, a y-parallax moves an image by 5 times its own size.
 SEEN: Final = 0.04
-#: RMS movement of the image points, in their sigmas, to which a direction is held.
+#: RMS movement of the image points, in their sigmas, that a held direction still allows.
 HELD: Final = 1e-3
-#: Smallest share of the largest eigenvalue of the scaled N; below, a movement of the unknowns moves no image point.
+#: Smallest share of the largest eigenvalue of the scaled N; below it, a movement of the unknowns moves no image point.
 MOVES: Final = 1e-10
 
 
@@ -58,12 +58,12 @@ class HeldDatum(ExtraObservation):
     Parameters
     ----------
     image : (w, h) array
-        Movements of the unknowns of all images: an error of the metadata by the prior sigmas is their sum with
-        independent factors N(0, 1).
+        Movements of the unknowns of all images. An error of the metadata, distributed by the prior sigmas, is the sum
+        of these columns with independent factors N(0, 1).
     ground : (N, 3, h) array
-        The same of the ground points, m.
+        The same movements of the ground points, m.
     sigma_enu_m : tuple of float
-        Standard deviation of the position of the whole block by them, m.
+        Standard deviation of the position of the whole block caused by these movements, m.
     """
 
     image: Array = field(default_factory=lambda: np.zeros((0, 0)))
@@ -71,14 +71,14 @@ class HeldDatum(ExtraObservation):
     sigma_enu_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def finding(self) -> Finding:
-        """Note on the directions."""
+        """Return a note on the directions."""
         east, north, up = self.sigma_enu_m
         return finding("solution.vendor_datum", n=self.n_residuals, east=east, north=north, up=up)
 
 
 @dataclass(frozen=True)
 class WithDatum(CommonCofactors):
-    """Cofactors of a solution (``covariance.PointCofactors``) plus the prior sigmas of its held directions."""
+    """Cofactors of a solution (``covariance.PointCofactors``) plus those of its held directions by the prior sigmas."""
 
     problem: Problem
     shape: PointCofactors
@@ -112,13 +112,13 @@ def with_datum(block: Block) -> Block:
 
 
 def absolute(problem: Problem, cofactors: PointCofactors | None) -> PointCofactors | None:
-    """Cofactors of positions on the Earth: with the held directions by the prior sigmas."""
+    """Return the cofactors of positions on the Earth: they include the held directions with the prior sigmas."""
     held = of_problem(problem)
     return cofactors if held is None or cofactors is None else WithDatum(problem, cofactors, held)
 
 
 def with_vendor_datum(problem: Problem) -> Problem:
-    """Problem whose hardly seen directions are held at the metadata.
+    """Hold the directions of a problem that the rays hardly determine at the metadata.
 
     InputError: the block is too large for the matrix of all its image unknowns, or a point is not determined.
     """
@@ -157,7 +157,7 @@ def of_problem(problem: Problem) -> HeldDatum | None:
 
 
 def _movement(problem: Problem) -> Array:
-    """N (z, z): whitened squares of the movements of the image points by the free image unknowns."""
+    """Return N (z, z): whitened squares of the movements of the image points by the free image unknowns."""
     design, image = linearised(problem, problem.start).image, problem.observations.image
     out = np.zeros((problem.n_image_unknowns,) * 2)
     for k in range(problem.n_images):
@@ -169,13 +169,13 @@ def _movement(problem: Problem) -> Array:
 
 
 def _named_that_follow(border: Border) -> Array:
-    """Return movements (3n, z) of the named points that follow the movements of the images best."""
+    """Return the movements (3n, z) of the named points that best follow the movements of the images."""
     z, scale = border.n_images, border.scale[border.n_images :]
     inverse = np.linalg.pinv(border.matrix[z:, z:] * np.outer(scale, scale), hermitian=True)
     return np.asarray(-(scale[:, None] * inverse * scale) @ border.matrix[z:, :z])
 
 
 def _observation(problem: Problem, rows: Array) -> HeldDatum:
-    """Observation of the rows (h, z) of the free unknowns, which shall be zero."""
+    """Return an observation that the rows (h, z) of the free unknowns are zero."""
     equation, unknowns, setup = held_rows(problem, rows, "vendor_datum", "inner constraints on images, Koch 1999, 1.5")
     return HeldDatum(equation, unknowns, np.zeros(0), setup, len(rows), "directions held at the metadata")

@@ -41,8 +41,8 @@ SIGMA0_LEVEL = 0.999
 MOST_DOWN = 0.5
 #: Maximum number of images that are named.
 NAMED = 10
-#: Unknowns that are eliminated together from which GTSAM's time is told, and its seconds over their cube (measured with
-#: 3060).
+#: Number of unknowns eliminated together above which GTSAM's time is reported, and its seconds over the cube of this
+#: number (measured with 3060).
 WIDE = 1500
 GTSAM_S = 1.1e-10
 NO_INTERVAL = (float("nan"), float("nan"))
@@ -58,7 +58,7 @@ class SolutionAssessment:
 
 
 def assess_solution(problem: Problem, estimate: Estimate, unavailable: tuple[Finding, ...]) -> SolutionAssessment:
-    """Status from convergence, covariance and the global test of sigma0."""
+    """Assess the status by convergence, covariance and the global test of sigma0."""
     f = problem.redundancy
     if not estimate.converged or not np.isfinite(estimate.chi2):
         return SolutionAssessment(Status.NOT_CONVERGED, estimate.end, NO_INTERVAL)
@@ -72,8 +72,8 @@ def assess_solution(problem: Problem, estimate: Estimate, unavailable: tuple[Fin
 
 def decided(
     assessment: SolutionAssessment, end: Finding, findings: Sequence[Finding], accept: Sequence[str]
-) -> tuple[Status, Finding, tuple[Finding, ...]]:  # fmt: skip
-    """Status, its reason and all findings, the most serious first; accepted doubts do not decide."""
+) -> tuple[Status, Finding, tuple[Finding, ...]]:
+    """Return the status, its reason and all findings, the most serious first; accepted doubts do not decide."""
     ordered = tuple(with_accepted(findings, accept))
     if assessment.status is Status.NOT_CONVERGED:
         return assessment.status, assessment.finding, ordered
@@ -103,11 +103,11 @@ def _doubt(problem: Problem, estimate: Estimate, unavailable: tuple[Finding, ...
 
 
 def _doubt_of_weights(problem: Problem, weights: Weights) -> Finding | None:
-    """Reason not to trust a solution under a loss, by the number of down-weighted image points.
+    """Return the reason not to trust a solution under a loss, by the number of down-weighted image points.
 
-    Sigma0 is not chi-square distributed there. An image with most of its image points down-weighted is oriented by the
-    others or by its priors alone. Least absolute values are not assessed: their weights decrease from the smallest
-    residual on.
+    Sigma0 is not chi-square distributed under a loss. If most image points of an image are down-weighted, it is
+    oriented by its other points or by its priors alone. Least absolute values are not assessed, because their weights
+    decrease from the smallest residual on.
     """
     if problem.block.options.loss in UNWEIGHED:
         return None
@@ -119,7 +119,7 @@ def _doubt_of_weights(problem: Problem, weights: Weights) -> Finding | None:
 
 
 def turned_down_images(problem: Problem, weights: Weights) -> list[tuple[str, int, int]]:
-    """Images with more than half of their image points down-weighted: id, number of these, number of all."""
+    """List images with more than half of their image points down-weighted: id, number of these, number of all."""
     o, m = problem.observations, problem.n_images
     if problem.block.options.loss in UNWEIGHED:
         return []
@@ -128,7 +128,7 @@ def turned_down_images(problem: Problem, weights: Weights) -> list[tuple[str, in
 
 
 def points_with_rays(problem: Problem, weights: Weights, rays: int) -> list[int]:
-    """Unknown points with this number of rays (0 or 1) not down-weighted, and without control of full weight.
+    """List unknown points with this number of rays (0 or 1) not down-weighted, and without control of full weight.
 
     Without a ray no observation checks the position; with one ray the position along it is not determined.
     """
@@ -142,7 +142,7 @@ def points_with_rays(problem: Problem, weights: Weights, rays: int) -> list[int]
 
 
 def _lost(problem: Problem, weights: Weights) -> list[Finding]:
-    """Findings on points with no or one ray left by the loss, including check points."""
+    """Report points whose rays, except at most one, are down-weighted by the loss, including check points."""
     out, points = [], problem.block.points
     for rays, code in ((0, "weights.no_ray"), (1, "weights.one_ray")):
         lost = points_with_rays(problem, weights, rays)
@@ -153,7 +153,7 @@ def _lost(problem: Problem, weights: Weights) -> list[Finding]:
 
 
 def _of_weights(problem: Problem, weights: Weights) -> Finding:
-    """Finding on the down-weighted observations of a robust adjustment."""
+    """Report the down-weighted observations of a robust adjustment."""
     options = problem.block.options
     down, control = (int(np.count_nonzero(w < DOWN)) for w in (weights.image, weights.control))
     counts = {"loss": options.loss, "down": down, "n": len(weights.image), "control": control}
@@ -177,7 +177,7 @@ def findings(
     block: BlockObservability | None,
     accuracy: Accuracy,
 ) -> tuple[Finding, ...]:
-    """Findings, the most serious first."""
+    """Return the findings, the most serious first."""
     f = problem.redundancy
     out = [] if verdict.status is Status.CONVERGED and f > 0 else [verdict.finding]
     if estimate.weights is not None:
@@ -189,8 +189,14 @@ def findings(
             out.append(finding("solution.weak_directions", n=block.weak))
         if block.relative:
             axes = ", ".join(problem.axis_names)
-            out.append(finding("solution.relative", moved_m=_moved(problem, estimate), axes=axes,
-                               disagreement_m=disagreement_m(problem)))  # fmt: skip
+            out.append(
+                finding(
+                    "solution.relative",
+                    moved_m=_moved(problem, estimate),
+                    axes=axes,
+                    disagreement_m=disagreement_m(problem),
+                )
+            )
         held = vendor_datum.of_problem(problem)
         out += [held.finding()] if held is not None else []
         out += block.deficiencies(problem)
@@ -215,7 +221,7 @@ def findings(
 
 
 def _moved(problem: Problem, estimate: Estimate) -> tuple[float, float, float]:
-    """Mean movement of the unknown points from their start East, North, Up (or along the local axes), to 0.1 m."""
+    """Return the mean movement of the unknown points from their start East, North, Up (or local axes), to 0.1 m."""
     j = problem.active
     mean = (estimate.state.ground[j] - problem.start.ground[j]).mean(axis=0)
     east, north, up = np.round(problem.axes(problem.origin_m[None])[0] @ mean, 1) + 0.0  # no negative zero
@@ -223,7 +229,7 @@ def _moved(problem: Problem, estimate: Estimate) -> tuple[float, float, float]:
 
 
 def disagreement_m(problem: Problem) -> float:
-    """RMS distance on the ground, m, by which the rays of the unknown points miss each other at the metadata.
+    """Return RMS distance on the ground, m, by which the rays of the unknown points miss each other at the metadata.
 
     With the distance d of two rays each residual is d/2; hence ``d^2 = 2 sum(v^2) / (rays - 1)``.
     """
@@ -237,7 +243,7 @@ def disagreement_m(problem: Problem) -> float:
 
 
 def _outside(problem: Problem, estimate: Estimate) -> list[Finding]:
-    """Findings on adjusted points outside the validity of an image model, one per image."""
+    """Return the findings on adjusted points outside the validity of an image model, one per image."""
     out = []
     for image, model, rows in zip(problem.block.images, problem.models, rows_by_image(problem), strict=True):
         points = np.flatnonzero(np.bincount(problem.observations.point[rows]))

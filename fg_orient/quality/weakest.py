@@ -51,7 +51,7 @@ class Weakest:
 
 
 def weakest(border: BorderMatrix, limit: float, parts: int = 1, start: Array | None = None) -> Weakest:
-    """Directions with a singular value below a limit.
+    """Return the directions with a singular value below a limit.
 
     Parameters
     ----------
