@@ -1,4 +1,4 @@
-"""Ground points with contradictory rays: the position that most rays agree with.
+"""Position of a ground point with contradictory rays: the place that most of its rays agree with.
 
 A redescending loss has several minima in a point with a wrong ray: one without the wrong ray, others without a right
 one. The graduated stages before it end in any of them. With the images held, the position of least truncated cost is
@@ -7,9 +7,9 @@ chosen among the measured coordinates and the intersections of all pairs of rays
 
     c(x) = sum min(|v|^2, L^2),   L: limit of right observations
 
-Each is followed by steps with the observations within twice the limit, because two rays intersect less precisely than
-all right ones, and within the limit. At the solution, rays have the same weight if the data do not show which of them
-is wrong (:func:`sharing`).
+Steps follow from each of these positions, first with the observations within twice the limit, because two rays
+intersect less precisely than all right ones, then with those within the limit. At the solution, rays have the same
+weight if the data do not show which of them is wrong (:func:`sharing`).
 """
 
 from __future__ import annotations
@@ -27,28 +27,29 @@ from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import DOWN, Weights
 from fg_orient.adjustment.rows import linearised, residuals, summed
 
-#: Numbers of rays of a point: with two, the data do not show which one is wrong; with more than twelve, most agree.
+#: Least and largest number of rays of a point. With two rays the data do not show which one is wrong; of more than
+#: twelve most agree.
 FEWEST: Final = 3
 MOST: Final = 12
-#: Steps of an intersection, and the largest one, m: rays that are nearly parallel do not meet.
+#: Number of steps of an intersection, and the largest step, m: nearly parallel rays do not meet.
 STEPS: Final = 5
 FARTHEST_M: Final = 1e5
-#: Widths of the limit in the steps after an intersection.
+#: Multiples of the limit in the steps after an intersection.
 WIDTHS: Final = (2.0, 1.0, 1.0)
-#: Difference of costs, in units of the variance factor, up to which two places, or two rays of a point, are rivals:
-#: likelihoods of 1 to 100. A point moves for a larger decrease only.
+#: Largest difference of costs, in units of the variance factor, between two places or two rays that are rivals:
+#: likelihoods of 1 to 100. A point moves only if the cost decreases by more than this.
 RIVAL: Final = 9.21
 
 
 def with_best_rays(problem: Problem, state: State, limits: tuple[float, float]) -> State:
-    """State whose contradictory points lie where most of their rays agree.
+    """Move contradictory points of a state to the place where most of their rays agree.
 
     Parameters
     ----------
     problem : Problem
     state : State
     limits : (float, float)
-        L of image points and of control points, sigmas.
+        Limits L of image points and of control points, sigmas.
     """
     o, far = problem.observations, np.sum(residuals(problem, state) ** 2, axis=1) > limits[0] ** 2
     rays = np.bincount(o.point, minlength=len(problem.active))
@@ -73,12 +74,12 @@ def with_best_rays(problem: Problem, state: State, limits: tuple[float, float]) 
 
 
 def sharing(problem: Problem, state: State, weights: Weights) -> Weights | None:
-    """Return weights in which rivals have the weight of the down-weighted ray; None without rivals.
+    """Give rivals the weight of the down-weighted ray; return None without rivals.
 
-    A loss keeps the rays that fit best, and down-weights the others. A kept ray is a rival of one turned down if the
-    point fits nearly as well when both are exchanged, and far worse with both: one of them is wrong, but nothing tells
-    which one (of two nearly parallel rays with an error along their plane, for example). The point loses both, as a
-    point with two rays does.
+    A loss keeps the rays that fit best, and down-weights the other rays. A kept ray and a down-weighted ray are rivals
+    if the point fits nearly as well when they are exchanged, and far worse with both. One of them is wrong, but the
+    data do not show which (for example two nearly parallel rays with an error along their plane). The point loses both
+    rays, like a point with two rays.
 
     Parameters
     ----------
@@ -86,7 +87,7 @@ def sharing(problem: Problem, state: State, weights: Weights) -> Weights | None:
     state : State
         Solution after graduated non-convexity.
     weights : Weights
-        Its weights.
+        Weights at this solution.
     """
     point, n, limit = problem.observations.point, len(problem.active), RIVAL * weights.scale[0] ** 2
     down = (weights.image < DOWN) & (np.sum(residuals(problem, state) ** 2, axis=1) > limit)
@@ -116,13 +117,14 @@ def sharing(problem: Problem, state: State, weights: Weights) -> Weights | None:
 
 
 class _Search:
-    """Costs and steps of some ground points (p,), the images held."""
+    """Costs and steps of some ground points (p,) with the images held fixed."""
 
     def __init__(self, problem: Problem, state: State, points: Index, limits: tuple[float, float]) -> None:
         self._problem, self._state, self._points, self._limits = problem, state, points, limits
         o = problem.observations
         rows = np.flatnonzero(np.isin(o.point, points))
-        #: Rays of the points, point of each ray among the given ones, number of each ray among those of its point.
+        #: Rows of the rays, position of each ray's point among the given points, number of each ray among the rays of
+        #: its point.
         self.rows = rows[np.argsort(o.point[rows], kind="stable")]
         self.of = np.searchsorted(points, o.point[self.rows])
         self._first = np.searchsorted(self.of, np.arange(len(points) + 1))
@@ -143,15 +145,15 @@ class _Search:
         return np.asarray(np.sum(linearised(self._problem, self._at(place), self.rows).residual ** 2, axis=1))
 
     def count(self, values: npt.NDArray[Any]) -> Array:
-        """Sums (p,) of a value per ray."""
+        """Return the sums (p,) of a value per ray."""
         return np.asarray(np.bincount(self.of, values, len(self._points)), np.float64)
 
     def sum_of_squares(self, place: Array, used: npt.NDArray[np.bool_]) -> Array:
-        """Sum of squares (p,) of some of the rays at positions (p, 3)."""
+        """Return the sum of squares (p,) of some of the rays at positions (p, 3)."""
         return self.count(self._squares(place) * used)
 
     def cost(self, place: Array) -> Array:
-        """Truncated cost (p,) of positions (p, 3)."""
+        """Return the truncated cost (p,) of positions (p, 3)."""
         image, control = (limit**2 for limit in self._limits)
         squares = self._squares(place)
         out = self.count(np.minimum(squares, image))
@@ -159,21 +161,19 @@ class _Search:
         return out
 
     def measured(self, place: Array) -> Array:
-        """Positions with the measured coordinates of control points."""
+        """Return the positions with the measured coordinates of control points."""
         out = place.copy()
         out[self._observed] = self._place
         return out
 
     def inside(self, place: Array, width: float) -> npt.NDArray[np.bool_]:
-        """Whether each ray is within a multiple of its limit at positions (p, 3)."""
+        """Return whether each ray is within a multiple of its limit at positions (p, 3)."""
         return np.asarray(self._squares(place) <= (width * self._limits[0]) ** 2)
 
-    def moved(
-        self, place: Array, used: npt.NDArray[np.bool_], steps: int, width: float = 0.0
-    ) -> Array:  # fmt: skip
-        """Positions after Gauss-Newton steps by some of the rays; the given position where these do not meet.
+    def moved(self, place: Array, used: npt.NDArray[np.bool_], steps: int, width: float = 0.0) -> Array:
+        """Return positions after Gauss-Newton steps by some of the rays; the given position if these rays do not meet.
 
-        ``width``: by the coordinates of control points, too, that are within this multiple of their limit.
+        ``width``: coordinates of control points within this multiple of their limit are also used.
         """
         begin, place = place, place.copy()
         for _ in range(steps):

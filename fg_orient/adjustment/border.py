@@ -1,12 +1,13 @@
-"""Normal equations reduced to a border: the image unknowns, and the ground points that extra observations name.
+"""Normal equations reduced to a border: the image unknowns, and the ground points named by extra observations.
 
-All other ground points are eliminated, each by itself (``fg_orient.adjustment.schur``). With the rows B, G of a point
-to the border and to the point, H = G^T G and K = H^-1 G^T B
+All other ground points are eliminated, one by one (``fg_orient.adjustment.schur``). With the rows B, G of a point to
+the border and to the point, H = G^T G and K = H^-1 G^T B
 
     S = sum (B^T B - B^T G K) + extra observations + priors,    x_p = H^-1 g_p - K x_b
 
-Where images are eliminated first (:mod:`fg_orient.adjustment.images_first`), the border is the shared unknowns of the
-images and all ground points; :func:`border_of` chooses. The matrix of both: :mod:`fg_orient.adjustment.border_matrix`.
+If images are eliminated first (:mod:`fg_orient.adjustment.images_first`), the border consists of the shared unknowns of
+the images and all ground points. :func:`border_of` chooses. The matrix of both:
+:mod:`fg_orient.adjustment.border_matrix`.
 """
 
 from __future__ import annotations
@@ -35,14 +36,14 @@ from fg_orient.model.options import Datum
 if TYPE_CHECKING:
     from scipy import sparse
 
-#: Image points whose Jacobians are kept; of larger blocks they are computed at each use.
+#: Maximum number of image points whose Jacobians are kept; in larger blocks they are computed at each use.
 KEPT: Final = 100_000
 
 
 def divided(problem: Problem) -> tuple[Problem, Problem | None]:
-    """Problem of the points to eliminate, and problem of the named points with all extra observations.
+    """Split a problem: the points to eliminate, and the named points with all extra observations.
 
-    The second is None if no extra observation names a point; the first then has all extra observations.
+    The second problem is None if no extra observation names a point; the first then has all extra observations.
     """
     points = problem.named_points()
     if not points:
@@ -54,22 +55,26 @@ def divided(problem: Problem) -> tuple[Problem, Problem | None]:
 
 
 def _part(problem: Problem, rays: Mask, points: Mask, extra: tuple[ExtraObservation, ...]) -> Problem:
-    """Problem with some of the image points, ground points and extra observations; the images stay."""
+    """Return the problem with some of the image points, ground points and extra observations; the images stay."""
     return replace(
-        problem, block=replace(problem.block, extra=extra), observations=problem.observations.take(rays),
-        records=problem.records[rays], active=problem.active & points, observed=problem.observed & points,
-    )  # fmt: skip
+        problem,
+        block=replace(problem.block, extra=extra),
+        observations=problem.observations.take(rays),
+        records=problem.records[rays],
+        active=problem.active & points,
+        observed=problem.observed & points,
+    )
 
 
 def eliminated_part(problem: Problem, datum: Datum) -> Problem:
-    """Problem of the points to eliminate, without priors and extra observations."""
+    """Return the problem of the points to eliminate, without priors and extra observations."""
     own, _ = divided(problem)
     options = replace(problem.block.options, priors=False, datum=datum)
     return replace(own, block=replace(own.block, options=options, extra=()))
 
 
 def explicit_rows(problem: Problem, state: State) -> tuple[Array, sparse.csr_array]:
-    """Rows of named points, extra observations and priors: residuals (r,), Jacobian (r, b) to the border, whitened."""
+    """Return rows of named points, extra observations, priors: residuals (r,), Jacobian (r, b) to border, whitened."""
     from scipy import sparse
 
     values, rows, columns, entries, count = [np.zeros(0)], [], [], [], 0
@@ -94,7 +99,7 @@ def explicit_rows(problem: Problem, state: State) -> tuple[Array, sparse.csr_arr
 
 
 def _pieces(problem: Problem, state: State) -> Iterator[tuple[Index, Array, Array]]:
-    """Rows of named points and of extra observations: columns (c,), residuals (r,), Jacobian (r, c).
+    """Yield the rows of named points and of extra observations: columns (c,), residuals (r,), Jacobian (r, c).
 
     Columns may occur twice.
     """
@@ -117,19 +122,19 @@ def _pieces(problem: Problem, state: State) -> Iterator[tuple[Index, Array, Arra
 
 
 def free_columns(problem: Problem) -> Index:
-    """Column (w,) of each unknown of all images."""
+    """Return the column (w,) of each unknown of all images."""
     return np.arange(problem.n_image_unknowns) if problem.ties is None else problem.ties.of
 
 
 def bordered(problem: Problem, pattern: Pattern, blocks: Array, design: sparse.csr_array) -> Array:
-    """Normal matrix (b, b) from blocks of eliminated points and the Jacobian of :func:`explicit_rows`."""
+    """Return the normal matrix (b, b) from blocks of eliminated points and the Jacobian of :func:`explicit_rows`."""
     out, z = (design.T @ design).toarray(), problem.n_free_unknowns
     out[:z, :z] += full_matrix(pattern, problem.first, blocks, problem.ties)
     return np.asarray(out)
 
 
 class Border(BorderMatrix):
-    """The border of a problem, linearised at a state.
+    """Border of a problem, linearised at a state.
 
     Its unknowns are the image unknowns (shared unknowns once, in prior sigmas), then three of each named ground point
     (m).
@@ -139,12 +144,12 @@ class Border(BorderMatrix):
     problem : Problem
     state : State
     near : Border, optional
-        Of the same problem at another state, which gives the arrays that do not change.
+        Border of the same problem at another state; arrays that do not depend on the state are copied from it.
 
     Raises
     ------
     Singular
-        A ground point that is not named is not determined by its rays.
+        Singular :: The rays do not determine a ground point that is not named.
     """
 
     def __init__(self, problem: Problem, state: State, near: Border | None = None) -> None:
@@ -167,7 +172,7 @@ class Border(BorderMatrix):
         return self.problem.n_free_unknowns
 
     def _normal(self) -> tuple[Array, Array]:
-        """S (b, b), and the gradient (b,) with the points at the intersection of their rays."""
+        """Return S (b, b), and the gradient (b,) with the points at the intersection of their rays."""
         blocks, gradient = self._system.partial(0.0)
         matrix = bordered(self.problem, self._system.structure.pattern, blocks, self._rows[1])
         self._backend.buffers.release()
@@ -177,15 +182,15 @@ class Border(BorderMatrix):
         return matrix, full
 
     def squares(self) -> float:
-        """Squares of the whitened residuals of the eliminated points, moved along their rays; the images stay."""
+        """Return the squares of the whitened residuals of the eliminated points; the points move, the images stay."""
         return 2.0 * self._system.substitute(np.zeros(self.n_images), 0.0).predicted_error
 
     def columns_of(self, j: int) -> Index:
-        """Columns (3,) of a named point."""
+        """Return the columns (3,) of a named point."""
         return self.n_images + 3 * self.named.index(j) + np.arange(3)
 
     def gains(self, points: Index) -> tuple[Array, Array]:
-        """``-K`` (n, 3, b) and H^-1 (n, 3, 3) of ground points; for a named point its columns and zero."""
+        """Return ``-K`` (n, 3, b) and H^-1 (n, 3, 3) of ground points; for a named point its columns and zero."""
         gain, inverse = np.zeros((len(points), 3, len(self))), np.zeros((len(points), 3, 3))
         for place in np.flatnonzero(np.isin(points, self.named)).tolist():
             gain[place, :, self.columns_of(int(points[place]))] = np.eye(3)
@@ -204,16 +209,14 @@ class Border(BorderMatrix):
         return free_columns(self.problem)
 
     def parts(self) -> Iterator[tuple[Part, sparse.csr_array]]:
-        """Eliminated points with all their rays, and the rows (2n, b) of these to the border."""
+        """Yield the eliminated points with all their rays, and the rows (2n, b) of these to the border."""
         kept = len(self.eliminated.observations) <= KEPT
         if kept and not self._kept:
             self._kept = list(parts_of(self.eliminated, self.state, order=self._order))
-        return self._with_rows(
-            iter(self._kept) if kept else parts_of(self.eliminated, self.state, order=self._order)
-        )  # fmt: skip
+        return self._with_rows(iter(self._kept) if kept else parts_of(self.eliminated, self.state, order=self._order))
 
     def _with_rows(self, parts: Iterator[Part]) -> Iterator[tuple[Part, sparse.csr_array]]:
-        """Parts with their rows to the border."""
+        """Yield the parts with their rows to the border."""
         from scipy import sparse
 
         columns = np.append(self.free_columns, len(self))[np.minimum(self.problem.columns, len(self.free_columns))]
@@ -221,7 +224,7 @@ class Border(BorderMatrix):
             n, _, k = part.d_image.shape
             at = np.repeat(columns[part.image], 2, axis=0).ravel()
             begin = np.arange(0, 2 * n * k + 1, k)
-            full = bool((at < len(self)).all())  # taking columns costs as much as the product with a few movements
+            full = bool((at < len(self)).all())  # selecting columns costs as much as the product with a few movements
             wide = sparse.csr_array((part.d_image.reshape(-1), at, begin), shape=(2 * n, len(self) + (not full)))
             yield part, wide if full else wide[:, : len(self)]
 
@@ -258,7 +261,7 @@ class Border(BorderMatrix):
     # --- solution ---------------------------------------------------------------------------------
 
     def times(self, border: Array, ground: Array) -> tuple[Array, Array]:
-        """Cofactors of all unknowns times columns (b, d) and (N, 3, d): the same shapes."""
+        """Return the cofactors of all unknowns times columns (b, d) and (N, 3, d): the same shapes."""
         right, own = border.copy(), np.zeros(ground.shape)
         if self.named:
             right[self.n_images :] += ground[self.named].reshape(-1, ground.shape[2])
@@ -287,24 +290,24 @@ class Border(BorderMatrix):
 
 
 def small_enough(problem: Problem) -> bool:
-    """Whether the matrix of the border is formed as a whole."""
+    """Return whether the matrix of the border is formed as a whole."""
     return problem.n_free_unknowns + 3 * len(problem.named_points()) <= FULL_BORDER
 
 
 class ImagesBorder(BorderMatrix):
-    """The border of a problem whose images are eliminated, linearised at a state.
+    """Border of a problem whose images are eliminated, linearised at a state.
 
     Parameters
     ----------
     problem : Problem
     state : State
     places : Places, optional
-        Of the problem.
+        Places of the problem.
 
     Raises
     ------
     Singular
-        An image is not determined by its points.
+        Singular :: Its points do not determine an image.
     """
 
     def __init__(self, problem: Problem, state: State, places: Places | None = None) -> None:
@@ -357,25 +360,25 @@ class ImagesBorder(BorderMatrix):
         return self.images_of(moves), self._ground(moves)
 
     def _ground(self, moves: Array) -> Array:
-        """Movements (N, 3, d) of the ground points."""
+        """Return the movements (N, 3, d) of the ground points."""
         active = self.problem.active
         out, points = np.zeros((len(active), 3, moves.shape[1])), int(active.sum())
         out[active] = moves[len(self.places.shared) :].reshape(points, 3, moves.shape[1])
         return out
 
     def effect_of(self, images: Array, ground: Array) -> Array:
-        """See :class:`BorderMatrix`; the own unknowns of the images follow."""
+        """See :class:`BorderMatrix`; the unknowns of single images follow."""
         moves = ground[self.problem.active].reshape(len(self) - len(self.places.shared), images.shape[1])
         return self.follow(np.vstack([images[self.places.shared], moves])).effect
 
 
 def border_of(problem: Problem, state: State) -> BorderMatrix | None:
-    """Border of a problem, of the kind that takes less work; None if it is too large.
+    """Return the border of a problem, of the kind that needs less work; None if it is too large.
 
     Raises
     ------
     Singular
-        The observations do not determine the unknowns that are eliminated.
+        Singular :: The observations do not determine the eliminated unknowns.
     """
     if images_first(problem):
         with contextlib.suppress(Singular):

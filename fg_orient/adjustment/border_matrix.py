@@ -1,8 +1,8 @@
-"""Normal matrix of a border: the unknowns that are left where points, or images, are eliminated.
+"""Normal matrix of a border: the unknowns that remain after points, or images, are eliminated.
 
 The border of a free network is singular. With a basis U of its null space, orthonormal in the unknowns scaled to a unit
-diagonal of S, ``(S + U U^T)^-1 - U U^T`` is its pseudo-inverse in this scale (Koch 1999, 1.59). No unknown is held, so
-that the condition number belongs to the network itself, for any datum.
+diagonal of S, ``(S + U U^T)^-1 - U U^T`` is its pseudo-inverse in this scale (Koch 1999, 1.59). No unknown is held
+fixed. So the condition number belongs to the network itself, for any datum.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from factors.arrays import Array
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.schur_reduced import Singular, inverse_norm, require_regular
 
-#: Rows of a part of :func:`triangle`: a third of the time for 37 000 rows of 16 columns (measured).
+#: Number of rows of a part of :func:`triangle`: a third of the time for 37 000 rows of 16 columns (measured).
 PART: Final = 512
 
 
 @dataclass(frozen=True)
 class Followed:
-    """Movements (b, d) of the border with the eliminated unknowns that follow them best.
+    """Movements (b, d) of the border, with the eliminated unknowns that follow them best.
 
     Parameters
     ----------
     ground : (N, 3, d) array
         Movements of the ground points, m.
     effect : (q, d) array
-        Effect on all observations, whitened, compressed by QR: its singular values are those of all rows.
+        Effect on all observations, whitened and compressed by QR: its singular values are those of all rows.
     gradient : (b, d) array
-        ``S`` times the movements, from the rows: not squared.
+        ``S`` times the movements, computed from the rows without squaring them.
     """
 
     ground: Array
@@ -43,7 +43,7 @@ class Followed:
 
 
 class BorderMatrix(ABC):
-    """The border of a problem, linearised at a state.
+    """Border of a problem, linearised at a state.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class BorderMatrix(ABC):
     Raises
     ------
     Singular
-        An unknown of the border is in no observation.
+        Singular :: An unknown of the border is in no observation.
     """
 
     def __init__(self, problem: Problem, state: State, matrix: Array, gradient: Array) -> None:
@@ -74,27 +74,27 @@ class BorderMatrix(ABC):
 
     @abstractmethod
     def at(self, state: State) -> Self:
-        """Border of the same problem at another state, with the motions here as its own."""
+        """Return the border of the same problem at another state; it keeps the motions of this border."""
 
     @abstractmethod
     def newton(self) -> State:
-        """State after a Gauss-Newton step."""
+        """Return the state after a Gauss-Newton step."""
 
     @abstractmethod
     def images_of(self, moves: Array) -> Array:
-        """Movements (z, d) of the image unknowns with movements (b, d) of the border."""
+        """Return the movements (z, d) of the image unknowns with movements (b, d) of the border."""
 
     @abstractmethod
     def follow(self, moves: Array) -> Followed:
-        """Movements (b, d) of the border, followed by the eliminated unknowns so that the observations change least."""
+        """Move the border by (b, d); the eliminated unknowns follow so that the observations change least."""
 
     def movements(self, moves: Array) -> tuple[Array, Array]:
-        """Movements (z, d) of the images and (N, 3, d) of the points that follow movements (b, d) of the border."""
+        """Return movements (z, d) of images and (N, 3, d) of the points that follow movements (b, d) of the border."""
         return self.images_of(moves), self.follow(moves).ground
 
     @abstractmethod
     def effect_of(self, images: Array, ground: Array) -> Array:
-        """Effect (q, d) of movements (z, d) of the images and (N, 3, d) of the points, as far as the border has them.
+        """Return the effect (q, d) of movements (z, d) of the images and (N, 3, d) of the points in the border.
 
         The other unknowns follow.
         """
@@ -117,7 +117,7 @@ class BorderMatrix(ABC):
         return cholesky(s)
 
     def condition(self) -> float:
-        """Condition number of the scaled matrix in the 1-norm, without the null space of a free network."""
+        """Return the condition number of the scaled matrix in the 1-norm, without the null space of a free network."""
         factor, norm = self._factor
         return norm * inverse_norm(lambda right: np.asarray(lapack.dpotrs(factor, right, lower=1)[0]), len(self))
 
@@ -136,7 +136,10 @@ class BorderMatrix(ABC):
 
 
 def cholesky(matrix: Array) -> tuple[Any, float]:
-    """LAPACK's lower Cholesky factor of a symmetric matrix, which is overwritten, and its 1-norm; else Singular."""
+    """Return LAPACK's lower Cholesky factor and the 1-norm of a symmetric matrix, which is overwritten.
+
+    Else Singular.
+    """
     norm = float(np.abs(matrix).sum(axis=0).max())
     factor, info = lapack.dpotrf(matrix.T, lower=1, clean=0, overwrite_a=1)
     if info != 0:
@@ -145,9 +148,9 @@ def cholesky(matrix: Array) -> tuple[Any, float]:
 
 
 def triangle(rows: Array) -> Array:
-    """R of rows (n, d) by QR; the rows themselves if there are not more than columns.
+    """Return R of rows (n, d) by QR; the rows themselves if there are not more rows than columns.
 
-    Many rows of few columns are taken in parts that stay in the cache, and their triangles together.
+    Many rows of few columns are processed in parts that stay in the cache; then their triangles are combined.
     """
     n, d = rows.shape
     if n >= 2 * PART and 4 * d <= PART:

@@ -1,7 +1,7 @@
-"""Checkpoints: the input of the next iteration in a file, so that an interrupted run continues bit by bit.
+"""Checkpoints: the input of the next iteration in a file, so that an interrupted run continues with identical bits.
 
 The file contains the state, damping or radius, the stage and scale of the loss, the log, and a fingerprint of the
-problem. Robust weights follow from the state. The file is written whole or not at all.
+problem. Robust weights follow from the state. The file is written completely or not at all.
 """
 
 from __future__ import annotations
@@ -47,7 +47,8 @@ class Checkpoint:
     resume : bool
         Continue from the file if it exists; otherwise it is overwritten.
     scope : str
-        Further inputs that change the last bits, such as the number of parts; it must be the same to continue a run.
+        Further inputs that change the last bits, such as the number of parts; a continued run must have the same
+        inputs.
 
     Raises
     ------
@@ -93,7 +94,7 @@ class Checkpoint:
         return len(carried.log)
 
     def read(self, problem: Problem) -> tuple[str, Carried[State]] | None:
-        """Backend and input of its next iteration; None without a file or without ``resume``.
+        """Return the backend and input of its next iteration; None without a file or without ``resume``.
 
         InputError: the file is not a checkpoint, or belongs to another problem.
         """
@@ -129,7 +130,7 @@ def _carried(arrays: dict[str, npt.NDArray[Any]]) -> Carried[State]:
 
 
 def fingerprint(problem: Problem, scope: str = "") -> str:
-    """SHA-256 of all inputs of an iteration; ``scope``: see :class:`Checkpoint`."""
+    """Return the SHA-256 of all inputs of an iteration; ``scope``: see :class:`Checkpoint`."""
     digest = hashlib.sha256(repr((__version__, scope)).encode())
     given = asdict(problem.block.options)
     options = {name: given[name] for name, one in declared(Options).items() if one.iterates}
@@ -140,13 +141,19 @@ def fingerprint(problem: Problem, scope: str = "") -> str:
     for extra in problem.block.extra:
         digest.update(repr((extra.equation.name, extra.unknowns, extra.n_residuals)).encode())
     o = problem.observations
-    for begin in range(0, len(o), RECORDS):  # not all at once: they are the largest array
+    for begin in range(0, len(o), RECORDS):  # not all records at once: they are the largest array
         digest.update(np.ascontiguousarray(some_rows(problem, "records", slice(begin, begin + RECORDS))).data)
     for array in (
-        problem.control_records, problem.active, problem.observed, problem.origin_m, o.image, o.point,
-        problem.start.image, problem.start.ground,
+        problem.control_records,
+        problem.active,
+        problem.observed,
+        problem.origin_m,
+        o.image,
+        o.point,
+        problem.start.image,
+        problem.start.ground,
         *(part for extra in problem.block.extra for part in (extra.record, problem.extra_setup(extra))),
-    ):  # fmt: skip
+    ):
         digest.update(repr(array.shape).encode())
         digest.update(np.ascontiguousarray(array).data)
     return digest.hexdigest()

@@ -1,8 +1,9 @@
 """Cofactors of images and ground points from the reduced camera system.
 
-The inverse of the reduced system contains the cofactors Q of the images. With ``K = H^-1 sum G^T J`` of the images that
-see a point, its cofactors are ``H^-1 + K Q K^T``, and its joint cofactors with the images ``-K Q``. Joint cofactors of
-some unknowns are a matrix, or the sum of blocks of the images and few columns (:class:`UnknownCofactors`).
+The inverse of the reduced system contains the cofactors Q of the images. The images that see a point have
+``K = H^-1 sum G^T J``. Cofactors of the point are ``H^-1 + K Q K^T``, and its joint cofactors with the images are
+``-K Q``. Joint cofactors of some unknowns are a matrix, or the sum of blocks of the images and few columns
+(:class:`UnknownCofactors`).
 """
 
 from __future__ import annotations
@@ -22,23 +23,23 @@ from fg_orient.adjustment.rows import linearised, rows_by_image, summed
 from fg_orient.kernels.batch_cofactors import ray_cofactors
 from fg_orient.model.options import Options
 
-#: Image points whose Jacobians are in memory at once.
+#: Number of image points whose Jacobians are in memory at the same time.
 CHUNK: Final = 8_000
-#: Image unknowns up to which one matrix of all their cofactors is formed: 0.3 GB.
+#: Maximum number of image unknowns for which one matrix of all their cofactors is formed: 0.3 GB.
 WHOLE_LIMIT: Final = 6000
-#: Image points up to which "auto" gives statistics of every observation.
+#: Maximum number of image points for which "auto" gives statistics of every observation.
 AUTO_LIMIT: Final = 2_000_000
 
 
 def full_statistics(options: Options, n_image_points: int, n_image_unknowns: int) -> bool:
-    """Whether a run gives statistics of every observation; "auto" omits them if they would take most of the time."""
+    """Return whether a run gives statistics of every observation; "auto" omits them if they take most of the time."""
     if options.statistics != "auto":
         return options.statistics == "full"
     return n_image_points <= AUTO_LIMIT and n_image_unknowns <= WHOLE_LIMIT
 
 
 def cofactors_of_points(problem: Problem, state: State, index: Index, blocks: Callable[[Index], Array]) -> Array:
-    """Cofactors (n, 3, 3) m^2 of ground points from cofactors of images; zero for points that are not unknowns.
+    """Return cofactors (n, 3, 3) m^2 of ground points from cofactors of images; zero for points that are not unknowns.
 
     Parameters
     ----------
@@ -62,9 +63,24 @@ def cofactors_of_points(problem: Problem, state: State, index: Index, blocks: Ca
     for part in parts_of(problem, state, index[wanted], order):
         q_points, free = np.empty((len(part.points), 3, 3)), np.ones(len(part.points), np.int64)
         ray_cofactors(
-            0, len(q_points), part.first, part.image, size, free, part.d_image, part.d_ground, part.inverse, block, q,
-            turned, None, q_points, None, None, None,
-        )  # fmt: skip
+            0,
+            len(q_points),
+            part.first,
+            part.image,
+            size,
+            free,
+            part.d_image,
+            part.d_ground,
+            part.inverse,
+            block,
+            q,
+            turned,
+            None,
+            q_points,
+            None,
+            None,
+            None,
+        )
         out[wanted[part.places]] = q_points
     return out
 
@@ -83,7 +99,7 @@ class RayCofactors:
         Effect of an error of an image point on its ground point, m: rows of ``N^-1 A^T``.
     on_image : (n, 2) array
         Effect of a unit error of line and of sample (whitened) on the unknowns of the image, in their sigmas: root of
-        ``u^T Q^-1 u``; nan if Q of the image is not positive definite.
+        ``u^T Q^-1 u``. nan if Q of the image is not positive definite.
     images : (M, k, k) array
         Cofactors of the images, prior sigmas.
     """
@@ -98,8 +114,8 @@ class RayCofactors:
 class Datum(NamedTuple):
     """S-transformation ``S Q S^T = Q - E W^T - W E^T + E C E^T`` of cofactors Q to another datum.
 
-    ``motions`` E and ``along`` W (n + 1, d) have a row for each column of ``Problem.vector`` and a last one of zeros,
-    ``core`` C is (d, d). As motions have no effect on an observation with the row A, ``S Q A^T = Q A^T - E (A W)^T``.
+    ``motions`` E and ``along`` W (n + 1, d) have a row for each column of ``Problem.vector`` and a last row of zeros;
+    ``core`` C is (d, d). Motions have no effect on an observation with the row A, so ``S Q A^T = Q A^T - E (A W)^T``.
     """
 
     motions: Array
@@ -107,7 +123,7 @@ class Datum(NamedTuple):
     core: Array
 
     def elements(self, q: Array, rows: Index, columns: Index) -> Array:
-        """Elements Q (..., r, c) in the datum; ``rows`` (..., r), ``columns`` (..., c) of the unknowns, -1: zero."""
+        """Return elements Q (..., r, c) in datum, of unknowns ``rows`` (..., r) and ``columns`` (..., c); -1: zero."""
         e, w = self.motions, self.along
         left, right = e[rows], np.swapaxes(e[columns], -1, -2)
         out = q - left @ np.swapaxes(w[columns], -1, -2)  # in place: q is the largest array of a large network
@@ -117,23 +133,23 @@ class Datum(NamedTuple):
 
 
 def places_of_points(problem: Problem, points: Index) -> Index:
-    """Columns (n, 3) of ground points in ``Problem.vector``; -1 for points that are not unknowns."""
+    """Return the columns (n, 3) of ground points in ``Problem.vector``; -1 for points that are not unknowns."""
     at = problem.point_columns[points, None] + np.arange(3)
     return np.where(problem.active[points, None], at, -1)
 
 
 def places_of_images(problem: Problem) -> Index:
-    """Columns (M, k) of the unknowns of images in ``Problem.vector``; shorter rows end with -1."""
+    """Return the columns (M, k) of the unknowns of images in ``Problem.vector``; shorter rows end with -1."""
     return np.where(problem.columns < problem.n_image_unknowns, problem.columns, -1)
 
 
 def cofactors_of_rays(
     problem: Problem, state: State, blocks: Callable[[Index], Array], datum: Datum | None = None
 ) -> RayCofactors:
-    """Cofactors of all adjusted image points, of points and images; see :func:`cofactors_of_points`.
+    """Return the cofactors of all adjusted image points, of points and images; see :func:`cofactors_of_points`.
 
-    Not valid for ground points with extra observations, because these also depend on the extra observations.
-    ``datum``: all are transformed to it.
+    The result is not valid for ground points with extra observations, because they also depend on these. ``datum``: all
+    cofactors are transformed to it.
     """
     n, order = len(problem.observations), order_by_point(problem)
     pairs, block = pairs_of_images(problem, order)
@@ -150,9 +166,24 @@ def cofactors_of_rays(
         q_points, effect = np.empty((len(part.points), 3, 3)), np.empty((rays, 2, q.shape[1]))
         fitted, response = np.empty((rays, 2, 2)), np.empty((rays, 3, 2))
         ray_cofactors(
-            0, len(q_points), part.first, part.image, size, problem.active[part.points].astype(np.int64), part.d_image,
-            part.d_ground, part.inverse, block, q, turned, turned_roots, q_points, fitted, response, effect,
-        )  # fmt: skip
+            0,
+            len(q_points),
+            part.first,
+            part.image,
+            size,
+            problem.active[part.points].astype(np.int64),
+            part.d_image,
+            part.d_ground,
+            part.inverse,
+            block,
+            q,
+            turned,
+            turned_roots,
+            q_points,
+            fitted,
+            response,
+            effect,
+        )
         if datum is not None:
             at = places_of_points(problem, part.points)
             of_ray = np.repeat(at, np.diff(part.first), axis=0)
@@ -167,7 +198,7 @@ def cofactors_of_rays(
 
 
 class Star(NamedTuple):
-    """Cofactors of images and unknown points without those between images, or between points.
+    """Cofactors of images and unknown points, without cofactors between images or between points.
 
     ``images`` (M, k, k), ``across`` (M, k, 3P) and ``points`` (P, 3, 3); shorter blocks end with zeros.
     """
@@ -178,7 +209,7 @@ class Star(NamedTuple):
 
 
 def rays_of_star(problem: Problem, state: State, star: Star) -> RayCofactors:
-    """Cofactors of all adjusted image points from those of images and points; also of points that others name."""
+    """Return the cofactors of all adjusted image points from cofactors of images and points, also for named points."""
     o, n = problem.observations, len(problem.observations)
     rank, points = np.cumsum(problem.active) - 1, np.zeros((len(problem.active), 3, 3))
     points[problem.active] = star.points
@@ -202,7 +233,7 @@ def rays_of_star(problem: Problem, state: State, star: Star) -> RayCofactors:
 
 
 def inverse_roots(q: Array, size: Index) -> Array:
-    """L^-1 of ``Q = L L^T`` (M, k, k) of matrices of these sizes; nan for matrices that are not positive definite."""
+    """Return L^-1 of ``Q = L L^T`` (M, k, k) of matrices of these sizes; nan if a matrix is not positive definite."""
     out = np.zeros_like(q)
     for k, n in enumerate(size.tolist()):
         try:
@@ -213,9 +244,9 @@ def inverse_roots(q: Array, size: Index) -> Array:
 
 
 class Part(NamedTuple):
-    """Some ground points with all their rays, about :data:`CHUNK` rays in the order of points and images."""
+    """Some ground points with all their rays, about :data:`CHUNK` rows in the order of points and images."""
 
-    places: slice  # of the points among the requested points
+    places: slice  # positions of the points among the requested points
     points: Index  # (P,)
     first: Index  # (P + 1,) first ray of each point
     rows: Index  # (n,) of ``problem.observations``
@@ -226,14 +257,12 @@ class Part(NamedTuple):
 
 
 def order_by_point(problem: Problem) -> Index:
-    """Image points by ground point, then by image."""
+    """Return the image points by ground point, then by image."""
     return np.lexsort((problem.observations.image, problem.observations.point)).astype(np.intp)
 
 
-def parts_of(
-    problem: Problem, state: State, points: Index | None = None, order: Index | None = None
-) -> Iterator[Part]:  # fmt: skip
-    """Ground points, by default all that are measured, with their rays, linearised at a state; part by part."""
+def parts_of(problem: Problem, state: State, points: Index | None = None, order: Index | None = None) -> Iterator[Part]:
+    """Yield ground points, by default all that are measured, with their rays, linearised at a state; part by part."""
     order = order_by_point(problem) if order is None else order
     points = np.flatnonzero(np.bincount(problem.observations.point)) if points is None else points
     if not len(points):
@@ -250,7 +279,7 @@ def parts_of(
 
 
 def _part(problem: Problem, state: State, places: slice, points: Index, first: Index, rows: Index) -> Part:
-    """Jacobians and H^-1 of some points."""
+    """Return the Jacobians and H^-1 of some points."""
     image, (_, d_image, d_ground) = problem.observations.image[rows], linearised(problem, state, rows)
     normal = summed(np.swapaxes(d_ground, 1, 2) @ d_ground, first)
     known = np.flatnonzero(problem.observed[points])
@@ -262,7 +291,10 @@ def _part(problem: Problem, state: State, places: slice, points: Index, first: I
 
 
 def _inverses(normal: Array) -> Array:
-    """Inverses of matrices (n, 3, 3); nan where one is singular, as of a point that an extra observation determines."""
+    """Invert matrices (n, 3, 3).
+
+    nan for a singular one, such as that of a point only an extra observation determines.
+    """
     try:
         return np.asarray(np.linalg.inv(normal))
     except np.linalg.LinAlgError:
@@ -274,7 +306,7 @@ def _inverses(normal: Array) -> Array:
 
 
 def blocks_of_images(problem: Problem, joint: Callable[[tuple[int, ...]], Array], pairs: Index) -> Array:
-    """Joint blocks (B, k, k) of pairs of images; for up to WHOLE_LIMIT unknowns from one matrix of all images.
+    """Return joint blocks (B, k, k) of pairs of images; up to WHOLE_LIMIT unknowns from one matrix of all images.
 
     Parameters
     ----------
@@ -296,7 +328,7 @@ def blocks_of_images(problem: Problem, joint: Callable[[tuple[int, ...]], Array]
 
 
 def pairs_of_images(problem: Problem, order: Index) -> tuple[Index, Index]:
-    """Pairs of images (B, 2) with a common unknown point, row <= column, also of equal images; places (M, M)."""
+    """Return pairs of images (B, 2) with a common unknown point, row <= column, also of equal images; places (M, M)."""
     order = order[problem.active[problem.observations.point[order]]]
     image, point = problem.observations.image[order], problem.observations.point[order]
     together = np.eye(problem.n_images, dtype=bool)
@@ -318,7 +350,7 @@ class UnknownCofactors(Protocol):
         ...
 
     def square(self, x: Array) -> float:
-        """``x^T Q^-1 x``."""
+        """Return ``x^T Q^-1 x``."""
         ...
 
 
@@ -329,7 +361,10 @@ class DenseUnknowns:
     matrix: Array
 
     def square(self, x: Array) -> float:
-        """See :class:`UnknownCofactors`; scaled to correlations, as unknowns of very different size are together."""
+        """See :class:`UnknownCofactors`.
+
+        Scaled to correlations, because unknowns of very different size occur together.
+        """
         length = np.sqrt(np.diag(self.matrix))
         scaled = self.matrix / np.outer(length, length)
         _, solved, info = lapack.dposv(scaled, x / length, lower=1)
@@ -343,7 +378,7 @@ class SpreadUnknowns:
     Parameters
     ----------
     own : (M, k, k) array
-        Blocks of D, those of unknowns that are not wanted included.
+        Blocks of D, including those of unknowns that are not requested.
     image, place : (d,) int arrays
         Image of each unknown, ascending, and its place in the block.
     factor : (d, c) array
@@ -369,7 +404,8 @@ class SpreadUnknowns:
     def square(self, x: Array) -> float:
         """See :class:`UnknownCofactors`.
 
-        With ``M = G^T D^-1 G`` and ``u = G^T D^-1 x`` it is ``x^T D^-1 x - u^T (I + K M)^-1 K u`` (Woodbury 1950).
+        With ``M = G^T D^-1 G`` and ``u = G^T D^-1 x`` the result is ``x^T D^-1 x - u^T (I + K M)^-1 K u`` (Woodbury
+        1950).
         """
         if not (self.own[self.image, self.place, self.place] > 0.0).all():
             return DenseUnknowns(self.matrix).square(x)
@@ -382,7 +418,7 @@ class SpreadUnknowns:
         return float(products[0, 0] - u @ np.linalg.solve(np.eye(len(k)) + k @ m, k @ u))
 
     def _by_blocks(self, right: Array) -> Array:
-        """``D^-1`` times columns (d, c)."""
+        """Return ``D^-1`` times columns (d, c)."""
         images, first, count = np.unique(self.image, return_index=True, return_counts=True)
         rank = np.arange(len(self.image)) - np.repeat(first, count)
         number, most = np.repeat(np.arange(len(images)), count), int(count.max())
@@ -395,7 +431,7 @@ class SpreadUnknowns:
         return np.asarray(np.linalg.solve(blocks, columns)[number, rank])
 
     def changed(self, factor: Array, core: Array) -> SpreadUnknowns:
-        """Cofactors with ``F C F^T`` added."""
+        """Return the cofactors with ``F C F^T`` added."""
         c = len(self.core)
         joined = np.zeros((c + len(core),) * 2)
         joined[:c, :c], joined[c:, c:] = self.core, core

@@ -28,7 +28,7 @@ from fg_orient.model.constraint import AXES, MEASURED, OF_PHOTOS, SIZES, Constra
 
 @dataclass(frozen=True)
 class Figure:
-    """Start of a figure: ``start`` (k,) of the unknowns; the parameters have the values ``offset`` (k,) plus unknowns.
+    """Start of a figure: ``start`` (k,) of the unknowns. The parameters are ``offset`` (k,) plus the unknowns.
 
     The unknowns of a spheroid are corrections to the ``offset`` in its record. ``record`` (d,) has s = 1; ``scale`` is
     the factor of s for residuals in metres.
@@ -45,7 +45,7 @@ class Figure:
 
 
 def _axes(points: Array, along: int) -> Array:
-    """Right-handed frame (3, 3) of points: direction of largest (0) or smallest (2) extent, then two across."""
+    """Return a right-handed frame (3, 3) of points: direction of largest (0) or smallest (2) extent, two across."""
     _, _, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=True)
     out = np.array([axes[along], axes[(along + 1) % 3], axes[(along + 2) % 3]])
     out[2] *= np.sign(np.linalg.det(out))
@@ -53,14 +53,14 @@ def _axes(points: Array, along: int) -> Array:
 
 
 def _framed(equation: Equation, points: Array, along: int, names: str, n_residuals: int) -> Figure:
-    """Plane or line: the record has origin and frame; see :func:`_axes` for ``along``."""
+    """Return a plane or line; its record has origin and frame. ``along``: see :func:`_axes`."""
     frame, labels = _axes(points, along), tuple(names.split())
     record = constraints.FIGURE.pack(factor=1.0, place=points.mean(axis=0), normal=frame[0], e_1=frame[1], e_2=frame[2])
     return Figure(equation, record, labels, np.zeros(len(labels)), n_residuals)
 
 
 def linear_round(plan: Array) -> tuple[Array, float]:
-    """Linear fit of centre and radius: circle in a plane (Kasa 1976), or sphere (Ayhan 1996, eqs. 138-141)."""
+    """Fit centre and radius linearly: circle in a plane (Kasa 1976), or sphere (Ayhan 1996, eqs. 138-141)."""
     middle = plan.mean(axis=0)
     d = plan - middle
     x = np.linalg.lstsq(np.column_stack([2.0 * d, np.ones(len(d))]), np.sum(d**2, axis=1), rcond=None)[0]
@@ -82,7 +82,7 @@ def _horizontal_circle(points: Array, _: Constraint) -> Figure:
 
 
 def sphere_figure(centre: Array, radius: float) -> Figure:
-    """Sphere with centre (3,)."""
+    """Return the sphere with centre (3,)."""
     return Figure(surfaces.SPHERE, np.ones(1), ("x", "y", "z", "radius"), np.append(centre, radius), 1, 0.5 / radius)
 
 
@@ -92,7 +92,7 @@ def _spheroid(points: Array, c: Constraint) -> Figure:
 
 
 def spheroid_figure(centre: Array, semi: Array, along: int) -> Figure:
-    """Spheroid with centre (3,), semi-axes (3,) and number of its axis."""
+    """Return the spheroid with centre (3,), semi-axes (3,) and number of its axis."""
     a, b = float(semi[(along + 1) % 3]), float(semi[along])
     record = surfaces.RECORD.pack(factor=1.0, centre=centre, rotation=np.eye(3).ravel(), semi_axes=semi)
     setup = np.array([[0.0, 1.0, 2.0, 9.0 + along, 6.0 + along], np.ones(5)])
@@ -100,7 +100,7 @@ def spheroid_figure(centre: Array, semi: Array, along: int) -> Figure:
                   np.array([*centre, a, b]))  # fmt: skip
 
 
-#: Start of each figure from its points and the constraint.
+#: Functions that compute the start of each figure from its points and the constraint.
 FIGURES: Final[dict[str, Callable[[Array, Constraint], Figure]]] = {
     "plane": lambda points, _: _framed(constraints.PLANE, points, 2, "tilt_1 tilt_2 distance", 1),
     "line": lambda points, _: _framed(constraints.LINE, points, 0, "foot_1 foot_2 slope_1 slope_2", 2),
@@ -117,12 +117,12 @@ RELATIONS: Final = {
     "distance": constraints.DISTANCE, "base": constraints.DISTANCE, "parallel": constraints.PARALLEL,
     "perpendicular": constraints.PERPENDICULAR, "equal": constraints.EQUAL, "equal attitude": circles.EQUAL_ATTITUDE,
 }  # fmt: skip
-#: Their residuals where they are more than one.
+#: Number of residuals of these equations, if there is more than one.
 ROWS: Final = {"parallel": 2, "equal attitude": 3}
 
 
 def relation_record(constraint: Constraint, start: Array) -> Array:
-    """Record (factor 1) of a constraint without a figure.
+    """Return the record (factor 1) of a constraint without a figure.
 
     ``start``: coordinates (n, 3) of its points; for "equal attitude" the rotations (2, 3, 3) of its photos.
     """
@@ -139,7 +139,7 @@ def relation_record(constraint: Constraint, start: Array) -> Array:
 
 
 def figure_of(constraint: Constraint, points: Array) -> Figure:
-    """Start of a figure from its points (n, 3); InputError if they do not determine it."""
+    """Return the start of a figure from its points (n, 3); InputError if they do not determine it."""
     try:
         with np.errstate(all="raise"):
             return FIGURES[constraint.kind](points, constraint)
@@ -147,12 +147,12 @@ def figure_of(constraint: Constraint, points: Array) -> Figure:
         raise constraint.fault("members", "coordinates", "points that determine the figure") from None
 
 
-#: Weight w of the misclosures, factor of the misclosure of a sphere that makes it metres, axes of the figure (3, 3) and
+#: Weight w of the misclosures; factor that converts the misclosure of a sphere to metres; axes of the figure (3, 3);
 #: its frame at the start (normal or direction, two axes across). A relation's record and the correlates k follow.
 HEAD: Final = Record(weight=1, scale=1, axes=9, frame=9)
 #: Figures with a frame.
 FRAMES: Final = {"plane": FIGURE, "line": FIGURE, "circle": CIRCLE_RECORD}
-#: R of dependent rows of unit length.
+#: Diagonal elements of R of rows of unit length below which the rows are dependent.
 DEPENDENT: Final = 1e-10
 _NONE: Final = np.zeros((2, 0))
 _FITTED: Final = 1e-14
@@ -177,11 +177,11 @@ class ConstraintObservation(ExtraObservation):
 
     @property
     def hard(self) -> bool:
-        """Whether it holds exactly."""
+        """True if the constraint must be met exactly."""
         return self.constraint.sigma is None
 
     def members(self, problem: Problem, state: State) -> list[Array]:
-        """Coordinates, or rotation vectors, (3,) of the members at a state."""
+        """Return the coordinates, or rotation vectors, (3,) of the members at a state."""
         found = problem.extra_arguments(self)
         if not self.places:
             return [np.ascontiguousarray(state.ground[a.index]) if a.constant is None else a.constant for a in found]
@@ -191,9 +191,10 @@ class ConstraintObservation(ExtraObservation):
 def constraint_observation(
     constraint: Constraint, places: tuple[Place, ...] = (), *, is_exact: bool = False
 ) -> ConstraintObservation:
-    """Extra observation of a constraint between ground points or images; :func:`prepared` completes it.
+    """Return the extra observation of a constraint between ground points or images; :func:`prepared` completes it.
 
-    ``is_exact`` allows a figure that goes exactly through its points: it has no rows, but :func:`fitted_figures`.
+    ``is_exact`` allows a figure that goes exactly through its points: it has no rows, but it is in
+    :func:`fitted_figures`.
 
     InputError: a figure through too few points.
     """
@@ -241,9 +242,9 @@ class WholeRows:
     blocks : list of (m, 3) array
         Derivatives by each point.
     first : list of int
-        First row of each block; the others are zero.
+        First row of each block; other rows are zero.
     design : (r, f) array
-        Derivatives by the figure; none (f = 0) for a relation.
+        Derivatives by the figure; no columns (f = 0) for a relation.
     """
 
     value: Any
@@ -253,13 +254,13 @@ class WholeRows:
 
     @cached_property
     def basis(self) -> Array:
-        """N (r, r - f): rows without the figure."""
+        """N (r, r - f): combinations of rows that do not depend on the figure."""
         r, f = self.design.shape
         return np.linalg.qr(self.design, mode="complete")[0][:, f:] if f else np.eye(r)
 
 
 def whole_rows(constraint: Constraint, record: Any, points: Any, total: int) -> WholeRows:
-    """Rows of a constraint. Points may be complex; the derivatives belong to their real parts."""
+    """Return the rows of a constraint. Points may be complex; the derivatives belong to their real parts."""
     head, own = record[: HEAD.size], record[HEAD.size : len(record) - total].copy()
     correlates, real = record[len(record) - total :], [np.ascontiguousarray(np.real(p)) for p in points]
     if constraint.kind not in SIZES:
@@ -275,15 +276,15 @@ def whole_rows(constraint: Constraint, record: Any, points: Any, total: int) -> 
 
 
 def figure_rows(extra: ConstraintObservation, problem: Problem, state: State) -> WholeRows:
-    """Rows of a figure at a state: each of a single point, beside its figure."""
+    """Return the rows of a figure at a state; each row belongs to a single point and the figure."""
     total = extra.n_residuals + SIZES[extra.constraint.kind][1]
     return whole_rows(extra.constraint, extra.record, extra.members(problem, state), total)
 
 
 def _fitted(
     constraint: Constraint, head: Array, points: Any, correlates: Array
-) -> tuple[Any, Array, Any, list[Array], Figure]:  # fmt: skip
-    """Figure x (f,) that minimises ``|w c + k|^2``, its design (r, f), rows (r,), derivatives (m, 3) by each point."""
+) -> tuple[Any, Array, Any, list[Array], Figure]:
+    """Find the figure x (f,) with least ``|w c + k|^2``, its design (r, f), rows (r,), derivatives (m, 3) by points."""
     whole = np.array(points)
     real = np.ascontiguousarray(np.real(whole))
     figure = figure_of(constraint, real)
@@ -325,12 +326,12 @@ class FittedFigure:
     label : str
     names : tuple of str
     values : (k,) array
-        Centres in the local system of the block, without its origin, along the axes of the figure: those of the local
-        system, or East, North, Up at the points.
+        Parameters of the figure. Centres are in the local system of the block, without its origin. The axes are those
+        of the figure: of the local system, or East, North, Up at the points.
     points : tuple of int
         Numbers of its points.
     own : (k, k) array
-        Cofactors if the points are known.
+        Cofactors for known points.
     by : (k, 3 n) array
         Derivatives by the coordinates of the points.
     """
@@ -344,7 +345,7 @@ class FittedFigure:
 
 
 def fitted_figures(problem: Problem, state: State) -> list[FittedFigure]:
-    """Figures of the constraints at a solution.
+    """Return the figures of the constraints at a solution.
 
     With the joint cofactors C of its points a figure has the cofactors ``own + by C by^T``.
     """

@@ -3,9 +3,10 @@
 Rows and figures: :mod:`fg_orient.adjustment.constraint_rows`. A constraint with a sigma has the weight w = 1/sigma and
 no correlates.
 
-A hard constraint has a large weight w and correlates k, which are improved by ``k + w c`` at the solution until c is
-zero (method of multipliers: Hestenes 1969, Powell 1969). Therefore every backend, loss and datum accepts it, and the
-result does not depend on w. Cofactors refer to the finite weight: they deviate by about :data:`HARD` squared.
+A hard constraint has a large weight w and correlates k (Lagrange multipliers). They are improved by ``k + w c`` at the
+solution until c is zero (method of multipliers: Hestenes 1969, Powell 1969). Therefore every backend, loss and datum
+accepts it, and the result does not depend on w. Cofactors refer to the finite weight: they deviate by about
+:data:`HARD` squared.
 """
 
 from __future__ import annotations
@@ -44,28 +45,28 @@ if TYPE_CHECKING:
 #: Unknowns of a frame image that a constraint between images depends on.
 CENTRE: Final = ("centre_x", "centre_y", "centre_z")
 ROTATION: Final = ("rotation_x", "rotation_y", "rotation_z")
-#: Smallest sigma of a constraint in the first adjustment, and sigma of a hard one afterwards, in units of the smallest
-#: sigma of its points with the images held fixed. A smaller sigma at the start makes a narrow curved valley.
-#: The valley of an observed constraint is wide enough if its sigma is not far below the sigma of the points.
+#: Smallest sigma of a constraint in the first adjustment, and sigma of a hard constraint afterwards. The unit is the
+#: smallest sigma of its points with the images held fixed. A smaller sigma at the start would make the cost function a
+#: narrow curved valley. An observed constraint may have its own sigma if this is not far below the sigma of the points.
 FIRST: Final = 1.0
 FIRST_OBSERVED: Final = 0.1
 HARD: Final = 1e-3
-#: Improvements of the correlates; misclosure of a hard constraint in units of its sigma, and ratio of misclosures, at
-#: their end. The adjustment itself ends with a step of 1e-8 m.
+#: Maximum number of improvements of the correlates. They end at this misclosure of a hard constraint in units of its
+#: sigma, or at this ratio of misclosures. The adjustment itself ends with a step of 1e-8 m.
 ROUNDS: Final = 12
 HELD: Final = 1e-5
 SLOW: Final = 0.5
 #: Misclosure relative to the extent of the members above which hard constraints contradict each other.
 CONTRADICTION: Final = 1e-9
-#: Constraints have merged two points if their distance, relative to the start, is smaller.
+#: Ratio of the distance of two points to their distance at the start below which constraints have merged them.
 MERGED: Final = 1e-2
-#: Share of the largest misclosure from which a constraint is named.
+#: Least share of the largest misclosure for a constraint to be named.
 NAMED: Final = 0.1
 _FITS: Final = 100
 
 
 def has_constraints(block: Block) -> bool:
-    """Whether any extra observation of a block is a constraint, which :func:`hold` completes."""
+    """Return whether any extra observation of a block is a constraint; :func:`hold` completes these."""
     return any(isinstance(e, ConstraintObservation) for e in block.extra)
 
 
@@ -74,7 +75,7 @@ def _has_hard(problem: Problem) -> bool:
 
 
 def prepared(problem: Problem) -> Problem:
-    """Problem with weights, axes and frames of its constraints from the start; correlates are zero."""
+    """Compute the weights, axes and frames of the constraints of a problem from its start; correlates are zero."""
     extra = problem.block.extra
     if not has_constraints(problem.block):
         return problem
@@ -89,12 +90,12 @@ def prepared(problem: Problem) -> Problem:
     problem = _with_extra(problem, extra)
     if not _has_hard(problem):
         return problem
-    # elsewhere the motions of a free network would change the misclosures
+    # away from the constraints the motions of a free network would change the misclosures
     return replace(problem, start=_on_constraints(problem, problem.start))
 
 
 def _placed(problem: Problem, extra: ConstraintObservation) -> ConstraintObservation:
-    """Constraint with the places of its images; InputError for an image without projection centre."""
+    """Return the constraint with the places of its images; InputError for an image without projection centre."""
     constraint = extra.constraint
     if constraint.kind not in OF_PHOTOS:
         return extra
@@ -110,7 +111,7 @@ def _placed(problem: Problem, extra: ConstraintObservation) -> ConstraintObserva
 
 
 def _columns(problem: Problem, extra: ConstraintObservation) -> list[int]:
-    """Columns of the unknowns that a constraint depends on."""
+    """Return the columns of the unknowns that a constraint depends on."""
     out: list[int] = []
     for k, a in enumerate(problem.extra_arguments(extra)):
         if a.is_image:
@@ -121,9 +122,9 @@ def _columns(problem: Problem, extra: ConstraintObservation) -> list[int]:
 
 
 def _on_constraints(problem: Problem, state: State) -> State:
-    """State that fulfils the hard constraints, by the smallest movements of their points or images.
+    """Move a state onto the hard constraints, by the smallest movements of their points or images.
 
-    InputError: they contradict each other, or depend on each other.
+    InputError: the constraints contradict each other, or depend on each other.
     """
     hard = [e for e in problem.block.extra if isinstance(e, ConstraintObservation) and e.hard]
     columns = np.unique([c for e in hard for c in _columns(problem, e)]).astype(np.intp)
@@ -146,7 +147,7 @@ def _on_constraints(problem: Problem, state: State) -> State:
         if not size < before and size < HELD:
             break
         least, x = min(size, least), x - np.linalg.lstsq(design[:, columns], rows, rcond=DEPENDENT)[0]
-    else:  # the constraints with the largest misclosures at the least sum of squares are named
+    else:  # name the constraints with the largest misclosures at the least sum of squares
         from scipy.optimize import least_squares
 
         def rows_at(x: Array) -> Array:
@@ -161,7 +162,7 @@ def _on_constraints(problem: Problem, state: State) -> State:
 
 
 def _require_slopes(rows: Array, design: Array, labels: list[str]) -> None:
-    """Refuse an unsatisfied hard constraint with zero derivatives: lines at right angles that must be parallel."""
+    """Refuse an unmet hard constraint with zero derivatives, such as parallel lines that are at right angles."""
     length = np.linalg.norm(design, axis=1)
     stuck = (length <= DEPENDENT * length.max()) & (np.abs(rows) > HELD)
     if stuck.any():
@@ -174,8 +175,9 @@ def _require_apart(problem: Problem, before: State, after: State) -> None:
     hard = [e for e in problem.block.extra if isinstance(e, ConstraintObservation) and e.hard and not e.places]
     numbers = np.unique([a.index for e in hard for a in problem.extra_arguments(e)]).astype(np.intp)
     first, second = np.triu_indices(len(numbers), 1)
-    apart, left = (np.linalg.norm(s.ground[numbers[first]] - s.ground[numbers[second]], axis=1)
-                   for s in (before, after))  # fmt: skip
+    apart, left = (
+        np.linalg.norm(s.ground[numbers[first]] - s.ground[numbers[second]], axis=1) for s in (before, after)
+    )
     one = left < MERGED * apart
     merged = np.unique([numbers[first[one]], numbers[second[one]]])
     if len(merged):
@@ -185,7 +187,7 @@ def _require_apart(problem: Problem, before: State, after: State) -> None:
 
 
 def _sigma_of_image(problem: Problem, argument: ExtraArgument, place: Place) -> float:
-    """Smallest sigma of three numbers of an image, with its points and other unknowns held fixed."""
+    """Return the smallest sigma of three numbers of an image, with its points and other unknowns held fixed."""
     rows = linearised(problem, problem.start, np.flatnonzero(problem.observations.image == argument.index)).image
     scale = place.by.sum(axis=1)
     if not scale.any():
@@ -226,7 +228,7 @@ def _with_extra(problem: Problem, extra: Sequence[ExtraObservation]) -> Problem:
 
 
 def linear_rows(problem: Problem, state: State) -> tuple[Array, Array, list[str]]:
-    """Rows (c,) of the hard constraints, derivatives (c, u) by all unknowns, and labels."""
+    """Return the rows (c,) of the hard constraints, derivatives (c, u) by all unknowns, and labels."""
     values, parts, labels = [np.zeros(0)], [np.zeros((0, problem.n_columns))], list[str]()
     for e in (e for e in problem.block.extra if isinstance(e, ConstraintObservation) and e.hard):
         value, blocks = extra_blocks(problem, e, state, jacobian=True)
@@ -240,7 +242,7 @@ def linear_rows(problem: Problem, state: State) -> tuple[Array, Array, list[str]
 
 
 def _tightened(extra: ConstraintObservation, correlates: Array) -> ConstraintObservation:
-    """Constraint with its final weight, and the correlates (r,) of the present weight."""
+    """Return the constraint with its final weight, and the correlates (r,) of the present weight."""
     record, present = extra.record.copy(), extra.record[HEAD.weight]
     record[HEAD.weight] = extra.final_weight
     record[len(record) - len(correlates) :] = correlates * (present / record[HEAD.weight])
@@ -248,7 +250,7 @@ def _tightened(extra: ConstraintObservation, correlates: Array) -> ConstraintObs
 
 
 def _constraints(problem: Problem, state: State) -> list[tuple[int, ConstraintObservation, Array, Array]]:
-    """Number, observation, misclosures (c,) and new correlates (r,) of each constraint."""
+    """Return the number, observation, misclosures (c,) and new correlates (r,) of each constraint."""
     out = []
     for n, e in enumerate(problem.block.extra):
         if isinstance(e, ConstraintObservation):
@@ -260,26 +262,27 @@ def _constraints(problem: Problem, state: State) -> list[tuple[int, ConstraintOb
 
 
 def misclosures(problem: Problem, state: State) -> list[tuple[ConstraintObservation, Array]]:
-    """Return constraints with their misclosures (c,) at a state, m or sines; for a figure, of its points."""
+    """Return constraints with their misclosures (c,) at a state, in m or as sines; for a figure those of its points."""
     return [(e, c) for _, e, c, _ in _constraints(problem, state)]
 
 
 def missed_most(problem: Problem, state: State) -> tuple[str, float]:
-    """Hard constraint with the largest misclosure at a state, m or a sine; "" and 0 without one."""
+    """Return the hard constraint with the largest misclosure at a state, m or a sine; "" and 0 without one."""
     away = [(e.label, float(np.abs(c).max())) for e, c in misclosures(problem, state) if e.hard]
     return max(away, key=lambda one: one[1], default=("", 0.0))
 
 
 def tightened(problem: Problem) -> Problem:
-    """Problem whose constraints have their final weights, without correlates."""
-    return _with_extra(problem, [
-        _tightened(e, np.zeros(0)) if isinstance(e, ConstraintObservation) else e for e in problem.block.extra
-    ])  # fmt: skip
+    """Return the problem whose constraints have their final weights, without correlates."""
+    return _with_extra(
+        problem,
+        [_tightened(e, np.zeros(0)) if isinstance(e, ConstraintObservation) else e for e in problem.block.extra],
+    )
 
 
 def hold(
     problem: Problem, estimate: Estimate, run: Callable[[Problem, State, int], Estimate]
-) -> tuple[Problem, Estimate]:  # fmt: skip
+) -> tuple[Problem, Estimate]:
     """Improve the correlates of hard constraints until the constraints are met.
 
     ``run`` adjusts a problem from a state after a number of iterations.
@@ -301,27 +304,29 @@ def hold(
         estimate = _continued(problem, estimate, run)
     damped = problem.block.options.optimizer != "gauss-newton"
     if _has_hard(problem) and estimate.converged and damped and not problem.least_damping:
-        # the damping is a share of the weights of the constraints: the last damped steps across them are too short
+        # the damping is relative to the weights of the constraints, so the last damped steps across them are too short
         ahead = _continued(undamped(problem), estimate, run)
         estimate = ahead if ahead.converged else estimate
     return problem, estimate
 
 
 def undamped(problem: Problem) -> Problem:
-    """The problem with Gauss-Newton as optimiser: damped steps along a weak motion converge too slowly."""
+    """Replace the optimiser of a problem by Gauss-Newton: damped steps along a weak motion converge too slowly."""
     options = replace(problem.block.options, optimizer="gauss-newton")
     return replace(problem, block=replace(problem.block, options=options))
 
 
 def _continued(problem: Problem, before: Estimate, run: Callable[[Problem, State, int], Estimate]) -> Estimate:
-    """Estimate of a problem from the state of an earlier one, with the log of both."""
+    """Return the estimate of a problem from the state of an earlier one, with the log of both."""
     n = len(before.log)
     estimate = run(problem, before.state, n)
     log = tuple(replace(record, iteration=n + k) for k, record in enumerate(estimate.log, start=1))
     return replace(
-        estimate, log=before.log + log, iterations=before.iterations + estimate.iterations,
+        estimate,
+        log=before.log + log,
+        iterations=before.iterations + estimate.iterations,
         solve_s=before.solve_s + estimate.solve_s,
-    )  # fmt: skip
+    )
 
 
 def _require_held(problem: Problem, state: State) -> None:
@@ -330,8 +335,9 @@ def _require_held(problem: Problem, state: State) -> None:
     away = np.nan_to_num([np.abs(c).max() for _, _, c, _ in hard], nan=np.inf)
     if away.max() > CONTRADICTION:
         names = [e.label for (_, e, _, _), size in zip(hard, away, strict=True) if size >= NAMED * away.max()]
-        raise InputError.of("closerange.contradiction", place="constraints", value=f"{away.max():.3g} left",
-                            names="; ".join(names))  # fmt: skip
+        raise InputError.of(
+            "closerange.contradiction", place="constraints", value=f"{away.max():.3g} left", names="; ".join(names)
+        )
     diagonal = np.zeros(len(labels))
     triangle = np.linalg.qr((rows / np.linalg.norm(rows, axis=1, keepdims=True)).T, mode="r")
     diagonal[: len(triangle)] = np.abs(np.diag(triangle))
@@ -340,12 +346,13 @@ def _require_held(problem: Problem, state: State) -> None:
 
 
 def released(problem: Problem, estimate: Estimate) -> tuple[Problem, Estimate]:
-    """Problem without correlates; state on the hard constraints, with its weighted sum of squares."""
+    """Return the problem without correlates, and the state on the hard constraints with its weighted sum of squares."""
     extra, chi2 = list(problem.block.extra), estimate.chi2
     for n, e, _, correlates in (s for s in _constraints(problem, estimate.state) if s[1].hard):
         extra[n] = replace(e, record=np.concatenate([e.record[: -len(correlates)], np.zeros(len(correlates))]))
         value, left = (extra_blocks(problem, one, estimate.state, jacobian=False)[0] for one in (e, extra[n]))
-        chi2 += float(value @ (2.0 * left - value))  # without the rows, then the change by moving onto the constraints
+        # chi2 without the rows, then the change caused by the movement onto the constraints
+        chi2 += float(value @ (2.0 * left - value))
     problem = _with_extra(problem, extra)
     if not _has_hard(problem) or not estimate.converged:
         return problem, replace(estimate, chi2=chi2)

@@ -1,8 +1,8 @@
 """The dense backend: the same rows as the graph, as full matrices, for any registered linear solver.
 
 Rows are whitened (the unit is one sigma): image points, control points, priors, extra observations. Columns are image
-unknowns (prior sigmas), then unknown ground points (m). The kernels are the same as in the factors, so that a
-difference from the graph backend comes from the solver. GTSAM is not used.
+unknowns (prior sigmas), then unknown ground points (m). The kernels are the same as in the factors. So a difference
+from the graph backend comes from the solver. GTSAM is not used.
 
 Each step solves ``J x = -r``; Levenberg-Marquardt adds rows of a diagonal matrix. Memory and time grow with the square
 and cube of the unknowns; more than :data:`MAX_UNKNOWNS` are refused by default.
@@ -28,18 +28,19 @@ from fg_orient.model.arrays import wrong
 from fg_orient.model.block import ExtraObservation
 from fg_orient.model.errors import InputError
 
-#: Orthogonal: its error grows with cond(J). The error of methods that use J^T J grows with the square of cond(J).
+#: Orthogonal method: its error grows with cond(J). The error of methods that use J^T J grows with the square of
+#: cond(J).
 DEFAULT_SOLVER = "qr"
 #: QR with columns of unit length, for unknowns of different magnitude.
 SCALED_SOLVER = "qr_scaled"
 
 
 def assemble(problem: Problem, state: State, *, jacobian: bool = True) -> tuple[Array, Array]:
-    """Residuals (n,) of all observations and Jacobian (n, u), columns as in ``Problem.vector``.
+    """Return the residuals (n,) of all observations and the Jacobian (n, u), columns as in ``Problem.vector``.
 
     Without ``jacobian`` the second array is (0, u).
 
-    NotFiniteError: a residual or Jacobian is nan or inf; names the observation.
+    NotFiniteError: a residual or Jacobian is nan or inf; the message names the observation.
     """
     parts = [_image_rows(problem, state, jacobian), _control_rows(problem, state, jacobian)]
     if problem.block.options.priors:
@@ -53,7 +54,7 @@ def assemble(problem: Problem, state: State, *, jacobian: bool = True) -> tuple[
 
 
 def _image_rows(problem: Problem, state: State, jacobian: bool) -> tuple[Array, Array]:
-    """Two rows per image point; NotFiniteError as in the callbacks of GTSAM factors."""
+    """Return two rows per image point; NotFiniteError as in the callbacks of GTSAM factors."""
     rows = linearised(problem, state) if jacobian else None
     residual = residuals(problem, state) if rows is None else rows.residual
     for values in rows or (residual,):
@@ -72,7 +73,7 @@ def _image_rows(problem: Problem, state: State, jacobian: bool) -> tuple[Array, 
 
 
 def _control_rows(problem: Problem, state: State, jacobian: bool) -> tuple[Array, Array]:
-    """Three rows ``W (G - G_0)`` per observed control point."""
+    """Return three rows ``W (G - G_0)`` per observed control point."""
     observed = np.flatnonzero(problem.observed)
     residual, whitening = problem.control_residuals(state, observed).ravel(), problem.control_weights(observed)
     out = np.zeros((len(observed) if jacobian else 0, 3, problem.n_columns))
@@ -84,16 +85,19 @@ def _control_rows(problem: Problem, state: State, jacobian: bool) -> tuple[Array
 def extra_blocks(
     problem: Problem, extra: ExtraObservation, state: State, *, jacobian: bool
 ) -> tuple[Array, list[tuple[ExtraArgument, Array]]]:
-    """Residual and, if requested, Jacobians of an extra observation with their arguments, without constants.
+    """Return residual and, if requested, Jacobians of an extra observation with their arguments, without constants.
 
-    The output of the equation's kernel is checked as in a factor.
+    The output of the equation's kernel is checked in the same way as in a factor.
     """
     arguments = problem.extra_arguments(extra)
     x = [
-        problem.unknowns(state, a.index) if a.is_image
-        else np.ascontiguousarray(state.ground[a.index]) if a.constant is None else a.constant
+        problem.unknowns(state, a.index)
+        if a.is_image
+        else np.ascontiguousarray(state.ground[a.index])
+        if a.constant is None
+        else a.constant
         for a in arguments
-    ]  # fmt: skip
+    ]
     try:
         blocks = extra.equation.kernel(extra.record, problem.extra_setup(extra), *x, jacobian)
     except NotFiniteError:
@@ -109,7 +113,7 @@ def extra_blocks(
 
 
 def _extra_rows(problem: Problem, extra: ExtraObservation, state: State, jacobian: bool) -> tuple[Array, Array]:
-    """Rows of an extra observation."""
+    """Return the rows of an extra observation."""
     residual, blocks = extra_blocks(problem, extra, state, jacobian=jacobian)
     out = np.zeros((extra.n_residuals if jacobian else 0, problem.n_columns))
     for a, block in blocks:
@@ -130,15 +134,21 @@ class DenseSystem:
     excess : float
         Cost under a loss minus half the sum of squares of the weighted residuals.
     problem : Problem, optional
-        Defines the minimum damping and the damping of ground points; without it all columns have the same damping.
+        Problem that defines the minimum damping and the damping of ground points; without it all columns have the same
+        damping.
     limit : int
-        Largest number of unknowns.
+        Maximum number of unknowns.
     """
 
     def __init__(
-        self, residual: Array, design: Array, solver: str, excess: float = 0.0, problem: Problem | None = None,
+        self,
+        residual: Array,
+        design: Array,
+        solver: str,
+        excess: float = 0.0,
+        problem: Problem | None = None,
         limit: int = MAX_UNKNOWNS,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.residual, self.design, self._solver, self._excess = residual, design, solver, excess
         self._problem, self._least = problem, 0.0 if problem is None else problem.least_damping
         self._limit = limit
@@ -153,7 +163,7 @@ class DenseSystem:
         return self._step(solution.x, math.nan if solution.kappa is None else solution.kappa)
 
     def equations(self, damping: float = 0.0) -> LinearSystem:
-        """Equations of the step for a solver, with the rows of the damping; see :meth:`solve`."""
+        """Return the equations of the step for a solver, with the rows of the damping; see :meth:`solve`."""
         design, observed, damping = self.design, -self.residual, max(damping, self._least)
         if damping > 0.0:
             u = design.shape[1]
@@ -162,7 +172,7 @@ class DenseSystem:
         return LinearSystem.from_design(design, observed, limit=self._limit)
 
     def _damping_roots(self, damping: float) -> Array:
-        """Roots (u,) of the diagonal that a damping adds to the normal equations."""
+        """Return the roots (u,) of the diagonal that a damping adds to the normal equations."""
         out = np.full(self.design.shape[1], np.sqrt(damping))
         if self._problem is not None:
             first = self._problem.n_free_unknowns
@@ -170,7 +180,7 @@ class DenseSystem:
         return out
 
     def dogleg(self, radius: float) -> Step:
-        """Blend of the steepest-descent and the Gauss-Newton step."""
+        """Return a blend of the steepest-descent and the Gauss-Newton step."""
         newton = self.solve(0.0)
         if np.linalg.norm(newton.data) <= radius:
             return newton
@@ -194,7 +204,7 @@ DenseRows = Callable[[Array, bool], tuple[Array, Array]]
 
 
 def equation_rows(equation: Equation, records: Array, setup: Array, fixed: Sequence[Array] = ()) -> DenseRows:
-    """Rows of a registered equation whose first argument is the vector of unknowns.
+    """Return the rows of a registered equation whose first argument is the vector of unknowns.
 
     Parameters
     ----------
@@ -202,7 +212,7 @@ def equation_rows(equation: Equation, records: Array, setup: Array, fixed: Seque
     records : (n, d) array
     setup : (2, k) array
     fixed : sequence of (n, k_i) arrays
-        Values of its other arguments.
+        Values of the other arguments of the equation.
     """
     n = len(records)
 
@@ -224,7 +234,7 @@ class RowsBackend:
     rows : callable
         See :data:`DenseRows`.
     moved : callable
-        State after a step.
+        Function that returns the state after a step.
     """
 
     def __init__(self, rows: DenseRows, moved: Callable[[Array, Array], Array] = np.add) -> None:
@@ -235,13 +245,13 @@ class RowsBackend:
         return DenseSystem(*self.rows(state, True), SCALED_SOLVER)
 
     def error(self, state: Array) -> float:
-        """Half the weighted sum of squares."""
-        with np.errstate(all="ignore"):  # outside the model: the loop rejects errors that are not finite
+        """Return half the weighted sum of squares."""
+        with np.errstate(all="ignore"):  # outside the model errors are not finite; the loop rejects such steps
             residual, _ = self.rows(state, False)
             return 0.5 * float(residual @ residual)
 
     def retract(self, state: Array, step: Step) -> Array:
-        """State after a step."""
+        """Return the state after a step."""
         return self._moved(state, step.data)
 
 
@@ -254,7 +264,7 @@ class DenseBackend:
     solver : str
         Name in the registry of linear solvers; a regularised solver regularises each step.
     limit : int, optional
-        Largest number of unknowns; default: :data:`MAX_UNKNOWNS`.
+        Maximum number of unknowns; default: :data:`MAX_UNKNOWNS`.
 
     Raises
     ------
@@ -272,7 +282,7 @@ class DenseBackend:
         self.robust: Robust | None = None
 
     def initial(self) -> State:
-        """Start values."""
+        """Return the start values."""
         return self.problem.start
 
     def linearise(self, state: State) -> DenseSystem:
@@ -286,7 +296,7 @@ class DenseBackend:
         return DenseSystem(residual * root, design * root[:, None], self.solver, excess, self.problem, self._limit)
 
     def error(self, state: State) -> float:
-        """Half the weighted sum of squares, or the cost under the loss."""
+        """Return half the weighted sum of squares, or the cost under the loss."""
         residual, _ = assemble(self.problem, state, jacobian=False)
         if self.robust is None:
             return 0.5 * float(residual @ residual)
@@ -298,7 +308,7 @@ class DenseBackend:
         return squares(self.problem, state)
 
     def _weights(self, robust: Robust, residual: Array, state: State) -> tuple[Array, float]:
-        """Roots of the weights (n,) of all rows; cost minus half the weighted sum of squares."""
+        """Return the roots of the weights (n,) of all rows, and the cost minus half the weighted sum of squares."""
         n = 2 * len(self.problem.observations)
         image_squares = together(np.sum(residual[:n].reshape(-1, 2) ** 2, axis=1), two_ray_rows(self.problem))
         observed_squares = control_squares(self.problem, state)
@@ -308,6 +318,6 @@ class DenseBackend:
         return np.sqrt(weights), cost - 0.5 * float(image @ image_squares + control @ observed_squares)
 
     def retract(self, state: State, step: Step) -> State:
-        """State after a step."""
+        """Return the state after a step."""
         ties = self.problem.ties
         return self.problem.moved(state, step.data if ties is None else ties.widened(step.data))

@@ -1,14 +1,14 @@
-"""Groups of ground points eliminated for given image vectors: the content of a factor of the reduced graph.
+"""Elimination of groups of ground points for given image vectors: the content of a factor of the reduced graph.
 
 A group is a set of ground points with all their rays. For given image vectors x its points are intersected again with
-the images held (variable projection: Golub & Pereyra 1973), and eliminated. The result is a function of x alone, with
-the cost c(x), its gradient g(x) and the reduced normal matrix S(x) of Gauss-Newton, which GTSAM is given as rows, see
+the images held fixed (variable projection: Golub & Pereyra 1973), and eliminated. The result is a function of x alone:
+the cost c(x), its gradient g(x) and the reduced normal matrix S(x) of Gauss-Newton. GTSAM receives them as rows, see
 :class:`GroupRows`. S of a group without control is singular. Except for the last row, the rows are not the derivative
 of the error vector; only the cost has a derivative. The sums of all groups are given as a matrix in blocks
 (:meth:`Elimination.linearised`).
 
-Points are intersected by Newton's steps with 3 unknowns. They begin where the last linearised solution, moved along
-the step of the images, predicts them; near the solution this start is exact to second order and no step is needed. The
+Points are intersected by Newton's steps with 3 unknowns. They begin at the positions that the last linearised solution
+predicts for the step of the images. Near the solution this start is exact to second order, and no step is needed. The
 elimination contains one further Newton step of each point. A step that does not decrease the cost of its point is
 halved. A group with a point that cannot be intersected has the cost :data:`IMPOSSIBLE`.
 """
@@ -37,23 +37,23 @@ from fg_orient.model.errors import NoSolutionError
 
 Index = npt.NDArray[np.int64]
 
-#: Newton decrement of a point, in sigmas, below which it is at the intersection of its rays. Cost, gradient and matrix
-#: of the group contain the rest of the way by their own Newton step.
+#: Newton decrement of a point, in sigmas, below which the point counts as the intersection of its rays. Cost, gradient
+#: and matrix of the group include the remaining distance by a further Newton step.
 INTERSECTED: Final = 1e-6
 #: Largest step of the images, in prior sigmas, after which the predicted points are expected to be intersected.
 SMALL_STEP: Final = 1e-4
-#: Newton decrement, in sigmas, up to which steps are taken without a test of the cost, which hardly changes then.
+#: Newton decrement, in sigmas, up to which steps are taken without a test of the cost, which hardly changes.
 SAFE: Final = 1e-4
-#: Steps of the points after which a group is treated as impossible.
+#: Number of steps of the points after which a group is treated as impossible.
 MAX_STEPS: Final = 40
-#: Newton decrement, in sigmas, up to which a point that no step improves is at the intersection, but for rounding.
+#: Newton decrement, in sigmas, up to which a point that no step improves counts as intersected within rounding.
 STALLED: Final = 1e-3
 #: Cost of a group with a point that cannot be intersected: finite, because GTSAM's Gauss-Newton would accept infinity.
 IMPOSSIBLE: Final = 1e30
 
 
 class NotIntersected(RuntimeError):
-    """A point moves on, step after step."""
+    """Error: the steps of a point do not converge."""
 
 
 class Elimination:
@@ -65,7 +65,7 @@ class Elimination:
     Parameters
     ----------
     problem : Problem
-        Its priors and extra observations are not part of the groups.
+        Problem; its priors and extra observations are not part of the groups.
     threads : int, optional
         See :class:`SchurBackend`.
     grouped : bool
@@ -91,25 +91,26 @@ class Elimination:
         #: Names of points that could not be intersected at the last evaluation, by group.
         self.impossible: dict[int, str] = {}
         self._free = problem.image_vector(problem.start)
-        self._ground = problem.start.ground.copy()  # where the rows in the buffers were computed
-        # where each group was linearised last: free unknowns, ground points, and those of the group among them
+        self._ground = problem.start.ground.copy()  # ground points at which the rows in the buffers were computed
+        # state at the last linearisation of each group: free unknowns, ground points, and those of the group among them
         self._base: dict[int, tuple[Array, Array, Any]] = {}
         self._rows: list[GroupRows | None] = [None] * len(self.groups)
-        self._total: tuple[Array, float] | None = None  # where the cost of all groups was computed last, and the cost
+        # unknowns at which the cost of all groups was computed last, and the cost
+        self._total: tuple[Array, float] | None = None
         self._excess = np.zeros(len(self.groups))
         self._far = True
-        self._shrink = 1.0  # factor by which the last step of the points shortened the largest decrement
-        # twice the decrease that a Newton step of each point predicts where the points were eliminated last
+        self._shrink = 1.0  # factor by which the last step of the points reduced the largest decrement
+        # twice the decrease that a Newton step of each point predicts at the last elimination
         self._decrease = np.zeros(len(self.backend.structure.number))
-        #: Groups without sums of the pairs of rays: a cost does not need them.
+        #: Groups without sums of the pairs of rays, which a cost does not need.
         self._unsummed: set[int] = set()
-        self._name = object()  # owner of the buffers; this object itself there would be a reference cycle
+        self._name = object()  # owner of the buffers; a reference to this object would be a cycle
 
     def hold_weights(self, robust: Weighing | None, state: State) -> None:
-        """Give the rows the weights of a loss at a state, until the next call; the cost is then the cost of the loss.
+        """Weight the rows with a loss at a state until the next call; the cost is then the cost of the loss.
 
-        Elsewhere the cost is not below the loss's. The weights are held because a redescending loss gives a point
-        several minima.
+        At other states the held cost is not below the cost of the loss. The weights are held because a redescending
+        loss has several minima in a point.
         """
         backend, b = self.backend, self.backend.buffers
         backend.robust, b.root_weight, b.control = None, np.ones(0), self.problem.control_records
@@ -131,7 +132,7 @@ class Elimination:
             self._excess[g] = rest[slice(*group.points)].sum() + rest_control[inside].sum()
 
     def last_rows(self) -> tuple[GroupRows, ...]:
-        """Rows of all groups where they were evaluated last; each must have been evaluated."""
+        """Return the rows of all groups at their last evaluation; each group must have been evaluated."""
         assert all(rows is not None for rows in self._rows)
         return tuple(rows for rows in self._rows if rows is not None)
 
@@ -142,18 +143,18 @@ class Elimination:
             raise NoSolutionError.of("adjust.broken_down", place=self.problem.block.name, why=why)
 
     def release(self) -> None:
-        """Give the buffers to other users of the backend: all groups are computed again afterwards."""
+        """Release the buffers for other users of the backend; all groups are computed again afterwards."""
         b = self.backend.buffers
         self._rows, self._total, self._base = [None] * len(self.groups), None, {}
         b.owner, b.held, b.root_weight, b.control = None, None, np.ones(0), self.problem.control_records
 
     def start_at(self, free: Array, ground: Array) -> None:
-        """Begin at image unknowns (u,) and ground points (N, 3): all groups are computed again from there."""
+        """Begin at image unknowns (u,) and ground points (N, 3); all groups are computed again from there."""
         self._free, self._ground, self._base = free.copy(), ground.copy(), {}
         self._rows, self._total = [None] * len(self.groups), None
 
     def rows(self, g: int, own: Array, everything: Callable[[], Array], *, accepted: bool) -> GroupRows:
-        """Rows of a group.
+        """Return the rows of a group.
 
         Parameters
         ----------
@@ -161,10 +162,10 @@ class Elimination:
         own : (n,) array
             Values of ``groups[g].free``.
         everything : callable
-            Gives the values (u,) of all unknowns, nan for those without one: all groups whose unknowns have changed
-            are computed together.
+            Function that returns the values (u,) of all unknowns, nan for missing ones. All groups whose unknowns have
+            changed are computed together.
         accepted : bool
-            Whether the optimiser linearises here: points are predicted from the last such place.
+            True if the optimiser linearises here; points are predicted from the last such state.
         """
         found = self._rows[g]
         if found is None or not found.has_matrix or not np.array_equal(found.at, own):
@@ -177,16 +178,16 @@ class Elimination:
         return found
 
     def cost(self, free: Array) -> float:
-        """Cost of all groups at image unknowns (u,)."""
+        """Return the cost of all groups at image unknowns (u,)."""
         if self._total is None or not np.array_equal(self._total[0], free):
             self._refresh(free, matrices=False)
             self._total = free, sum(rows.cost for rows in self.last_rows())
         return self._total[1]
 
     def linearised(self, free: Array) -> tuple[Array, Array]:
-        """Sums of all groups where an optimiser linearises: blocks (B, k, k) of S, overwritten later, and g (u,).
+        """Return sums of all groups at a linearisation: blocks (B, k, k) of S, overwritten later, and g (u,).
 
-        The blocks are those of ``backend.structure``; groups that cannot be intersected add nothing.
+        The blocks are those of ``backend.structure``; groups that cannot be intersected contribute nothing.
         """
         self._refresh(free, matrices=False)
         backend, s, b = self.backend, self.backend.structure, self.backend.buffers
@@ -207,7 +208,7 @@ class Elimination:
         return b.blocks, gradient if self.problem.ties is None else self.problem.ties.summed(gradient)
 
     def _refresh(self, free: Array, *, matrices: bool) -> None:
-        """Compute the groups whose unknowns have changed; ``matrices``: each with its matrix."""
+        """Compute the groups whose unknowns have changed; ``matrices``: also the matrix of each."""
         stale = [g for g in range(len(self.groups)) if self._stale(g, free, matrices)]
         if stale:
             self._total = None
@@ -271,12 +272,12 @@ class Elimination:
             self._ground[s.number[slice(*self.groups[g].places)]] = self._kept_ground(g)
 
     def _kept_ground(self, g: int) -> Array:
-        """Ground points (p, 3) of a group where it was linearised last."""
+        """Return the ground points (p, 3) of a group where it was linearised last."""
         _, ground, of_group = self._base[g]
         return np.asarray(ground[of_group])
 
     def _substitute(self, groups: Sequence[int], step: Array, ground: Array) -> None:
-        """Steps (P, 3) of the points of groups after a step (u,) of the images, from the elimination in the buffers."""
+        """Write steps (P, 3) of points of groups after a step (u,) of the images, from elimination in the buffers."""
         backend, s, b = self.backend, self.backend.structure, self.backend.buffers
         wide, own = s.widened(self.problem.image_matrix(step)), s.widened(self.problem.image_matrix(self._free))
         state = State(self.problem.image_matrix(self._free), self._ground)
@@ -288,7 +289,7 @@ class Elimination:
             b.held = b.held if tile.kept or again is None else None
 
     def _ranges(self, groups: Sequence[int]) -> Iterator[tuple[Tile, int, int]]:
-        """Tiles, and the ranges of their chunks that belong to groups."""
+        """Yield the tiles, and the ranges of their chunks that belong to groups."""
         s = self.backend.structure
         joined: list[list[int]] = []
         for g in groups:
@@ -304,9 +305,11 @@ class Elimination:
                     yield tile, begin, end
 
     def _intersect(self, groups: Sequence[int], state: State, *, late: bool) -> set[int]:
-        """Intersect the points of groups with the images held; the groups that could be, eliminated.
+        """Intersect the points of groups with the images held fixed.
 
-        ``late``: the pairs of rays are summed when the sums are used.
+        Return the groups that could be intersected, eliminated.
+
+        ``late``: the pairs of rays are summed when the sums are needed.
         """
         self.impossible = {g: why for g, why in self.impossible.items() if g not in groups}
         try:
@@ -316,7 +319,7 @@ class Elimination:
             return {g for g in groups if self._is_possible(g, state, late=late)}
 
     def _is_possible(self, g: int, state: State, *, late: bool) -> bool:
-        """Whether the points of a group can be intersected; if not, the reason is recorded."""
+        """Return whether the points of a group can be intersected; if not, the reason is recorded."""
         try:
             self._newton([g], state, late=late)
         except (NotFiniteError, NotIntersected, Singular) as error:
@@ -325,16 +328,16 @@ class Elimination:
         return True
 
     def _newton(self, groups: Sequence[int], state: State, *, late: bool) -> None:
-        """Newton's steps of the points of groups until all are intersected; the last elimination is in the buffers."""
+        """Move points of groups by Newton's steps until all are intersected; the last elimination is in the buffers."""
         s = self.backend.structure
-        places: Any = slice(None)  # a view of all places costs nothing
+        places: Any = slice(None)  # a view of all positions costs nothing
         whole, largest = len(groups) == len(self.groups), math.inf
         if not whole:
             places = np.concatenate([np.arange(*self.groups[g].places) for g in groups])
         b, number, last_cost, last_ground = self.backend.buffers, s.number[places], None, np.zeros(0)
         near, kept = not self._far, all(tile.kept for tile in s.tiles)
         for _ in range(MAX_STEPS):
-            whole_rows = near or not kept  # a step is expected to follow: derivatives by the points are enough
+            whole_rows = near or not kept  # a further step is expected: derivatives by the points are enough
             self._eliminate(groups, state, near=near and not late, of_images=whole_rows)
             decrement, before = self._decrements(places), largest
             largest = float(decrement.max(initial=0.0))
@@ -370,7 +373,7 @@ class Elimination:
             self._sum(groups, state, done=near)
 
     def _eliminate(self, groups: Sequence[int], state: State, *, near: bool, of_images: bool = True) -> None:
-        """Rows and point blocks of groups at a state; sums of the pairs of rays, too, ``near`` the intersection.
+        """Compute rows and point blocks of groups at a state; ``near`` the intersection also sums of the pairs of rays.
 
         Without ``of_images`` the rows have no derivatives by the images.
         """
@@ -379,12 +382,12 @@ class Elimination:
             self._chunks(tile, lo, hi, state, wide, pairs=near, of_images=of_images)
 
     def _sum(self, groups: Sequence[int], state: State, *, done: bool = False) -> None:
-        """Sums of the pairs of rays of eliminated groups, if not done."""
+        """Sum the pairs of rays of eliminated groups, if not done."""
         self._unsummed -= set(groups)
         if done:
             return
         backend, b, wide = self.backend, self.backend.buffers, self.backend.structure.widened(state.image)
-        alone = len(backend.structure.tiles) == 1  # else other tiles have overwritten the reduced rows
+        alone = len(backend.structure.tiles) == 1  # otherwise other tiles have overwritten the reduced rows
         for tile, lo, hi in self._ranges(groups):
             if alone and tile.kept:
                 cost = backend.structure.cost[lo : hi + 1]
@@ -405,13 +408,13 @@ class Elimination:
         b.held = b.held if tile.kept else None
 
     def _decrements(self, places: Any) -> Array:
-        """Newton decrements (n,) of points in sigmas: roots of twice the decrease that a Newton step predicts."""
+        """Return Newton decrements (n,) in sigmas: roots of twice the decrease that a Newton step predicts."""
         b = self.backend.buffers
         self._decrease[places] = decreases(b.root[places], b.gradient[places])
         return np.asarray(np.sqrt(self._decrease[places]))
 
     def _point_costs(self, state: State) -> Array:
-        """Half the sum of squares (P,) of the rays and the control equations of each point."""
+        """Return half the sum of squares (P,) of the rays and the control equations of each point."""
         s, b = self.backend.structure, self.backend.buffers
         squares = np.einsum("ni,ni->n", b.value, b.value)
         out = 0.5 * np.add.reduceat(squares, s.first[:-1])
@@ -419,7 +422,7 @@ class Elimination:
         return np.asarray(out)
 
     def _assemble(self, groups: set[int], free: Array, matrices: bool) -> None:
-        """Cost of groups and, with ``matrices``, their matrix and gradient, as rows."""
+        """Compute the cost of groups and, with ``matrices``, their matrix and gradient, as rows."""
         backend, s, b = self.backend, self.backend.structure, self.backend.buffers
         if not groups:
             return

@@ -33,34 +33,34 @@ from fg_orient.model.constraint import SIZES
 
 
 def image_key(k: int) -> int:
-    """GTSAM key of an image's coefficient vector."""
+    """Return the GTSAM key of an image's coefficient vector."""
     return int(gtsam.symbol("e", k))
 
 
 def point_key(j: int) -> int:
-    """GTSAM key of a ground point."""
+    """Return the GTSAM key of a ground point."""
     return int(gtsam.symbol("p", j))
 
 
 def shared_key(g: int) -> int:
-    """GTSAM key of the unknowns that images share under the g-th id."""
+    """Return the GTSAM key of the unknowns that images share under the g-th id."""
     return int(gtsam.symbol("c", g))
 
 
 def vector_keys(problem: Problem) -> list[tuple[int, slice]]:
-    """GTSAM vectors of the images, with their parts of ``Problem.image_vector``; none of length zero."""
+    """Return the GTSAM vectors of the images, with their parts of ``Problem.image_vector``; none of length zero."""
     m = problem.n_images
     return [(image_key(n) if n < m else shared_key(n - m), part) for n, part in vector_parts(problem)]
 
 
 def key_names(problem: Problem) -> dict[int, str]:
-    """Name "image:ID" or "shared:ID" of each of these keys."""
+    """Return the name "image:ID" or "shared:ID" of each of these keys."""
     names = vector_names(problem)
     return {key: names[n] for (key, _), (n, _) in zip(vector_keys(problem), vector_parts(problem), strict=True)}
 
 
 def image_unknown(problem: Problem, k: int) -> int | Split | Array:
-    """Argument of a factor for the vector of an image: key, several keys with shared unknowns, or an empty vector."""
+    """Return the factor argument of an image vector: a key, several keys for shared unknowns, or an empty vector."""
     ties, size = problem.ties, len(problem.parameters[k])
     if not size:
         return np.zeros(0)
@@ -77,12 +77,12 @@ def image_unknown(problem: Problem, k: int) -> int | Split | Array:
 
 
 def figure_key(n: int) -> int:
-    """GTSAM key of the change of the figure of the n-th extra observation."""
+    """Return the GTSAM key of the change of the figure of the n-th extra observation."""
     return int(gtsam.symbol("f", n))
 
 
 def build_graph(problem: Problem) -> gtsam.NonlinearFactorGraph:
-    """One factor per image point, control point and image prior."""
+    """Return one factor per image point, control point and image prior."""
     graph = gtsam.NonlinearFactorGraph()
     _add_image_points(graph, problem)
     _add_priors(graph, problem)
@@ -94,7 +94,7 @@ def build_graph(problem: Problem) -> gtsam.NonlinearFactorGraph:
 def _add_image_points(graph: gtsam.NonlinearFactorGraph, problem: Problem) -> None:
     """Add one factor per image point, point by point: neighbours in the graph share a ground point.
 
-    Values, records and linear factors of one point then lie together in memory.
+    So values, records and linear factors of one point are adjacent in memory.
     """
     o, models = problem.observations, problem.models
     order = np.argsort(o.point, kind="stable")
@@ -103,7 +103,7 @@ def _add_image_points(graph: gtsam.NonlinearFactorGraph, problem: Problem) -> No
     makers: dict[int, Callable[[int, int, int], gtsam.CustomFactor]] = {}
     for images in groups(models):
         equation, parameters = models[images[0]].equation, models[images[0]].parameters
-        if equation.fill is None:  # general factors below
+        if equation.fill is None:  # general factors follow below
             continue
         make = image_point_factors(
             equation, len(parameters), records, parameters.setup, lambda n: problem.label(rows[n])
@@ -121,14 +121,23 @@ def _add_image_points(graph: gtsam.NonlinearFactorGraph, problem: Problem) -> No
         elif problem.active[j] or not isinstance(own, np.ndarray):
             point = key if problem.active[j] else np.ascontiguousarray(problem.start.ground[j])
             setup = models[i].parameters.setup
-            graph.add(factor(
-                models[i].equation, (own, point), (setup.shape[1], 3), records[n], setup,
-                label=problem.label(row),
-            ))  # fmt: skip
+            graph.add(
+                factor(
+                    models[i].equation,
+                    (own, point),
+                    (setup.shape[1], 3),
+                    records[n],
+                    setup,
+                    label=problem.label(row),
+                )
+            )
 
 
 def extra_factor(extra: ExtraObservation, problem: Problem) -> gtsam.NonlinearFactor:
-    """Factor of an extra observation; GTSAM's own as it is, where all its variables are whole unknowns."""
+    """Return the factor of an extra observation.
+
+    GTSAM's own factor is unchanged if all its variables are whole unknowns.
+    """
     if isinstance(extra, NativeObservation) and problem.ties is None:
         if all(argument.constant is None for argument in problem.extra_arguments(extra)):
             return extra.factor
@@ -140,9 +149,14 @@ def extra_factor(extra: ExtraObservation, problem: Problem) -> gtsam.NonlinearFa
         else:
             unknowns.append(image_unknown(problem, argument.index) if argument.is_image else point_key(argument.index))
     return factor(
-        extra.equation, unknowns, [a.size for a in arguments], extra.record, problem.extra_setup(extra),
-        label=extra.label, n_residuals=extra.n_residuals,
-    )  # fmt: skip
+        extra.equation,
+        unknowns,
+        [a.size for a in arguments],
+        extra.record,
+        problem.extra_setup(extra),
+        label=extra.label,
+        n_residuals=extra.n_residuals,
+    )
 
 
 def _add_priors(graph: gtsam.NonlinearFactorGraph, problem: Problem) -> None:
@@ -161,9 +175,9 @@ def add_image_priors(graph: gtsam.NonlinearFactorGraph, problem: Problem) -> Non
 
 
 def add_figures(linear: gtsam.GaussianFactorGraph, problem: Problem, state: State, figures: Sequence[int]) -> None:
-    """Add rows of figures, the n-th extra observations, each of one point and the change of the figure.
+    """Add rows of figures, the n-th extra observations; each contains one point and the change of the figure.
 
-    The minimum over this change gives the rows of the extra observation, which join all points of the figure.
+    The minimum over this change gives the rows of the extra observation, which connect all points of the figure.
     """
     for n in figures:
         extra = problem.block.extra[n]
@@ -178,7 +192,7 @@ def add_figures(linear: gtsam.GaussianFactorGraph, problem: Problem, state: Stat
                 linear.add(gtsam.JacobianFactor(key, rows.design[part], point, block, right, unit))
             else:
                 linear.add(gtsam.JacobianFactor(key, rows.design[part], right, unit))
-        if done < len(rows.value):  # observed numbers of the figure
+        if done < len(rows.value):  # observed parameters of the figure
             unit = gtsam.noiseModel.Unit.Create(len(rows.value) - done)
             linear.add(gtsam.JacobianFactor(key, rows.design[done:], -rows.value[done:], unit))
 
@@ -222,14 +236,14 @@ class ExplicitSystem:
             linear.push_back(self._backend.damping_factors(damping, self._point_diagonals))
         if not self._backend.use_qr:
             try:
-                # one unknown after the other: a sixth less time than by cliques, in which each point is alone anyway
+                # one unknown after the other takes a sixth less time than cliques: each point would form its own clique
                 return self._step(linear.eliminateSequential(self._backend.ordering).optimize())
             except RuntimeError:  # GTSAM's Cholesky fails on well-posed but badly scaled systems; QR does not
-                pass  # Cholesky is tried again next time: an iteration depends only on what is carried
+                pass  # Cholesky is tried again next time, because an iteration depends only on its input
         return self._step(linear.optimize(self._backend.ordering, gtsam.EliminateQR))
 
     def dogleg(self, radius: float) -> Step:
-        """Blend of the steepest-descent and the Gauss-Newton step."""
+        """Return a blend of the steepest-descent and the Gauss-Newton step."""
         newton = self.solve(0.0)
         if newton.data.norm() <= radius:
             return newton
@@ -265,10 +279,13 @@ class ExplicitBackend:
 
     def __init__(self, problem: Problem, robust: Robust | None = None) -> None:
         self.problem, self.robust = problem, robust
-        # unknowns of each figure whose points are variables; the gradient of Dogleg has no place for them
+        # unknowns of each figure whose points are variables; the gradient of Dogleg does not support them
         found = [] if problem.block.options.optimizer == "dogleg" else list(enumerate(problem.block.extra))
-        self.figures = {n: SIZES[e.constraint.kind][1] for n, e in found
-                        if isinstance(e, ConstraintObservation) and e.constraint.kind in SIZES}  # fmt: skip
+        self.figures = {
+            n: SIZES[e.constraint.kind][1]
+            for n, e in found
+            if isinstance(e, ConstraintObservation) and e.constraint.kind in SIZES
+        }
         self.figure_keys = list(map(figure_key, self.figures))
         self.graph = self._built(problem)
         # without priors the normal equations may be too ill-conditioned for Cholesky; their rank is known
@@ -290,23 +307,23 @@ class ExplicitBackend:
             self.zero.insert(key, np.zeros(size))
 
     def _built(self, problem: Problem) -> gtsam.NonlinearFactorGraph:
-        """Graph of a problem without its figures, which the linear system has row by row."""
+        """Return the graph of a problem without its figures, whose rows are in the linear system."""
         extra = tuple(e for n, e in enumerate(problem.block.extra) if n not in self.figures)
         return build_graph(replace(problem, block=replace(problem.block, extra=extra)) if self.figures else problem)
 
     def weighted(self, values: gtsam.Values) -> tuple[gtsam.NonlinearFactorGraph, float]:
-        """Graph with the weights of the losses at these values; their cost minus half its weighted sum of squares."""
+        """Return the graph with the weights of losses at these values, and their cost minus half its sum of squares."""
         if self.robust is None:
             return self.graph, 0.0
         weights, excess = weights_at(self.problem, self.state(values), self.robust)
         return self._built(weighted_problem(self.problem, weights)), excess
 
     def initial(self) -> gtsam.Values:
-        """Start values."""
+        """Return the start values."""
         return self.values(self.problem.start)
 
     def values(self, state: State) -> gtsam.Values:
-        """GTSAM values of a state."""
+        """Return the GTSAM values of a state."""
         values = gtsam.Values()
         vector = self.problem.image_vector(state)
         for key, part in self._vectors:
@@ -316,7 +333,7 @@ class ExplicitBackend:
         return values
 
     def state(self, values: gtsam.Values) -> State:
-        """Arrays of GTSAM values."""
+        """Return the arrays of GTSAM values."""
         image = np.concatenate([values.atVector(key) for key, _ in self._vectors])
         ground = self.problem.start.ground.copy()
         for j in self._points:
@@ -328,7 +345,7 @@ class ExplicitBackend:
         return ExplicitSystem(self, state)
 
     def error(self, state: gtsam.Values) -> float:
-        """Half the weighted sum of squares, or the cost under the losses."""
+        """Return half the weighted sum of squares, or the cost under the losses."""
         graph, excess = self.weighted(state)
         own = [self.problem.block.extra[n] for n in self.figures]
         at = self.state(state) if own else None
@@ -340,11 +357,11 @@ class ExplicitBackend:
         return squares(self.problem, self.state(state))
 
     def retract(self, state: gtsam.Values, step: Any) -> gtsam.Values:
-        """State after a step."""
+        """Return the state after a step."""
         return state.retract(step.data)
 
     def damping_factors(self, damping: float, diagonal: dict[int, Array]) -> gtsam.GaussianFactorGraph:
-        """Rows that add ``damping`` to the diagonal of the images, and a share of it to the diagonal of the points."""
+        """Return rows that add ``damping`` to diagonal of images, and a share of it to the diagonal of the points."""
         graph = gtsam.GaussianFactorGraph()
         root, point = np.sqrt(damping), gtsam.noiseModel.Unit.Create(3)
         share = self.problem.point_damping(damping)

@@ -1,7 +1,7 @@
 """GTSAM's own Gauss-Newton, Levenberg-Marquardt and Dogleg on the explicit graph, for comparisons.
 
 An adjustment solves the explicit graph by :mod:`fg_orient.adjustment.loop`. Here GTSAM's optimiser iterates until the
-cost no longer decreases; the step of Gauss-Newton that remains tells whether this is the solution.
+cost no longer decreases. The remaining step of Gauss-Newton shows whether this is the solution.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from fg_orient.adjustment.optimisers import DAMPING, RADIUS, native
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.model.errors import Finding, InputError, finding
 
-#: Relative decrease of the cost in an iteration that ends the run.
+#: Relative decrease of the cost in an iteration below which the run ends.
 DECREASE: Final = 1e-12
 
 
 class ExplicitRun:
-    """One of GTSAM's optimisers on the explicit graph of a problem.
+    """Run of one of GTSAM's optimisers on the explicit graph of a problem.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class ExplicitRun:
         options = problem.block.options
         if options.loss != "none":
             raise InputError.of("graph.loss", option="loss", value=options.loss)
-        # rows of figures are then factors of the graph
+        # here rows of figures are factors of the graph
         own = replace(problem, block=replace(problem.block, options=replace(options, optimizer="dogleg")))
         self.backend, self.kind = ExplicitBackend(own), kind
         self.graph, self.ordering = self.backend.graph, self.backend.ordering
@@ -73,7 +73,7 @@ class ExplicitRun:
         return self._end(self.backend.retract(values, step), converged, end, iterations)
 
     def step(self, start: State) -> State:
-        """State after one step of Gauss-Newton."""
+        """Return the state after one step of Gauss-Newton."""
         values = self.backend.values(start)
         return self.backend.state(self.backend.retract(values, self.backend.linearise(values).solve(0.0)))
 
@@ -83,13 +83,13 @@ class ExplicitRun:
 
 
 def elimination_seconds(problem: Problem, order: Sequence[int]) -> float:
-    """Processor seconds of one Cholesky elimination of the explicit graph at the start, by GTSAM's cliques.
+    """Return the processor seconds of one Cholesky elimination of the explicit graph at the start, by GTSAM's cliques.
 
     Parameters
     ----------
     problem : Problem
     order : sequence of int
-        Variables as ``graph_structure.explicit_structure`` numbers them.
+        Variables, numbered as in ``graph_structure.explicit_structure``.
 
     Raises
     ------

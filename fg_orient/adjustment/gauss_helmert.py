@@ -13,11 +13,11 @@ the **original** observations, ``w_k = F(l_k, P_k) + B (L - l_k)`` (Pope's itera
 
     M = B Q_ll B^T,  dP = -(A^T M^-1 A)^-1 A^T M^-1 w,  v = -Q_ll B^T M^-1 (A dP + w)
 
-Source: Terlemezoğlu 2019, eqs. 2.68-2.70, 2.74-2.77, and Topan & Maktav 2010, eqs. 14-18, with the signs and
-the cofactors ``Q_lP = -Q_ll B^T M^-1 A N^-1`` that a Monte Carlo simulation confirms: eq. 2.69 lacks the minus,
-2.70 has a plus, 2.76 has ``A A^T M^-1 A`` in place of ``A N^-1``. Without unknowns it is the adjustment of
-conditions only. The sources use the adjusted values as new observations in the next iteration. This does not minimise
-v^T W v of the original observations.
+Source: Terlemezoğlu 2019, eqs. 2.68-2.70, 2.74-2.77, and Topan & Maktav 2010, eqs. 14-18. Signs and the cofactors
+``Q_lP = -Q_ll B^T M^-1 A N^-1`` are corrected, and a Monte Carlo simulation confirms them: eq. 2.69 lacks the minus,
+2.70 has a plus, 2.76 has ``A A^T M^-1 A`` in place of ``A N^-1``. Without unknowns this is the adjustment of conditions
+only. The sources use the adjusted values as new observations in the next iteration. This does not minimise v^T W v of
+the original observations.
 
 The Gauss-Markov model is computed as the Gauss-Helmert model ``f(x) - l = 0``, B = -I.
 
@@ -46,7 +46,7 @@ from fg_orient.model.options import Options
 Constraints = Callable[[Array], tuple[Array, Array]]
 
 EPS = float(np.finfo(np.float64).eps)
-#: A change that no longer shrinks is rounding if it is below this multiple of the rounding of the misclosure.
+#: Multiple of the rounding of the misclosure below which a change that no longer shrinks is rounding.
 ROUNDING = 1e3
 
 
@@ -67,7 +67,8 @@ class GeneralAdjustment:
     redundancy : int
         Observations (conditions) minus the rank of the design matrix; each constraint adds 1.
     cofactors_x : (u, u) array
-        Q_xx; for a singular N the pseudo-inverse of the design with columns of unit length, with a remark in ``notes``.
+        Q_xx. For a singular N it is the pseudo-inverse of the design with columns of unit length, and ``notes`` has a
+        remark.
     cofactors_v, cofactors_adjusted : (n, n) arrays
         Q_vv and ``Q_ll - Q_vv``.
     cofactors_adjusted_x : (n, u) array
@@ -101,7 +102,7 @@ class GeneralAdjustment:
 
     @property
     def m0_missing(self) -> str:
-        """Reason why there is no m0; "" if there is one."""
+        """Reason why there is no m0; "" if m0 exists."""
         return "" if self.redundancy else "no redundancy: residuals are zero whatever the observations are"
 
     @property
@@ -123,13 +124,13 @@ def _correlations(cofactors: Array, rows: Array, columns: Array) -> Array:
 
 
 def _cofactor_matrix(n: int, weights: Array | None, cofactors: Array | None) -> Array:
-    """Q_ll (n, n) from weights or cofactors, each (n,) or (n, n); unit weights if neither is given.
+    """Return Q_ll (n, n) from weights or cofactors, each (n,) or (n, n); unit weights if neither is given.
 
     Raises
     ------
     InputError
-        Both are given; a wrong shape; a value that is not finite; a matrix that is not symmetric; weights that are not
-        positive definite; cofactors with a negative eigenvalue.
+        Both are given; a shape is wrong; a value is not finite; a matrix is not symmetric; weights are not positive
+        definite; cofactors have a negative eigenvalue.
     """
     if weights is not None and cofactors is not None:
         raise InputError.of("classical.weights_twice", place="weights, cofactors")
@@ -167,7 +168,7 @@ def _as_vector(values: Array, name: str) -> Array:
 def _called(
     function: Callable[..., tuple[Array, ...]], arguments: tuple[Array, ...], wanted: tuple[int, ...]
 ) -> list[Array]:
-    """Value and Jacobians of the user's function; their number, shapes and values are checked.
+    """Call the user's function; check the number, shapes and values of its results.
 
     ``wanted`` contains the length of the value (-1: any), then the number of columns of each Jacobian.
     """
@@ -183,12 +184,14 @@ def _called(
 
 
 def _spectrum(design: Array) -> tuple[int, Array, Array, tuple[str, ...]]:
-    """Singular value decomposition ``U S V^T D`` of a whitened design (r, u), columns scaled by D; u may be 0.
+    """Return the singular value decomposition ``U S V^T D`` of a whitened design (r, u), columns scaled by D.
+
+    u may be 0.
 
     Returns
     -------
     int, (u, u) array, (r, rank) array, tuple of str
-        Rank, cofactors of the unknowns, U of the rank, a remark if the rank is below u.
+        Rank, cofactors of the unknowns, the columns of U up to the rank, and a remark if the rank is below u.
     """
     rows, u = design.shape
     if not u:
@@ -203,17 +206,24 @@ def _spectrum(design: Array) -> tuple[int, Array, Array, tuple[str, ...]]:
 
 
 def _has_converged(change: float, previous: float, size: float, rounding: float, tolerance: float) -> bool:
-    """Convergence: the change is below ``tolerance`` of the residuals' norm, or is rounding; in whitened units."""
+    """Return whether the change is below ``tolerance`` of the residuals' norm, or is rounding; in whitened units."""
     if change <= tolerance * size + 8.0 * rounding:
         return True
     return change > 0.5 * previous and change <= 1e2 * tolerance * size + ROUNDING * rounding
 
 
 def gauss_markov(
-    function: Callable[[Array], tuple[Array, Array]], observed: Array, start: Array, *, weights: Array | None = None,
-    cofactors: Array | None = None, constraints: Constraints | None = None, solver: str = "qr",
-    max_iterations: int = 50, tolerance: float = 1e-8,
-) -> GeneralAdjustment:  # fmt: skip
+    function: Callable[[Array], tuple[Array, Array]],
+    observed: Array,
+    start: Array,
+    *,
+    weights: Array | None = None,
+    cofactors: Array | None = None,
+    constraints: Constraints | None = None,
+    solver: str = "qr",
+    max_iterations: int = 50,
+    tolerance: float = 1e-8,
+) -> GeneralAdjustment:
     """Adjust observations that are functions of the unknowns.
 
     Parameters
@@ -232,7 +242,7 @@ def gauss_markov(
     Raises
     ------
     InputError
-        Arrays that do not fit; fewer observations than unknowns; unknown solver.
+        Arrays do not fit; there are fewer observations than unknowns; the solver is unknown.
     NoSolutionError
         The function gives values that are not finite, or the solver breaks down.
     """
@@ -251,9 +261,15 @@ def gauss_markov(
         return value - at, jacobian, -np.eye(n)
 
     return gauss_helmert(
-        conditions, observed, start, cofactors=q_ll, constraints=constraints, solver=solver,
-        max_iterations=max_iterations, tolerance=tolerance,
-    )  # fmt: skip
+        conditions,
+        observed,
+        start,
+        cofactors=q_ll,
+        constraints=constraints,
+        solver=solver,
+        max_iterations=max_iterations,
+        tolerance=tolerance,
+    )
 
 
 @dataclass(frozen=True)
@@ -274,10 +290,17 @@ class _Linearised:
 
 
 def gauss_helmert(
-    function: Callable[[Array, Array], tuple[Array, Array, Array]], observed: Array, start: Array, *,
-    weights: Array | None = None, cofactors: Array | None = None, constraints: Constraints | None = None,
-    solver: str = "qr", max_iterations: int = 50, tolerance: float = 1e-8,
-) -> GeneralAdjustment:  # fmt: skip
+    function: Callable[[Array, Array], tuple[Array, Array, Array]],
+    observed: Array,
+    start: Array,
+    *,
+    weights: Array | None = None,
+    cofactors: Array | None = None,
+    constraints: Constraints | None = None,
+    solver: str = "qr",
+    max_iterations: int = 50,
+    tolerance: float = 1e-8,
+) -> GeneralAdjustment:
     """Adjust conditions between observations and unknowns.
 
     Parameters
@@ -298,15 +321,15 @@ def gauss_helmert(
         Name in the registry of linear solvers; its design matrix is ``M^-1/2 A``, or ``M^-1/2 A Z`` with constraints.
     max_iterations : int
     tolerance : float
-        Stop when steps of the unknowns, changes of the residuals and the values of F, all whitened, are
-        below this share of the norm of the whitened residuals (or are rounding).
+        Share of the norm of the whitened residuals. The iteration stops when steps of the unknowns, changes of the
+        residuals and the values of F, all whitened, are below it (or are rounding).
 
     Raises
     ------
     InputError
-        Arrays that do not fit; fewer conditions and constraints than unknowns; unknown solver.
+        Arrays do not fit; there are fewer conditions and constraints than unknowns; the solver is unknown.
     NoSolutionError
-        Conditions or constraints that depend on each other; values that are not finite; the solver breaks down.
+        Conditions or constraints depend on each other; values are not finite; the solver breaks down.
     """
     observed, x = _as_vector(observed, "observed"), _as_vector(start, "start")
     q_ll = _cofactor_matrix(len(observed), weights, cofactors)
@@ -341,15 +364,30 @@ def gauss_helmert(
     across = at.spread @ left
     q_v = at.spread @ at.spread.T - across @ across.T
     return GeneralAdjustment(
-        x, v, observed + v, float(residual @ residual), len(at.value) - rank, q_x, q_v, q_ll - q_v,
-        -at.spread @ at.design @ q_x, iteration, converged, reason, notes + rank_notes,
-    )  # fmt: skip
+        x,
+        v,
+        observed + v,
+        float(residual @ residual),
+        len(at.value) - rank,
+        q_x,
+        q_v,
+        q_ll - q_v,
+        -at.spread @ at.design @ q_x,
+        iteration,
+        converged,
+        reason,
+        notes + rank_notes,
+    )
 
 
 def _linearise(
-    function: Callable[[Array, Array], tuple[Array, Array, Array]], constraints: Constraints | None, observed: Array,
-    v: Array, x: Array, q_ll: Array,
-) -> _Linearised:  # fmt: skip
+    function: Callable[[Array, Array], tuple[Array, Array, Array]],
+    constraints: Constraints | None,
+    observed: Array,
+    v: Array,
+    x: Array,
+    q_ll: Array,
+) -> _Linearised:
     """Evaluate the conditions at the adjusted observations and whiten them."""
     adjusted = observed + v
     value, design, d_observed = _called(function, (adjusted, x), (-1, len(x), len(observed)))
@@ -361,7 +399,7 @@ def _linearise(
     spread = q_ll @ d_observed.T
     m = d_observed @ spread
     scale = np.sqrt(np.diag(m))
-    # rounding dominates the Cholesky factor of conditions with a correlation of 1 - eps
+    # with a correlation of 1 - eps between conditions, rounding dominates their Cholesky factor
     if not scale.all() or np.linalg.eigvalsh(m / np.outer(scale, scale))[0] <= len(m) * EPS:
         raise NoSolutionError.of("classical.dependent_conditions", place="conditions", value=len(m))
     root: Array = np.asarray(np.linalg.cholesky(m), dtype=np.float64)
@@ -373,7 +411,7 @@ def _linearise(
 
 
 def _constrained(value: Array, by_x: Array, length: Array) -> tuple[Array, Array]:
-    """Basis Z (u, u - q) and shortest step (u,) that fulfils the constraints, in units of 1/length of each unknown."""
+    """Return a basis Z (u, u - q) and the shortest step (u,) onto the constraints, in units of 1/length."""
     q, u = by_x.shape
     if not q:
         return np.eye(u), np.zeros(u)

@@ -4,14 +4,14 @@ Each factor contains a group of ground points with all their rays (:mod:`fg_orie
 images that see them. Priors are GTSAM's prior factors; an extra observation of images is a separate factor. GTSAM's
 Gauss-Newton, Levenberg-Marquardt or Dogleg solve this graph (:mod:`fg_orient.adjustment.optimisers`).
 
-In long sequences points and shared unknowns are one variable, and images are eliminated (:class:`ImagesGraph`). For
-given unknowns x of this border (:mod:`fg_orient.adjustment.images_first`) each image is oriented again by its points
-(variable projection: Golub & Pereyra 1973), and eliminated. The result is a function of x alone, with the cost c(x),
-its gradient g(x) and the reduced normal matrix S(x) of Gauss-Newton. GTSAM's optimisers are given, for each iteration,
-a Hessian factor with S and g, and a factor of the cost, as with eliminated points
-(:mod:`fg_orient.adjustment.reduced_graph`). Images are oriented by Newton's steps. They begin where the last linearised
-solution, moved along the step of the border, predicts them; the elimination contains one further step. A step that does
-not decrease the cost is halved.
+In long sequences points and shared unknowns form one variable, the border, and images are eliminated
+(:class:`ImagesGraph`). For given unknowns x of this border (:mod:`fg_orient.adjustment.images_first`) each image is
+oriented again from its points (variable projection: Golub & Pereyra 1973), and eliminated. The result is a function of
+x alone, with the cost c(x), its gradient g(x) and the reduced normal matrix S(x) of Gauss-Newton. For each iteration,
+GTSAM's optimisers receive a Hessian factor with S and g, and a factor of the cost, as with eliminated points
+(:mod:`fg_orient.adjustment.reduced_graph`). Images are oriented by Newton's steps. They begin at the orientation that
+the last linearised solution predicts for the step of the border. The elimination contains one further step. A step that
+does not decrease the cost is halved.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ Index = npt.NDArray[np.int64]
 
 
 def group_factor(elimination: Elimination, g: int, keys: Mapping[int, int], label: str) -> gtsam.CustomFactor:
-    """Factor of group g; it refers to the elimination alone, as a reference to the graph would keep that for ever.
+    """Return the factor of group g.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def group_factor(elimination: Elimination, g: int, keys: Mapping[int, int], labe
     keys : mapping
         GTSAM key of each vector of unknowns by its number, see :func:`point_groups.vector_parts`.
     label : str
-        Names the group in messages.
+        Name of the group in messages.
     """
     vectors = [(keys[n], part) for n, part in elimination.parts.items()]
     own = [keys[n] for n in elimination.groups[g].vectors]
@@ -75,15 +75,15 @@ def group_factor(elimination: Elimination, g: int, keys: Mapping[int, int], labe
 
 
 class GraphBackend:
-    """The problem as a GTSAM graph over its images, and the ground points that extra observations name.
+    """Problem as a GTSAM graph over its images, and over the ground points named by extra observations.
 
     Parameters
     ----------
     problem : Problem
     threads : int, optional
-        Of the kernels.
+        Number of threads of the kernels.
     grouped : bool
-        False: one factor for all groups of points. The optimisers need the sums of all groups only.
+        False: one factor for all groups of points. The optimisers need only the sums of all groups.
     """
 
     name = "graph"
@@ -118,12 +118,13 @@ class GraphBackend:
         """Return the factor of the group with the rays of ground point j; None for a point without rays."""
         place = np.flatnonzero(self.elimination.backend.structure.number == j)
         return [
-            self.graph.at(g) for g, group in enumerate(self.elimination.groups)
+            self.graph.at(g)
+            for g, group in enumerate(self.elimination.groups)
             if ((place >= group.places[0]) & (place < group.places[1])).any()
-        ]  # fmt: skip
+        ]
 
     def values(self, state: State) -> gtsam.Values:
-        """GTSAM values of a state; the eliminated ground points become the start of the next intersections."""
+        """Return GTSAM values of a state; the eliminated ground points become the start of the next intersections."""
         values, vector = gtsam.Values(), self.problem.image_vector(state)
         for key, part in self._vectors:
             values.insert(key, vector[part])
@@ -133,18 +134,21 @@ class GraphBackend:
         return values
 
     def free(self, values: gtsam.Values) -> Array:
-        """Image unknowns (u,) of GTSAM values."""
+        """Return the image unknowns (u,) of GTSAM values."""
         return free_unknowns(values, self._vectors)
 
     def state(self, values: gtsam.Values, free: Array | None = None, *, complete: bool = False) -> State:
-        """State of values, with image unknowns (u,), that were evaluated last; see :meth:`Elimination.state`."""
+        """Return the state of values, with image unknowns (u,), that were evaluated last.
+
+        See :meth:`Elimination.state`.
+        """
         state = self.elimination.state(self.free(values) if free is None else free, complete=complete)
         for j in self.points.tolist():
             state.ground[j] = values.atPoint3(point_key(j))
         return state
 
     def linearised(self, values: gtsam.Values, free: Array | None = None) -> ReducedGraph:
-        """Graph for one iteration of an optimiser at these values, with image unknowns (u,)."""
+        """Return the graph for one iteration of an optimiser at these values, with image unknowns (u,)."""
         return ReducedGraph(self, values, self.free(values) if free is None else free)
 
     @cached_property
@@ -157,7 +161,7 @@ class GraphBackend:
         return self.elimination.backend.squares(state)
 
     def linearise(self, state: State) -> SchurSystem | Border | ExplicitSystem:
-        """Linearise at a solution, for cofactors: arrays, or all rows where these do not determine the unknowns."""
+        """Linearise at a solution, for cofactors: as arrays, or as rows if arrays do not determine the unknowns."""
         self.elimination.release()
         if not no_point_is_named(self.problem.block):
             self.elimination.backend.buffers.release()
@@ -176,7 +180,7 @@ BORDER: Final = int(gtsam.symbol("b", 0))
 
 
 class ImageElimination:
-    """Images of a problem as a function of the border; computed again when the border changes.
+    """Images of a problem as a function of the border; they are computed again when the border changes.
 
     Parameters
     ----------
@@ -192,14 +196,17 @@ class ImageElimination:
         self.start_at(problem.start)
 
     def start_at(self, state: State) -> None:
-        """Begin at a state: the images are oriented again from there."""
+        """Begin at a state; the images are oriented again from there."""
         self._own = self.places.own_of(state)
-        self._at: Array | None = None  # border where the images were eliminated last, None: not yet
-        self._now: Images | None = None  # their elimination, None: impossible
-        self._base: tuple[Array, Array, Images] | None = None  # border, images and elimination where S was computed
+        self._at: Array | None = None  # border at the last elimination of the images; None: none yet
+        self._now: Images | None = None  # their elimination; None: impossible
+        self._base: tuple[Array, Array, Images] | None = None  # border, images and elimination at which S was computed
 
     def hold_weights(self, robust: Weighing | None, state: State) -> None:
-        """Give the rows the weights of a loss at a state, until the next call; the cost there is that of the loss."""
+        """Weight the rows with a loss at a state until the next call.
+
+        The cost at this state is the cost of the loss.
+        """
         self._root, self._control, self._excess, self._at, self._base = None, None, 0.0, None, None
         if robust is None:
             return
@@ -211,14 +218,14 @@ class ImageElimination:
         self._excess = cost - 0.5 * float(np.vdot(image, image_squares) + np.vdot(control, control_squares))
 
     def cost(self, border: Array) -> float:
-        """Return the cost at unknowns (b,) of the border; at an impossible place it is finite."""
+        """Return the cost at unknowns (b,) of the border; a large finite number if the images cannot be oriented."""
         images = self._eliminated(border)
         if images is None:
             return IMPOSSIBLE
         return self._excess + 0.5 * (images.squares - float(np.sum(images.decrements**2)))
 
     def linearised(self, border: Array) -> tuple[Array, Array]:
-        """S (b, b) and g (b,) where an optimiser linearises.
+        """Return S (b, b) and g (b,) for the linearisation of an optimiser.
 
         Singular: the images cannot be oriented.
         """
@@ -236,7 +243,7 @@ class ImageElimination:
         return self.places.state(own, border)
 
     def _eliminated(self, border: Array) -> Images | None:
-        """Elimination of the images; None if it is impossible."""
+        """Eliminate the images; return None if this is impossible."""
         if self._at is None or not np.array_equal(self._at, border):
             self._at = border.copy()
             if self._base is not None:
@@ -270,7 +277,7 @@ class ImageElimination:
 
 
 class ImagesGraph:
-    """Backend of the graph with one variable, the border.
+    """Graph backend with one variable, the border.
 
     Parameters
     ----------
@@ -289,22 +296,22 @@ class ImagesGraph:
         self.cost = cost_factor(self.elimination.cost, [(BORDER, part)])
 
     def values(self, state: State) -> gtsam.Values:
-        """GTSAM values of a state; its images become the start of their next orientation."""
+        """Return the GTSAM values of a state; its images become the start of their next orientation."""
         values = gtsam.Values()
         values.insert(BORDER, self.places.border_of(state))
         self.elimination.start_at(state)
         return values
 
     def free(self, values: gtsam.Values) -> Array:
-        """Unknowns (b,) of the border."""
+        """Return the unknowns (b,) of the border."""
         return np.asarray(values.atVector(BORDER))
 
     def state(self, values: gtsam.Values, free: Array | None = None, *, complete: bool = False) -> State:
-        """State of values that were evaluated last; see :meth:`ImageElimination.state`."""
+        """Return the state of values that were evaluated last; see :meth:`ImageElimination.state`."""
         return self.elimination.state(self.free(values) if free is None else free, complete=complete)
 
     def linearised(self, values: gtsam.Values, free: Array) -> ImagesReduced:
-        """Graph for one iteration of an optimiser at these values, with the unknowns (b,)."""
+        """Return the graph for one iteration of an optimiser at these values, with the unknowns (b,)."""
         return ImagesReduced(self, values, free)
 
     def squares(self, state: State) -> tuple[Array, Array]:
@@ -326,7 +333,7 @@ class ImagesReduced:
     backend : ImagesGraph
     values : gtsam.Values
     free : (b,) array
-        Its unknowns.
+        Unknowns of the border.
     """
 
     def __init__(self, backend: ImagesGraph, values: gtsam.Values, free: Array) -> None:
@@ -338,14 +345,14 @@ class ImagesReduced:
         self.graph.add(gtsam.LinearContainerFactor(gtsam.HessianFactor(BORDER, self._matrix, -self._gradient, 0.0)))
 
     def of_images(self, values: gtsam.Values) -> gtsam.Values:
-        """Copy of values."""
+        """Return a copy of values."""
         return gtsam.Values(values)
 
     def after(self, values: gtsam.Values, step: Array) -> tuple[float, float]:
-        """Cost after a step (b,) by the linear model, and the gradient along it."""
+        """Return the cost after a step (b,) by the linear model, and the gradient along it."""
         along = float(self._gradient @ step)
         return self._cost + along + 0.5 * float(step @ self._matrix @ step), along
 
     def steepest(self) -> float:
-        """Longest Gauss-Newton step of one unknown alone, in standard deviations."""
+        """Return the longest Gauss-Newton step of a single unknown, in standard deviations."""
         return float((np.abs(self._gradient) / np.sqrt(np.diag(self._matrix))).max(initial=0.0))

@@ -1,7 +1,7 @@
 """Structure of a factor graph without its numbers: variables, factors, elimination orders, fill and cliques.
 
 Variables are numbered: image vectors, vectors that images share, ground points. GTSAM eliminates the structure
-symbolically, so that a graph is counted and drawn without an evaluation of its factors.
+symbolically. So a graph is counted and drawn without an evaluation of its factors.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from fg_orient.adjustment.problem import Problem
 
 Index = npt.NDArray[np.int64]
 
-#: Elimination orders by name; "natural", of images and then points as they are numbered, is another.
+#: Elimination orders by name. One more is "natural": images and then points, in the order of their numbers.
 ORDERINGS = ("points first", "COLAMD", "METIS")
 
 
@@ -37,11 +37,11 @@ class Structure:
     sizes : (n,) int array
         Unknowns of each variable.
     kinds : tuple of str
-        Of each factor: "image point", "control point", "image prior", "extra observation", "group of points".
+        Kind of each factor: "image point", "control point", "image prior", "extra observation", "group of points".
     factors : tuple of int tuples
         Variables of each factor, ascending.
     points : tuple of int
-        Ground points that each factor has eliminated; 0 for all but groups.
+        Number of ground points that each factor has eliminated; 0 for all factors except groups.
     """
 
     names: tuple[str, ...]
@@ -52,7 +52,7 @@ class Structure:
 
     @cached_property
     def is_point(self) -> npt.NDArray[np.bool_]:
-        """Whether each variable is a ground point."""
+        """True for each variable that is a ground point."""
         return np.array([name.startswith("point:") for name in self.names], bool)
 
     @cached_property
@@ -60,19 +60,25 @@ class Structure:
         """Numbers of variables, unknowns and factors."""
         points = int(self.is_point.sum())
         return {
-            "variables": len(self.names), "image_vectors": len(self.names) - points, "points": points,
-            "unknowns": int(self.sizes.sum()), "factors": len(self.factors),
+            "variables": len(self.names),
+            "image_vectors": len(self.names) - points,
+            "points": points,
+            "unknowns": int(self.sizes.sum()),
+            "factors": len(self.factors),
             "factors_by_kind": dict(Counter(self.kinds)),
-        }  # fmt: skip
+        }
 
     @cached_property
     def pairs(self) -> set[tuple[int, int]]:
-        """Pairs of variables that a factor joins, smaller number first: blocks of the normal matrix."""
+        """Pairs of variables in a common factor, smaller number first: blocks of the normal matrix."""
         return {pair for own in set(self.factors) for pair in combinations(own, 2)}
 
     @cached_property
     def without_points(self) -> Structure:
-        """Graph of the other variables after the elimination of the ground points, whose order has no effect."""
+        """Graph of the other variables after the elimination of the ground points.
+
+        The order of the points has no effect.
+        """
         kept = np.flatnonzero(~self.is_point)
         place = {int(v): n for n, v in enumerate(kept)}
         points = [int(v) for v in np.flatnonzero(self.is_point)]
@@ -84,7 +90,7 @@ class Structure:
         return Structure(names, self.sizes[kept], ("images",) * len(factors), factors, (0,) * len(factors))
 
     def ordering(self, name: str) -> list[int]:
-        """Order of elimination; see :data:`ORDERINGS`."""
+        """Return the order of elimination; see :data:`ORDERINGS`."""
         if name == "natural":
             return list(range(len(self.names)))
         if name == "points first":
@@ -137,7 +143,7 @@ class EliminationTree:
     def cliques(self) -> list[tuple[tuple[int, ...], tuple[int, ...], int]]:
         """Cliques of the Bayes tree: eliminated variables, separator and number of the parent clique (-1: root).
 
-        Parents come first. A variable joins the clique of the next one if it adds nothing to the separator.
+        Parents come first. A variable joins the clique of the next variable if it adds nothing to the separator.
         """
         number: dict[int, int] = {}
         frontals: list[list[int]] = []
@@ -163,7 +169,7 @@ class EliminationTree:
 
     @cached_property
     def operations(self) -> float:
-        """Multiplications and additions of the Cholesky factor, two for each pair of them.
+        """Number of multiplications and additions of the Cholesky factor; each pair of them counts twice.
 
         A variable of s unknowns with a separator of d unknowns takes ``s^3/3 + s^2 d + s d^2``.
         """
@@ -173,17 +179,20 @@ class EliminationTree:
 
     @cached_property
     def counts(self) -> dict[str, int]:
-        """Elements of the lower triangle of the normal matrix N, of R, and fill; largest clique, number of cliques."""
+        """Numbers of elements of the lower triangle of N, of R, and of fill; largest clique, number of cliques."""
         sizes = self.structure.sizes
         own = int((sizes * (sizes + 1) // 2).sum())
         normal = own + int(sum(sizes[a] * sizes[b] for a, b in self.structure.pairs))
         fill = int(sum(sizes[a] * sizes[b] for a, b in self.fill_pairs))
         cliques = [(*frontals, *separator) for frontals, separator, _ in self.cliques]
         return {
-            "nonzeros_normal_matrix": normal, "nonzeros_factor": normal + fill, "fill": fill, "cliques": len(cliques),
+            "nonzeros_normal_matrix": normal,
+            "nonzeros_factor": normal + fill,
+            "fill": fill,
+            "cliques": len(cliques),
             "largest_clique_variables": max((len(c) for c in cliques), default=0),
             "largest_clique_unknowns": max((int(sizes[list(c)].sum()) for c in cliques), default=0),
-        }  # fmt: skip
+        }
 
 
 class _Variables:
@@ -207,12 +216,12 @@ class _Variables:
         return {unknown} if isinstance(unknown, int) else {int(key) for key in unknown.keys}
 
     def image(self, k: int) -> tuple[int, ...]:
-        """Variables of an image."""
+        """Return the variables of an image."""
         return tuple(sorted(self.vector[key] for key in self._keys(k)))
 
 
 def explicit_structure(problem: Problem, images: Index | None = None, points: Index | None = None) -> Structure:
-    """Graph with one factor for each image point; of some images and ground points only, if they are given."""
+    """Return the graph with one factor for each image point, or only the part of the given images and ground points."""
     shown = np.arange(problem.n_images) if images is None else images
     wanted = problem.active.copy()
     if points is not None:
@@ -243,7 +252,7 @@ def explicit_structure(problem: Problem, images: Index | None = None, points: In
 
 
 def reduced_structure(problem: Problem) -> Structure:
-    """Graph of the images whose factors hold groups of eliminated points, see :func:`fg_orient.factor_graph`."""
+    """Return the graph of images with groups of eliminated points as factors, see :func:`fg_orient.factor_graph`."""
     backend = GraphBackend(problem)
     named = backend.points
     own = explicit_structure(problem, points=named)
@@ -255,16 +264,21 @@ def reduced_structure(problem: Problem) -> Structure:
     factors = tuple(tuple(sorted(vectors[n] for n in group.vectors)) for group in groups)
     counts = tuple(group.places[1] - group.places[0] for group in groups)
     return Structure(
-        own.names, own.sizes, ("group of points",) * len(groups) + own.kinds, factors + own.factors,
+        own.names,
+        own.sizes,
+        ("group of points",) * len(groups) + own.kinds,
+        factors + own.factors,
         counts + own.points,
-    )  # fmt: skip
+    )
 
 
 def _add_others(
-    problem: Problem, variables: _Variables, add: Callable[[str, tuple[int, ...]], None],
+    problem: Problem,
+    variables: _Variables,
+    add: Callable[[str, tuple[int, ...]], None],
     of_image: dict[int, tuple[int, ...]],
-) -> None:  # fmt: skip
-    """Add priors of image vectors, and extra observations whose variables are all there."""
+) -> None:
+    """Add priors of image vectors, and extra observations if the graph contains all their variables."""
     if problem.block.options.priors:
         for n in variables.vector.values():
             add("image prior", (n,))

@@ -1,14 +1,14 @@
-"""Normal equations of long sequences of images with few ground points: the images are eliminated first.
+"""Elimination of the images before the points, for long sequences of images with few ground points.
 
-The own unknowns of an image (those that no other image shares) do not occur together with own unknowns of other images
-in any observation. With the rows A of an image to its own unknowns and C to the *border*, which has the shared unknowns
-of the images (prior sigmas) and then three of each unknown ground point (m),
+No observation contains own unknowns of two images (*own*: not shared with another image). A are the derivatives of the
+rows of an image by its own unknowns, C those by the *border*: the shared unknowns of the images (prior sigmas) and then
+three unknowns of each ground point (m). Then
 
     A^T A = L L^T,    W = L^-1 A^T C,    S = sum (C^T C - W^T W),    x_i = -L^-T (L^-1 g_i + W x_b)
 
 with the gradient g_i of the image and the step x_b of the border. S has the unknowns of the border only, for any number
-of images. If few points are seen in many images this needs a small part of the work of an elimination of points,
-after which the unknowns of all images would be left (:mod:`fg_orient.adjustment.border`).
+of images. If few points are seen in many images, this needs only a small part of the work of an elimination of points,
+which would leave the unknowns of all images (:mod:`fg_orient.adjustment.border`).
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ if TYPE_CHECKING:
     from scipy import sparse
 
 
-#: Predicted work of an elimination of points over that of images, and multiplications saved, from which the images are
-#: eliminated first.
+#: Least ratio of the predicted work of both eliminations (points over images), and least number of multiplications
+#: saved, for images to be eliminated first.
 GAIN: Final = 4.0
 SAVED: Final = 1e7
-#: Elements of W of all images, at most: 0.2 GB.
+#: Maximum number of elements of W of all images: 0.2 GB.
 LARGEST: Final = 25_000_000
-#: Square of a pivot of an image over its diagonal, below which its points do not determine the image.
+#: Ratio of the squared pivot of an image to its diagonal, below which its points do not determine the image.
 PIVOT: Final = 1e-11
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """What decides between both eliminations.
+    """Sizes that decide between the two eliminations.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class Sizes:
     rays : (N,) int array
         Image points of each ground point.
     named : (N,) bool array
-        Points that extra observations name: an elimination of points leaves them.
+        Points named by extra observations: an elimination of points keeps them as unknowns.
     """
 
     own: int
@@ -64,7 +64,7 @@ class Sizes:
 
     @property
     def images_first(self) -> bool:
-        """Whether an elimination of images is predicted to take much less work."""
+        """True if an elimination of images is predicted to take much less work."""
         if self.own * self.border > LARGEST:
             return False
         rays, points = self.rays[~self.named].astype(float), 3 * int(self.named.sum())
@@ -75,14 +75,14 @@ class Sizes:
 
 
 def each_of_one_image(extra: Sequence[ExtraObservation]) -> bool:
-    """Whether no extra observation has two images."""
+    """Return whether no extra observation has two images."""
     return all(sum(name.startswith("image:") for name in one.unknowns) <= 1 for one in extra)
 
 
 def images_first(problem: Problem) -> bool:
-    """Whether images are eliminated first: it is possible, and predicted to take much less work.
+    """Return whether images are eliminated first: it is possible, and predicted to take much less work.
 
-    No observation may have own unknowns of two images, and more than damping must fix the datum.
+    No observation may have own unknowns of two images, and the datum must be fixed by more than damping.
     """
     ties, o, z = problem.ties, problem.observations, problem.n_free_unknowns
     if problem.least_damping > 0.0 or not each_of_one_image(problem.block.extra):
@@ -97,18 +97,18 @@ def images_first(problem: Problem) -> bool:
 
 
 class Places:
-    """Places of the unknowns, and the image points in the order of their images; the same at all states.
+    """Positions of the unknowns, and the image points in the order of their images; they are the same at all states.
 
     Parameters
     ----------
     problem : Problem
-        See :func:`images_first`.
+        Problem; see :func:`images_first`.
     """
 
     def __init__(self, problem: Problem) -> None:
         o, ties = problem.observations, problem.ties
         self.problem, m = problem, problem.n_images
-        #: Rows of ``problem.observations`` in the order of the images, and the first of each image (M + 1,).
+        #: Rows of ``problem.observations`` in the order of the images, and the first row of each image (M + 1,).
         self.order = np.argsort(o.image, kind="stable").astype(np.intp)
         self.first = np.concatenate([[0], np.cumsum(np.bincount(o.image, minlength=m))])
         #: The problem with its image points in this order.
@@ -120,17 +120,18 @@ class Places:
         own = free < n_own
         most = max(int(own.sum(axis=1).max()), 1)
         place = np.argsort(~own, axis=1, kind="stable")[:, :most]
-        #: Whether each image has a first, second, ... own unknown (M, k), and its place in the image, else -1.
+        #: True if the image has a first, second, ... own unknown (M, k), and its position in the image, else -1.
         self.exists = np.take_along_axis(own, place, axis=1)
         self.own = np.where(self.exists, place, -1).astype(np.int64)
-        #: Free unknown (M, k) of each of them; z: none.
+        #: Free unknown (M, k) for each of them; z: no unknown.
         self.free = np.where(self.exists, np.take_along_axis(free, place, axis=1), z)
-        #: Free unknowns (s,) that images share, and place (M, w) of each unknown of an image in the border; -1: own.
+        #: Free unknowns (s,) that images share, and position (M, w) of each unknown of an image in the border; -1: own
+        #: unknown.
         self.shared = np.arange(n_own, z)
         self.in_border = np.where((columns < problem.n_image_unknowns) & ~own, free - n_own, -1).astype(np.int64)
-        #: First place (N,) of each unknown point in the border; other elements are not used.
+        #: First position (N,) of each unknown point in the border; other elements are not used.
         self.of_point = problem.point_columns - problem.n_image_unknowns + len(self.shared)
-        #: The same of each image point (n,); -1: a constant.
+        #: First position in the border of the point of each image point (n,); -1: a constant.
         self.of_ray = np.where(problem.active[self.point], self.of_point[self.point], -1).astype(np.int64)
         self._alike = bool((self.own == self.own[0]).all() and (self.in_border == self.in_border[0]).all())
 
@@ -138,7 +139,7 @@ class Places:
         return len(self.shared) + 3 * int(self.problem.active.sum())
 
     def by_rows(self, rows: Array, moves: Array) -> Array:
-        """Rows (n, 2, k) of the images times movements (M, k, d) of each image: (2n, d)."""
+        """Multiply rows (n, 2, k) of the images by movements (M, k, d) of each image: (2n, d)."""
         m, (k, d) = self.problem.n_images, moves.shape[1:]
         a = rows.reshape(-1, k)
         if (np.diff(self.first) == self.first[1]).all():
@@ -156,7 +157,7 @@ class Places:
         return np.where(self.exists[self.image][:, None], picked, 0.0)
 
     def shared_columns(self, d_image: Array) -> Array:
-        """Columns (n, 2, s) of the shared unknowns."""
+        """Return the columns (n, 2, s) of the shared unknowns."""
         out = np.zeros((*d_image.shape[:2], len(self.shared)))
         for j, place in enumerate(self.in_border.T):
             if self._alike:
@@ -170,23 +171,23 @@ class Places:
     # --- vectors ----------------------------------------------------------------------------------
 
     def own_of(self, state: State) -> Array:
-        """Own unknowns (M, k) of a state; zeros where an image has fewer."""
+        """Return the own unknowns (M, k) of a state; zeros where an image has fewer."""
         return np.where(self.exists, np.take_along_axis(state.image, np.maximum(self.own, 0), axis=1), 0.0)
 
     def border_of(self, state: State) -> Array:
-        """Unknowns (b,) of the border at a state."""
+        """Return the unknowns (b,) of the border at a state."""
         shared = self.problem.image_vector(state)[self.shared]
         return np.concatenate([shared, state.ground[self.problem.active].ravel()])
 
     def state(self, own: Array, border: Array) -> State:
-        """State of own unknowns (M, k) and border (b,)."""
+        """Return the state of own unknowns (M, k) and border (b,)."""
         problem, s = self.problem, len(self.shared)
         ground = problem.start.ground.copy()
         ground[problem.active] = border[s:].reshape(-1, 3)
         return State(problem.image_matrix(self.joined(own, border[:s])), ground)
 
     def joined(self, own: Array, shared: Array) -> Array:
-        """Free unknowns (z, ...) of the images from own (M, k, ...) and shared ones (s, ...)."""
+        """Return free unknowns (z, ...) of the images from own ones (M, k, ...) and shared ones (s, ...)."""
         out = np.zeros((self.problem.n_free_unknowns + 1, *own.shape[2:]))
         out[self.free] = own
         out[self.shared] = shared
@@ -195,7 +196,7 @@ class Places:
 
 @dataclass(frozen=True)
 class ExtraRow:
-    """Rows of an extra observation: image (-1: none), residuals (r,), Jacobians (r, k) and (r, b)."""
+    """Rows of an extra observation: image (-1: no image), residuals (r,), Jacobians (r, k) and (r, b)."""
 
     image: int
     value: Array
@@ -204,7 +205,7 @@ class ExtraRow:
 
 
 class Images:
-    """Elimination of the images at a state: own normal equations, and the steps that images take with the border.
+    """Elimination of the images at a state: their normal equations, and the steps that they take with the border.
 
     Parameters
     ----------
@@ -218,7 +219,7 @@ class Images:
     Raises
     ------
     Singular
-        An image is not determined by its points.
+        Singular :: Its points do not determine an image.
     """
 
     def __init__(self, places: Places, state: State, root: Array | None = None, control: Array | None = None) -> None:
@@ -236,7 +237,7 @@ class Images:
         self._own_normal()
 
     def _extra(self, number: int) -> ExtraRow:
-        """Rows of an extra observation."""
+        """Return the rows of an extra observation."""
         places, problem = self.places, self.places.problem
         value, blocks = extra_blocks(problem, problem.block.extra[number], self.state, jacobian=True)
         own, border, image = np.zeros((len(value), places.own.shape[1])), np.zeros((len(value), len(places))), -1
@@ -251,7 +252,7 @@ class Images:
         return ExtraRow(image, value, own, border)
 
     def _own_normal(self) -> None:
-        """Factor of the own normal matrix of each image, and its gradient."""
+        """Factorise the normal matrix of the own unknowns of each image, and compute its gradient."""
         places, rows = self.places, self._rows
         m, k = places.own.shape
         normal, gradient, squares = np.zeros((m, k, k)), np.zeros((m, k)), np.zeros(m)
@@ -272,7 +273,7 @@ class Images:
         if not weakest.min() > PIVOT:
             name = places.problem.block.images[int(weakest.argmin())].id
             raise Singular(f"image {name} is not determined by its ground points")
-        #: ``L^-1`` (M, k, k) of each image, and ``L^-1 g`` (M, k).
+        #: ``L^-1`` (M, k, k) and ``L^-1 g`` (M, k) of each image.
         self.inverse_root = np.tril(np.linalg.inv(root))
         self.gradient = np.einsum("mij,mj->mi", self.inverse_root, gradient)
         #: Weighted sum of squares (M,) of the observations of each image.
@@ -295,17 +296,17 @@ class Images:
 
     @property
     def decrements(self) -> Array:
-        """Newton decrements (M,) of the images in sigmas, with the border held."""
+        """Newton decrements (M,) of the images in sigmas, with the border held fixed."""
         return np.asarray(np.linalg.norm(self.gradient, axis=1))
 
     @property
     def own_step(self) -> Array:
-        """Newton step (M, k) of the images, with the border held."""
+        """Newton step (M, k) of the images, with the border held fixed."""
         return np.asarray(-np.einsum("mji,mj->mi", self.inverse_root, self.gradient))
 
     @cached_property
     def inverse(self) -> Array:
-        """Inverse (M, k, k) of the own normal matrix of each image; zero where unknowns do not exist."""
+        """Inverse (M, k, k) of the normal matrix of the own unknowns of each image; zero for missing unknowns."""
         out = np.swapaxes(self.inverse_root, 1, 2) @ self.inverse_root
         return np.where(self.places.exists[:, :, None] & self.places.exists[:, None], out, 0.0)
 
@@ -317,9 +318,17 @@ class Images:
         across = np.zeros((len(self.gradient), b, self.gradient.shape[1]))
         matrix, gradient = np.zeros((b, b)), np.zeros(b)
         border_sums(
-            places.first, places.own, places.in_border, places.of_ray, rows.residual, rows.image, rows.ground, across,
-            matrix, gradient,
-        )  # fmt: skip
+            places.first,
+            places.own,
+            places.in_border,
+            places.of_ray,
+            rows.residual,
+            rows.image,
+            rows.ground,
+            across,
+            matrix,
+            gradient,
+        )
         matrix += np.tril(matrix, -1).T
         observed = np.flatnonzero(problem.observed)
         if len(observed):
@@ -354,7 +363,7 @@ class Images:
 
     @cached_property
     def _columns(self) -> tuple[Array, Array, sparse.csr_array]:
-        """Rows (n, 2, k) of the image points to the own unknowns, (2n, s) to shared ones and (2n, 3P) to the points."""
+        """Derivatives of the image points by own unknowns (n, 2, k), shared ones (2n, s) and points (2n, 3P)."""
         from scipy import sparse
 
         places, rows = self.places, self._rows
@@ -367,16 +376,16 @@ class Images:
         return places.own_columns(rows.image), places.shared_columns(rows.image).reshape(2 * n, s), by_points
 
     def along(self, own: Array, moves: Array) -> Array:
-        """Change (2n, d) of the image points with movements (M, k, d) of the images and (b, d) of the border."""
+        """Return the change (2n, d) of image points by movements (M, k, d) of the images and (b, d) of the border."""
         s, (by_own, by_shared, by_points) = len(self.places.shared), self._columns
         return np.asarray(self.places.by_rows(by_own, own) + by_shared @ moves[:s] + by_points @ moves[s:])
 
     def to_border(self, flat: Array) -> Array:
-        """Sums (b, d) of rows (2n, d) of the image points, multiplied by their Jacobian to the border."""
+        """Return the sums (b, d) of rows (2n, d) of the image points, multiplied by their derivatives by the border."""
         _, by_shared, by_points = self._columns
         return np.vstack([by_shared.T @ flat, by_points.T @ flat])
 
     def followed(self, moves: Array) -> Array:
-        """Movements (M, k, d) of the images that follow movements (b, d) of the border best."""
+        """Return the movements (M, k, d) of the images that best follow movements (b, d) of the border."""
         seen = (self._reduced[0].reshape(-1, len(moves)) @ moves).reshape(*self.gradient.shape, moves.shape[1])
         return -np.asarray(np.swapaxes(self.inverse_root, 1, 2) @ seen)

@@ -3,8 +3,8 @@
 Each cycle solves the least-squares problem with the weights of the last cycle, and computes new weights from the
 whitened norms t of the residuals. Priors and extra observations keep weight 1.
 
-Danish method (Krarup, Juhl & Kubik 1980): with r = t / sigma0 (a posteriori, 1 at least) a weight is multiplied by
-``exp(-0.05 r^4.4)`` in the first three cycles and by ``exp(-0.05 r^3)`` afterwards where r exceeds its limit. The
+Danish method (Krarup, Juhl & Kubik 1980), with r = t / sigma0 (a posteriori, at least 1). If r exceeds its limit, a
+weight is multiplied by ``exp(-0.05 r^4.4)`` in the first three cycles and by ``exp(-0.05 r^3)`` afterwards. The
 exponent depends on the cycle and weights never increase again. The method therefore has no cost function, and the
 result depends on the sequence of cycles. :mod:`factors.losses.standard` has the form with a cost function.
 
@@ -54,17 +54,17 @@ def find_loss(name: str) -> Loss:
 DANISH_LIMIT: Final = 2.5
 DANISH_FACTOR: Final = 0.05
 DANISH_EXPONENTS: Final = (4.4, 3.0)
-#: Cycles with the first exponent.
+#: Number of cycles with the first exponent.
 DANISH_FIRST: Final = 3
 #: Lower bound of the norms of the least absolute values, in sigmas.
 EPSILON: Final = 1e-3
-#: Largest change of a whitened norm at the end. Weiszfeld's steps shrink slowly: further digits are expensive.
+#: Largest change of a whitened norm at the end. Weiszfeld's steps shrink slowly, so more digits are expensive.
 TOLERANCE: Final = 1e-2
 CYCLES: Final = 200
 
 
 class Rule(Protocol):
-    """New weights of one group from the last weights and the norms of whitened residuals.
+    """Function that computes new weights of one group from the last weights and the norms of whitened residuals.
 
     ``cycle`` counts from 1; ``dimension`` is the number of residuals of a norm; ``sigma0`` is a posteriori.
     """
@@ -74,30 +74,30 @@ class Rule(Protocol):
 
 
 def danish_limit(dimension: int) -> float:
-    """Norm with the probability of 2.5 sigmas in one dimension."""
+    """Return the norm with the same probability as 2.5 sigmas in one dimension."""
     return inlier_limit(float(chi_square_probability(1.0, DANISH_LIMIT**2)), dimension)
 
 
 def danish_original(last: Array, norm: Array, cycle: int, dimension: int, sigma0: float) -> Array:
-    """Weights of the Danish method; see the module docstring."""
+    """Return the weights of the Danish method; see the module docstring."""
     exponent, r = DANISH_EXPONENTS[0 if cycle <= DANISH_FIRST else 1], norm / max(sigma0, 1.0)
     factor = np.exp(-DANISH_FACTOR * np.where(r > danish_limit(dimension), r, 0.0) ** exponent)
     return np.maximum(last * factor, FLOOR)
 
 
 def least_absolute(last: Array, norm: Array, cycle: int, dimension: int, sigma0: float) -> Array:
-    """Weights of least absolute values; see the module docstring."""
+    """Return the weights of least absolute values; see the module docstring."""
     return np.asarray(1.0 / np.maximum(norm, EPSILON))
 
 
-#: Rules without a cost function, iterated in cycles, by the value of the option ``loss``.
+#: Rules without a cost function, which are iterated in cycles, by the value of the option ``loss``.
 RULES: Final[dict[str, Rule]] = {"danish_original": danish_original, "lad": least_absolute}
 #: Dimensions of the norms of :func:`norms_at`.
 DIMENSIONS: Final = (IMAGE, CONTROL)
 
 
 class Reweighted(NamedTuple, Generic[S]):
-    """End of the cycles: last fit and its weights, number of cycles, whether the norms have converged."""
+    """End of the cycles: last fit and its weights, number of cycles, and whether the norms have converged."""
 
     fit: S
     weights: tuple[Array, ...]
@@ -118,15 +118,15 @@ def reweight(
     Parameters
     ----------
     fit : callable
-        Least squares with weights, one array per group of observations, starting at the last fit. The first call
-        receives None as fit and no weights, which means 1.
+        Least squares with weights, one array per group of observations; it starts at the last fit. At the first call
+        the fit is None and there are no weights, which means 1.
     norms : callable
         Whitened norms of the residuals, one array per group.
     sigma0 : callable
         A posteriori standard deviation of unit weight of a fit.
     rule : Rule
     dimensions : tuple of int
-        Residuals of each norm, by group.
+        Number of residuals of each norm, by group.
     """
     last_fit = fit((), None)
     norm = norms(last_fit)
@@ -143,13 +143,13 @@ def reweight(
 
 
 def norms_at(problem: Problem, state: State) -> tuple[Array, Array]:
-    """Whitened norms that decide on the weights of image points (n,) and observed control points (m,)."""
+    """Return the whitened norms that determine the weights of image points (n,) and observed control points (m,)."""
     image, control = squares(problem, state)
     return np.sqrt(image), np.sqrt(control)
 
 
 def weights_of(problem: Problem, groups: tuple[Array, ...]) -> Weights:
-    """Weights of the problem from weights of image points and observed control points; by default 1."""
+    """Return the weights of the problem from weights of image points and observed control points; by default 1."""
     control = np.ones(len(problem.observed))
     if not groups:
         return Weights(np.ones(len(problem.observations)), control)
@@ -167,10 +167,10 @@ class CycleResult(NamedTuple):
 def cycles_on_arrays(
     problem: Problem, callback: Callback
 ) -> Callable[[tuple[Array, ...], CycleResult | None], CycleResult]:
-    """Weighted least squares on the graph of images or the Schur backend for :func:`reweight`.
+    """Run weighted least squares on the graph of images or the Schur backend for :func:`reweight`.
 
-    The problem is compiled once, which takes many times as long as the two or three iterations of a cycle. The weights
-    multiply the rows, like the weights of a loss. ``callback`` receives each iteration.
+    The problem is compiled only once, because this takes many times as long as the two or three iterations of a cycle.
+    The weights multiply the rows, like the weights of a loss. ``callback`` receives each iteration.
     """
     from fg_orient.adjustment.graph import GraphBackend
     from fg_orient.adjustment.optimisers import GTSAM_OPTIMIZERS

@@ -1,4 +1,4 @@
-"""Reduced camera system solved by conjugate gradients, with products by its blocks or without them."""
+"""Solution of the reduced camera system by conjugate gradients, with its blocks or without them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from fg_orient.adjustment.schur import SchurSystem
 
 #: Least and largest error of a step of conjugate gradients, relative in the norm of the matrix; error in that norm that
-#: has no effect; most steps.
+#: has no effect; maximum number of steps.
 LEAST_ERROR: Final = 1e-10
 LARGEST_ERROR: Final = 6e-3
 NO_EFFECT: Final = 1e-10
@@ -26,24 +26,25 @@ MOST_STEPS: Final = 2000
 
 
 class IterativeReduced:
-    """Preconditioned conjugate gradients, where a factor of the matrix would take too long.
+    """Preconditioned conjugate gradients, for systems whose factorisation would take too long.
 
-    The preconditioner is the diagonal blocks (block Jacobi; Hestenes & Stiefel 1952, Agarwal et al. 2010). A step is
-    solved as exactly as it is worth (inexact Newton method, Dembo, Eisenstat & Steihaug 1982): its error in chi2 is to
-    the decrease of chi2 as that decrease is to chi2, as the errors of linearisation are.
+    The preconditioner consists of the diagonal blocks (block Jacobi; Hestenes & Stiefel 1952, Agarwal et al. 2010). A
+    step is solved only as exactly as necessary (inexact Newton method, Dembo, Eisenstat & Steihaug 1982). The ratio of
+    its error in chi2 to the decrease of chi2 equals the ratio of this decrease to chi2; this is the size of the
+    linearisation errors.
 
     Parameters
     ----------
     pattern : Pattern
     first : (M + 1,) int array
     blocks : (B, k, k) array
-        The diagonal blocks suffice if ``implicit`` is given.
+        Blocks of the matrix; the diagonal blocks are sufficient if ``implicit`` is given.
     diagonal : float
         Added to the diagonal: priors and damping.
     chi2 : float
-        Where the system was linearised; 0: :data:`LEAST_ERROR` for all solutions.
+        chi2 at the linearisation; 0: all solutions have the error :data:`LEAST_ERROR`.
     implicit : ImplicitProduct, optional
-        Products with the matrix from the rows; else from the blocks.
+        Products with the matrix from the rows; without it from the blocks.
     threads : int
         See :class:`fg_orient.adjustment.schur_reduced.LapackReduced`.
 
@@ -62,7 +63,7 @@ class IterativeReduced:
         self._k, self._chi2, self._implicit = blocks.shape[1], chi2, implicit
         self._used = np.arange(self._k) < pattern.size[:, None]
         own = pattern.block_row == pattern.block_column
-        self._diagonal = np.where(self._used, diagonal, 1.0)  # shorter blocks end with a unit matrix
+        self._diagonal = np.where(self._used, diagonal, 1.0)  # shorter blocks are filled with a unit matrix
         diagonals = blocks[own] + self._diagonal[pattern.block_row[own], :, None] * np.eye(self._k)
         try:
             factors = np.linalg.cholesky(diagonals)
@@ -75,8 +76,8 @@ class IterativeReduced:
     def solve(self, gradient: Array) -> Array:
         """See :class:`Reduced`.
 
-        The square of the error in the norm of the matrix, which is the error in chi2, is at most the square of the
-        residual in the preconditioned norm over the least eigenvalue, which the coefficients give (Lanczos 1950).
+        The error in chi2 is the square of the error in the norm of the matrix. It is at most the square of the residual
+        in the preconditioned norm divided by the least eigenvalue, which follows from the coefficients (Lanczos 1950).
 
         RuntimeError: more than :data:`MOST_STEPS` steps.
         """
@@ -118,7 +119,7 @@ class IterativeReduced:
 
     @cached_property
     def _factorised(self) -> Reduced:
-        """The same system with a factor, made at first use."""
+        """Same system with a factor, made at first use."""
         return self._inverse.factor if self._implicit is None else self._implicit.with_blocks()
 
     @property
@@ -127,7 +128,7 @@ class IterativeReduced:
         return self._inverse.selects if self._implicit is None else int(self._first[-1]) <= LARGEST_FULL
 
     def covariance(self, images: tuple[int, ...]) -> Array:
-        """See :class:`Reduced`; from a factor, where it fits into the memory."""
+        """See :class:`Reduced`; from a factor if it fits into the memory."""
         return self._factorised.covariance(images)
 
     def selected(self, pairs: Index) -> Array:
@@ -136,7 +137,7 @@ class IterativeReduced:
 
 
 def _least_eigenvalue(lengths: list[float], turns: list[float]) -> float:
-    """Least eigenvalue of the preconditioned matrix, from the coefficients of conjugate gradients, 1 at most."""
+    """Return the least eigenvalue (at most 1) of preconditioned matrix, from coefficients of conjugate gradients."""
     if not lengths:
         return 1.0
     length, turn = np.array(lengths), np.array(turns)[:-1]
@@ -146,16 +147,17 @@ def _least_eigenvalue(lengths: list[float], turns: list[float]) -> float:
     return min(float(least), 1.0)
 
 
-#: Shares of the points with separate sums: the order of all sums does not depend on the number of threads.
+#: Number of shares of the points with separate sums, so that the order of all sums does not depend on the number of
+#: threads.
 SHARES: Final = 16
 
 
 class ImplicitProduct:
     """Reduced matrix of a linearisation under a damping, multiplied by the rows of the image points.
 
-    If nearly any combination of images sees a point, almost all pairs of images have a block, and each block sums a few
-    pairs of rays: to form and to read the blocks takes longer than to read the rows again in each product (Agarwal et
-    al. 2010).
+    If nearly every combination of images sees a point, almost all pairs of images have a block, which sums only a few
+    pairs of rays. Then it takes longer to form and read the blocks than to read the rows again in each product (Agarwal
+    et al. 2010).
     """
 
     def __init__(self, system: SchurSystem, damping: float) -> None:
@@ -180,7 +182,7 @@ class ImplicitProduct:
         np.multiply(np.take_along_axis(self._sums.sum(axis=0), s.wide, axis=1), s.scale, out=out)
 
     def with_blocks(self) -> Reduced:
-        """The same system with a full factor."""
+        """Return the same system with a full factor."""
         from fg_orient.adjustment.schur import SchurBackend
 
         own = self._system.backend

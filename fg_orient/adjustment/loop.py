@@ -2,12 +2,12 @@
 
 The state belongs to Python; a backend only linearises, solves and retracts (docs/equations.md 9: GTSAM's own optimisers
 copy all values at every callback of a Python factor). Unknowns are scaled (prior sigmas; metres for ground points), so
-that one step length is valid for all. The loop ends if the scaled step is below the tolerance, or below 1e-6 and no
+one step length is valid for all of them. The loop ends if the scaled step is below the tolerance, or below 1e-6 and no
 longer shrinking (rounding); it does not use a relative cost. It also ends after full steps that shrink fast, if the
-next step, extrapolated with a margin of ten, is below the tolerance.
+next step, extrapolated with a margin of ten, would be below the tolerance.
 
-:class:`Carried` contains everything that one iteration passes to the next: a loop that starts from it continues bit by
-bit.
+:class:`Carried` contains everything that one iteration passes to the next. A loop that starts from it continues with
+identical bits.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ S = TypeVar("S")
 STEP_TOLERANCE = 1e-8
 ROUNDING_STEP = 1e-6
 #: A step below ROUNDING_STEP is rounding if it is not below this share of the last step. Newton's steps shrink faster,
-#: reweighted steps by a constant factor; steps of rounding do not shrink.
+#: and reweighted steps shrink by a constant factor; steps of rounding do not shrink.
 SHRINK = 0.5
 SHRINK_REWEIGHTED = 1.0
 MAX_REJECTED = 20
@@ -43,7 +43,7 @@ class Step:
     Parameters
     ----------
     data : object
-        What moves a state of the backend; a vector (u,) in scaled unknowns for full matrices.
+        Movement of a state in the form of the backend; for full matrices a vector (u,) in scaled unknowns.
     length : float
         Largest scaled element; inf if the equations are singular.
     predicted_error : float
@@ -76,11 +76,11 @@ class Backend(Protocol[S]):
         ...
 
     def error(self, state: S) -> float:
-        """Half the weighted sum of squares."""
+        """Return half the weighted sum of squares."""
         ...
 
     def retract(self, state: S, step: Step) -> S:
-        """State after a step."""
+        """Return the state after a step."""
         ...
 
 
@@ -124,10 +124,10 @@ class Carried(Generic[S]):
     previous : float
         Largest scaled element of the last accepted step.
     rejected, rising : int
-        Consecutive rejected steps; consecutive increases of the error.
+        Number of consecutive rejected steps; number of consecutive increases of the error.
     log : tuple of IterationRecord
     begun_at : int
-        Iterations of earlier stages.
+        Number of iterations of earlier stages.
     mu, image_scale, control_scale : float
         Stage (``fg_orient.adjustment.stages``; nan without loss) and units of its losses, in sigmas.
     """
@@ -152,7 +152,7 @@ class Carried(Generic[S]):
 
 @dataclass(frozen=True)
 class LoopResult(Generic[S]):
-    """End of the loop: state, its error, the log, reason of the end; ``iterations`` if there is no log."""
+    """End of the loop: state, its error, the log and the reason of the end; ``iterations`` if there is no log."""
 
     state: S
     error: float
@@ -182,7 +182,7 @@ class Course(Generic[S]):
         self._start = working_clock() - (log[-1].seconds if log else 0.0)
 
     def remaining(self, max_iterations: int) -> range:
-        """Iterations left of this stage."""
+        """Return the range of iterations that remain for this stage."""
         return range(max_iterations - len(self.carried.log) + self.carried.begun_at)
 
     def assess(self, before: float, after: float, step: Step, control: float, always: bool = False) -> IterationRecord:
@@ -192,43 +192,52 @@ class Course(Generic[S]):
         accepted = always or (math.isfinite(after) and (math.isnan(ratio) or ratio > 0.0))
         log = self.carried.log
         record = IterationRecord(
-            len(log) + 1, 2.0 * before, 2.0 * after, 2.0 * predicted, ratio, step.length, control, accepted,
-            working_clock() - self._start, self.carried.mu, getattr(step, "kappa", math.nan),
-        )  # fmt: skip
+            len(log) + 1,
+            2.0 * before,
+            2.0 * after,
+            2.0 * predicted,
+            ratio,
+            step.length,
+            control,
+            accepted,
+            working_clock() - self._start,
+            self.carried.mu,
+            getattr(step, "kappa", math.nan),
+        )
         self.carried = replace(self.carried, log=(*log, record))
         if self._callback:
             self._callback(record)
         return record
 
     def go_on(self, **changed: Any) -> None:
-        """Pass on to the next iteration."""
+        """Pass changed values on to the next iteration."""
         self.carried = replace(self.carried, **changed)
         if self._keep:
             self._keep(self.carried)
 
     def end(self, state: S, error: float, converged: bool, end: Finding) -> LoopResult[S]:
-        """End of the loop."""
+        """Return the end of the loop."""
         return LoopResult(state, error, self.carried.log, converged, end)
 
 
 def exhausted(max_iterations: int) -> Finding:
-    """End at the maximum number of iterations."""
+    """Report the end at the maximum number of iterations."""
     return finding("loop.iterations", iterations=max_iterations)
 
 
 def share_at_radius(across_squared: float, steepest_dot_across: float, length: float, radius: float) -> float:
-    """Share of the way from the steepest-descent step (of this length) to the Gauss-Newton step at the radius."""
+    """Return the share of way from steepest-descent step (of this length) to the Gauss-Newton step at the radius."""
     b, c = steepest_dot_across, length**2 - radius**2
     return (-b + math.sqrt(b * b - across_squared * c)) / across_squared
 
 
 def small(step: float, previous: float, tolerance: float, shrink: float) -> bool:
-    """Whether a step is below the tolerance, or is rounding and no longer shrinks."""
+    """Return whether a step is below the tolerance, or is rounding and no longer shrinks."""
     return step < tolerance or (step < ROUNDING_STEP and step > shrink * previous)
 
 
 def settled(step: float, previous: float, tolerance: float) -> bool:
-    """Whether the next step, at this rate of shrinking and with a margin of ten, would be below the tolerance."""
+    """Return whether the next step, at this rate and with a margin of ten, would be below the tolerance."""
     rate = step / previous if 0.0 < previous < math.inf else 1.0
     return rate < 0.1 and 10.0 * step * rate < tolerance
 
@@ -243,9 +252,10 @@ def gauss_newton(
     shrink: float = SHRINK,
     keep: Callable[[Carried[S]], None] | None = None,
 ) -> LoopResult[S]:
-    """Full steps; ends without convergence when the error increases three times in a row or is not finite.
+    """Iterate with full steps; stop without convergence if the error increases three times in a row or is not finite.
 
-    ``start``, ``callback`` and ``keep``: see :class:`Course`. A step shrinks if it is below ``shrink`` times the last.
+    ``start``, ``callback`` and ``keep``: see :class:`Course`. A step shrinks if it is below ``shrink`` times the last
+    step.
     """
     course = Course(start, callback, keep)
     system = backend.linearise(course.carried.state)
@@ -271,9 +281,9 @@ def gauss_newton(
 class _Control:
     """Control of the steps by a damping or radius.
 
-    ``first`` is its initial value. ``method`` names the method of the system that gives the step. ``follow`` gives the
-    next value and growth from value, growth and record. ``regular``: a larger value makes singular equations regular,
-    so that they do not end the loop. ``max_rejected`` consecutive rejected steps end the loop.
+    ``first`` is its initial value. ``method`` names the method of the system that computes the step. ``follow``
+    computes the next value and growth from value, growth and record. ``regular``: a larger value makes singular
+    equations regular, so they do not end the loop. ``max_rejected`` consecutive rejected steps end the loop.
     """
 
     first: float
@@ -283,7 +293,7 @@ class _Control:
     max_rejected: int = MAX_REJECTED
 
     def step(self, system: System, control: float) -> Step:
-        """Step under a value; of infinite length if the equations are singular under so little damping."""
+        """Return the step for a value; its length is infinite if the equations are singular under so little damping."""
         try:
             step: Step = getattr(system, self.method)(control)
             return step
@@ -294,10 +304,10 @@ class _Control:
 
 
 def _arrived(system: System, log: tuple[IterationRecord, ...], small: bool) -> bool:
-    """Whether the accepted step was the last.
+    """Return whether the accepted step was the last step.
 
-    A damped step may be small because of the damping: the undamped step decides. With a free datum the equations are
-    singular without damping, and with very little damping steps need not become small: then the loop ends when the
+    A damped step may be small because of the damping, so the undamped step decides. With a free datum the equations are
+    singular without damping, and with very little damping steps need not become small. The loop then ends when the
     predicted decrease is rounding.
     """
     rounding = math.isnan(log[-1].ratio)
@@ -310,7 +320,10 @@ def _arrived(system: System, log: tuple[IterationRecord, ...], small: bool) -> b
 
 
 def nielsen(damping: float, growth: float, record: IterationRecord) -> tuple[float, float]:
-    """Damping by the ratio of actual to predicted decrease (Nielsen 1999); it decreases fast if the model is right."""
+    """Control the damping by the ratio of actual to predicted decrease (Nielsen 1999).
+
+    It falls fast if the model is right.
+    """
     if not record.accepted:
         return damping * growth, 2.0 * growth
     ratio = 1.0 if math.isnan(record.ratio) else record.ratio
@@ -318,15 +331,16 @@ def nielsen(damping: float, growth: float, record: IterationRecord) -> tuple[flo
 
 
 def delayed_gratification(damping: float, growth: float, record: IterationRecord) -> tuple[float, float]:
-    """Damping doubles after a rejected step and falls to a fifth after an accepted one (Transtrum, Sethna 2012, 5).
+    """Double the damping after a rejected step, divide it by five after an accepted one (Transtrum, Sethna 2012, 5).
 
-    It stays as large as the error permits: short steps into a narrow curved valley, for poor start values.
+    The damping stays as large as the error permits. The steps into a narrow curved valley are therefore short, which
+    helps with poor start values.
     """
     return (2.0 * damping if not record.accepted else max(0.2 * damping, LEAST_DAMPING)), growth
 
 
 def _trust(radius: float, growth: float, record: IterationRecord) -> tuple[float, float]:
-    """Radius of a trust region by the ratio of actual to predicted decrease."""
+    """Return the radius of a trust region by the ratio of actual to predicted decrease."""
     if not record.accepted or record.ratio < 0.25:
         return 0.25 * radius, growth
     return max(radius, 3.0 * record.step) if record.ratio > 0.75 else radius, growth
@@ -343,7 +357,7 @@ def _controlled(
     shrink: float = SHRINK,
     keep: Callable[[Carried[S]], None] | None = None,
 ) -> LoopResult[S]:
-    """Steps that decrease the error, with a damping or radius; further arguments: see :func:`gauss_newton`."""
+    """Iterate with steps that decrease the error, controlled by a damping or radius; see :func:`gauss_newton`."""
     course = Course(start, callback, keep)
     if math.isnan(course.carried.control):
         course.carried = replace(course.carried, control=rule.first)

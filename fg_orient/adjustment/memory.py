@@ -1,11 +1,11 @@
 """Memory required by an adjustment, estimated before it is allocated, and available memory.
 
-The estimate includes the arrays of the problem and the larger of those of the backend and those of statistics and
-results, which follow when the backend is released. If the backend exceeds the limit, ground points are adjusted in
-parts, whose arrays are in files and of which some are open at once; if statistics of every observation exceed it, they
-are left out; otherwise the run is refused with both values. Constants per image point are measured at 1e6 image points.
-The arrays of the dense backend and the reduced matrix are counted. The estimate does not include the block, which is in
-memory already.
+The estimate includes the arrays of the problem. It also includes the larger of two parts: the arrays of the backend,
+and those of statistics and results, which are made after the backend is released. If the backend exceeds the limit,
+ground points are adjusted in parts: their arrays are in files, and some of them are open at the same time. If only the
+statistics of every observation exceed it, they are left out. Otherwise the run is refused with both values. Constants
+per image point are measured at 1e6 image points. The arrays of the dense backend and the reduced matrix are counted.
+The estimate does not include the block, which is in memory already.
 """
 
 from __future__ import annotations
@@ -40,30 +40,32 @@ from fg_orient.model.machine import allowed_bytes, in_gb
 from fg_orient.model.names import Role
 from fg_orient.sensors.base import ImageModel
 
-#: Bytes per image point: arrays of eliminated points; explicit factors of GTSAM with values, linear graph and Bayes
-#: tree; start values and results (cofactors, tables, report).
+#: Bytes per image point of three kinds: arrays of eliminated points; explicit factors of GTSAM with values, linear
+#: graph and Bayes tree; start values and results (cofactors, tables, report).
 SCHUR: Final = 400
 EXPLICIT: Final = 13_000
 RESULTS: Final = 300
-#: Bytes per image point of the statistics of every observation, and of Jacobians that are in memory at once.
+#: Bytes per image point of the statistics of every observation, and of the Jacobians that are in memory at the same
+#: time.
 STATISTICS: Final = 300
 STATISTICS_CHUNK: Final = 300
-#: Image points up to which the cofactors of groups of observations are computed in every adjustment, and bytes of each.
+#: Maximum number of image points for which the cofactors of groups of observations are computed in every adjustment,
+#: and bytes of each.
 EXACT_RAYS: Final = 3000
 GROUPS: Final = 5000
-#: Bytes per image point where images are eliminated first: rows and their columns at two states. Arrays with a row for
-#: each image unknown and a column for each unknown of the border.
+#: Bytes per image point if images are eliminated first: rows and their columns at two states. Number of arrays with a
+#: row for each image unknown and a column for each unknown of the border.
 IMAGES_FIRST: Final = 2000
 ARRAYS: Final = 4
-#: Bytes of the matrices of points in many images that are in memory at once, for the cofactors of groups.
+#: Bytes of the matrices of points in many images that are in memory at the same time, for the cofactors of groups.
 MATRICES: Final = 60_000_000
 #: Bytes that do not depend on the block: models, names, records of the run.
 FIXED: Final = 500_000
-#: Numbers per ground point in problem, state and results.
+#: Numbers stored per ground point in problem, state and results.
 PER_POINT: Final = 60
 
-#: Default number of image points of a part. The number of parts then depends on the block only, so that the last bit of
-#: a result does not depend on the machines. A task costs a few ms, a part of this size 10 ms.
+#: Default number of image points of a part. The number of parts then depends only on the block. So the last bit of a
+#: result does not depend on the machine. A task costs a few ms, a part of this size 10 ms.
 PART_SIZE: Final = 20_000
 MAX_PARTS: Final = 256
 
@@ -72,9 +74,10 @@ MAX_PARTS: Final = 256
 class Need:
     """Estimated bytes of an adjustment with a backend, and its limit (None: unknown).
 
-    ``statistics_left_out``: those of every observation, which the options leave to the program, would exceed the limit.
-    ``parts`` is the number of parts of the ground points, if the limit requires them or they were asked for; at most
-    ``kept`` of them are open in a process (None: all), and the whole block would need ``whole`` bytes.
+    ``statistics_left_out``: statistics of every observation are left out, because they would exceed the limit and the
+    options leave the choice to the program. ``parts`` is the number of parts of the ground points, if the limit or the
+    user requires them. At most ``kept`` of them are open in a process (None: all). The whole block would need ``whole``
+    bytes.
     """
 
     backend: str
@@ -87,15 +90,19 @@ class Need:
 
     @property
     def fits(self) -> bool:
-        """Whether the run may start."""
+        """True if the run may start."""
         return self.allowed is None or self.needed <= self.allowed
 
     def as_dict(self) -> dict[str, object]:
-        """For the record of a result."""
+        """Return plain values for the record of a result."""
         return {
-            "backend": self.backend, "needed_bytes": self.needed, "allowed_bytes": self.allowed,
-            "statistics_left_out": self.statistics_left_out, "parts": self.parts, "open_parts": self.kept,
-        }  # fmt: skip
+            "backend": self.backend,
+            "needed_bytes": self.needed,
+            "allowed_bytes": self.allowed,
+            "statistics_left_out": self.statistics_left_out,
+            "parts": self.parts,
+            "open_parts": self.kept,
+        }
 
     @property
     def note(self) -> Finding | None:
@@ -103,16 +110,22 @@ class Need:
         if self.kept is None:
             return None
         return finding(
-            "adjust.in_parts", value=in_gb(self.whole or 0), allowed=in_gb(self.allowed or 0), parts=self.parts,
+            "adjust.in_parts",
+            value=in_gb(self.whole or 0),
+            allowed=in_gb(self.allowed or 0),
+            parts=self.parts,
             kept=self.kept,
-        )  # fmt: skip
+        )
 
     def problem(self, name: str) -> Finding:
-        """Error for a block of this name that does not fit."""
+        """Return the error for a block of this name that does not fit."""
         return finding(
-            "adjust.memory", file=name, place=f"backend {self.backend}", value=in_gb(self.needed),
+            "adjust.memory",
+            file=name,
+            place=f"backend {self.backend}",
+            value=in_gb(self.needed),
             allowed=in_gb(self.allowed or 0),
-        )  # fmt: skip
+        )
 
 
 def need_of(block: Block, *, elsewhere: bool = False, open_share: float = 1.0) -> Need:
@@ -121,11 +134,11 @@ def need_of(block: Block, *, elsewhere: bool = False, open_share: float = 1.0) -
     Parameters
     ----------
     block : Block
-        Its options are those of the run.
+        Block whose options are those of the run.
     elsewhere : bool
-        Whether other machines eliminate the ground points, whose arrays are then not in this memory.
+        True if other machines eliminate the ground points; their arrays are then not in this memory.
     open_share : float
-        Share of the image points whose arrays are in memory at once, of a block in parts.
+        Share of the image points whose arrays are in memory at the same time, for a block in parts.
 
     Raises
     ------
@@ -158,9 +171,9 @@ def need_of(block: Block, *, elsewhere: bool = False, open_share: float = 1.0) -
 
 @dataclass(frozen=True)
 class _Wide:
-    """Reduced system of many images: number of its blocks, bytes of a factor for its inverse (0: none is made).
+    """Reduced system of many images: number of its blocks, bytes of a factor for its inverse (0: no factor).
 
-    ``implicit``: it is solved without its blocks. ``selects``: see ``schur_reduced.Reduced``.
+    ``implicit``: the system is solved without its blocks. ``selects``: see ``schur_reduced.Reduced``.
     """
 
     blocks: int
@@ -170,7 +183,7 @@ class _Wide:
 
 
 def _wide(block: Block, size: Index) -> _Wide:
-    """Reduced system of a block from the pairs of images that share points."""
+    """Return the reduced system of a block from the pairs of images that share points."""
     o, free = block.observations, ~block.points.known.fixed[block.observations.point]
     pattern, first = pattern_of_rays(o.image[free], o.point[free], size), np.append(0, np.cumsum(size))
     u, order = int(first[-1]), banded_order(pattern, first)
@@ -183,13 +196,13 @@ def _wide(block: Block, size: Index) -> _Wide:
 
 
 def _statistics(pairs: float, n: int, widest: int) -> float:
-    """Cofactors and reliability of all image points; two arrays of the pairs of images."""
+    """Return the bytes of cofactors and reliability of all image points, and of two arrays of the pairs of images."""
     groups = n * GROUPS if n <= EXACT_RAYS else 0
     return n * STATISTICS + groups + min(n, CHUNK) * STATISTICS_CHUNK + 2 * 8 * widest**2 * pairs
 
 
 def _images_first(block: Block, models: Sequence[ImageModel]) -> int | None:
-    """Unknowns of the border where images are eliminated first, else None."""
+    """Return the number of unknowns of the border if images are eliminated first, else None."""
     extra, points = [e for e in block.extra if isinstance(e, ExtraObservation)], block.points
     parameters = [model.parameters for model in models]
     shared = {(p.shared[j], p.codes[j]) for p in parameters for j in np.flatnonzero(~p.own).tolist()}
@@ -203,18 +216,18 @@ def _images_first(block: Block, models: Sequence[ImageModel]) -> int | None:
 
 
 def _named(block: Block) -> set[str]:
-    """Ids of the ground points that extra observations name."""
+    """Return the ids of the ground points that extra observations name."""
     names = (name for e in block.extra if isinstance(e, ExtraObservation) for name in e.unknowns)
     return {name.removeprefix("point:") for name in names if name.startswith("point:")}
 
 
 def _working(backend: str, block: Block, n: int, u: int, widest: int, wide: _Wide | None) -> float:
-    """Memory of a backend for n image points and u image unknowns, ``widest`` of them of one image."""
+    """Return the bytes of a backend for n image points and u image unknowns, ``widest`` of them in one image."""
     images, points = len(block.images), block.points
     named = len(_named(block))
     if backend == "graph" and not points_are_eliminated(block.options, not named, named < len(points.ids)):
         return n * EXPLICIT + 2 * 8 * u**2  # GTSAM; joint cofactors of the images
-    if backend != "dense":  # rows, reduced matrix with factor and inverse, blocks of pairs of images and their sums
+    if backend != "dense":  # rows, reduced matrix with factor and inverse, blocks and sums of pairs of images
         whole = 3 * 8 * u**2 if u <= WHOLE_LIMIT else 0 if wide is None else wide.inverse
         formed = (2 + LEAST_CHUNKS) * 8 * widest**2 * (images * (images + 1) / 2 if wide is None else wide.blocks)
         if wide is not None and wide.implicit and not wide.selects:
@@ -227,15 +240,15 @@ def _working(backend: str, block: Block, n: int, u: int, widest: int, wide: _Wid
 
 
 def default_parts(n_image_points: int) -> int:
-    """Number of parts of a block, from its image points."""
+    """Return the number of parts of a block, from its image points."""
     return min(max(1, -(-n_image_points // PART_SIZE)), MAX_PARTS)
 
 
 @dataclass(frozen=True)
 class Parts:
-    """Parts of a run: their number (None: by the size of the block) and its processes; 0: none unless needed.
+    """Parts of a run: their number (None: chosen by the size of the block) and processes; 0: parts only if needed.
 
-    ``elsewhere``: they are on other machines.
+    ``elsewhere``: the parts are on other machines.
     """
 
     number: int | None = None
@@ -244,7 +257,7 @@ class Parts:
 
 
 def _in_parts(block: Block, parts: Parts) -> Need:
-    """Estimate the memory of a block in parts, of which as many are open as the limit allows."""
+    """Estimate the memory of a block in parts; as many parts are open as the limit allows."""
     whole, n = need_of(block, elsewhere=parts.elsewhere), len(block.observations)
     number, processes = parts.number or default_parts(n), max(parts.processes, 1)
     if parts.elsewhere or whole.allowed is None or (whole.fits and parts.processes):
@@ -253,25 +266,29 @@ def _in_parts(block: Block, parts: Parts) -> Need:
     each = max((most.needed - least.needed) / max(number - processes, 1), 1.0)
     kept = min(int(1 + max(whole.allowed - least.needed, 0) / each / processes), number)
     return Need(
-        "schur", int(least.needed + each * processes * (kept - 1)), whole.allowed, parts=number, kept=kept,
+        "schur",
+        int(least.needed + each * processes * (kept - 1)),
+        whole.allowed,
+        parts=number,
+        kept=kept,
         whole=whole.needed,
-    )  # fmt: skip
+    )
 
 
 def _may_be_parted(block: Block) -> bool:
-    """Whether ground points can be adjusted in parts (``adjustment.parts.solve``)."""
+    """Return whether ground points can be adjusted in parts (``adjustment.parts.solve``)."""
     own = all(model.parameters.own.all() for model in image_models(block.images, block.options))
     return own and block.options.backend in ("auto", "schur") and no_point_is_named(block)
 
 
 def reduced(block: Block, parts: Parts | None = None) -> tuple[Need, Block]:
-    """Estimate the memory of a block, and what can be adjusted in it: in parts, then without statistics, then both.
+    """Estimate the memory of a block, and find what can be adjusted: in parts, then without statistics, then both.
 
     Statistics of every observation are left out only if the options allow it.
     """
     parts = parts or Parts()
     choices = [block]
-    if block.options.statistics == "auto" and not block.options.snoop:  # a search needs them
+    if block.options.statistics == "auto" and not block.options.snoop:  # a search needs the statistics
         choices.append(replace(block, options=replace(block.options, statistics="basic")))
     least: Need | None = None
     for one in choices:
@@ -286,7 +303,7 @@ def reduced(block: Block, parts: Parts | None = None) -> tuple[Need, Block]:
 
 
 def within_memory(block: Block, parts: Parts | None = None) -> tuple[Need, Block]:
-    """Memory of a block and what can be adjusted, see :func:`reduced`; raise InputError if it is above the limit."""
+    """Estimate the memory as :func:`reduced`; raise InputError if the adjustment is not possible within the limit."""
     need, block = reduced(block, parts)
     if not need.fits:
         raise InputError(need.problem(block.name))

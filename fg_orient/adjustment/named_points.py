@@ -1,6 +1,6 @@
-"""The Schur backend of blocks whose extra observations name ground points.
+"""Schur backend for blocks whose extra observations name ground points.
 
-The named points remain unknowns together with the images, as in :mod:`fg_orient.adjustment.border`; compiled kernels
+The named points remain unknowns together with the images, as in :mod:`fg_orient.adjustment.border`. Compiled kernels
 eliminate all other points. With damping the border is ``S(damping) + J^T J + damping``, with J the rows of
 :func:`border.explicit_rows`.
 """
@@ -28,7 +28,7 @@ from fg_orient.model.errors import InputError
 
 
 class NamedSystem(Blended):
-    """One linearisation; see ``loop.System``. Steps have the border (b,) in place of the images.
+    """One linearisation; see ``loop.System``. In its steps the border (b,) replaces the images.
 
     Parameters
     ----------
@@ -64,23 +64,23 @@ class NamedSystem(Blended):
         return self._step(step, inner.ground, inner)
 
     def gradient(self) -> tuple[Array, Array]:
-        """Gradient of the border (b,) and of the eliminated points (P, 3)."""
+        """Return the gradient of the border (b,) and of the eliminated points (P, 3)."""
         own, ground = self._inner.gradient()
         out = np.asarray(self._design.T @ self._value)
         out[: len(own)] += own
         return out, ground
 
     def curvature(self, image: Array, ground: Array) -> float:
-        """Squares of the whitened Jacobian times a direction (b,), (P, 3)."""
+        """Return the squares of the whitened Jacobian times a direction (b,), (P, 3)."""
         own, z = self._design @ image, self._backend.problem.n_free_unknowns
         return self._inner.curvature(image[:z], ground) + float(own @ own)
 
     def given(self, image: Array, ground: Array) -> SchurStep:
-        """A given step (b,), (P, 3), with the error that the linear model predicts after it."""
+        """Evaluate a given step (b,), (P, 3), with the error that the linear model predicts after it."""
         return self._step(image, ground, self._inner.given(image[: self._backend.problem.n_free_unknowns], ground))
 
     def _step(self, border: Array, ground: Array, inner: SchurStep) -> SchurStep:
-        """Assemble the whole step from the step of the eliminated points and their images."""
+        """Assemble the whole step from the step of the border and the steps of the eliminated points."""
         left, after = self._value + self._design @ border, inner.after
         moved = after.ground.copy()
         moved[self._backend.named] += border[self._backend.problem.n_free_unknowns :].reshape(-1, 3)
@@ -90,7 +90,7 @@ class NamedSystem(Blended):
 
 
 class NamedBackend:
-    """The problem driven by ``fg_orient.adjustment.loop``: named points beside the images, all others eliminated.
+    """Problem driven by ``fg_orient.adjustment.loop``, with images and named points; other points are eliminated.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ class NamedBackend:
         self.robust: Robust | None = None
 
     def hold(self, weights: Weights) -> None:
-        """Give the rows of the eliminated points their weights until the next call."""
+        """Weight the rows of the eliminated points until the next call."""
         observed = self.inner.structure.observed
         self.inner.robust = FixedWeights(weights.image[self._rows], weights.control[observed])
 
@@ -127,7 +127,7 @@ class NamedBackend:
         return NamedSystem(self, state)
 
     def error(self, state: State) -> float:
-        """Half the weighted sum of squares, or the cost under the loss."""
+        """Return half the weighted sum of squares, or the cost under the loss."""
         image, control = squares(self.problem, state)
         cost = 0.5 * float(image.sum() + control.sum()) if self.robust is None else self.robust.weigh(image, control)[2]
         prior = self.problem.prior_squares(state) if self.problem.block.options.priors else 0.0
@@ -138,12 +138,12 @@ class NamedBackend:
         return squares(self.problem, state)
 
     def retract(self, state: State, step: SchurStep) -> State:
-        """State after a step, which was made at this state."""
+        """Return the state after a step that was computed at this state."""
         assert step.before is state
         return step.after
 
     def border(self, state: State) -> Border:
-        """Border at a solution, for cofactors; under a loss with the weights there."""
+        """Return the border at a solution, for cofactors; under a loss with the weights there."""
         if self.robust is None:
             return Border(self.problem, state)
         return Border(weighted_problem(self.problem, weights_at(self.problem, state, self.robust)[0]), state)

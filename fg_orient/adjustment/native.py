@@ -1,4 +1,4 @@
-"""GTSAM's own factors, or factors that a user wrote for GTSAM, as observations of a block.
+"""GTSAM's own factors, or a user's GTSAM factors, as observations of a block.
 
 A factor names its variables by the keys of :class:`fg_orient.orientation.factor_graph.FactorGraph`. Every backend and
 all statistics need its whitened rows; GTSAM linearises them. The graph contains the factor unchanged.
@@ -24,31 +24,37 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class NativeObservation(ExtraObservation):
-    """An observation given as a GTSAM factor."""
+    """Observation given as a GTSAM factor."""
 
     factor: gtsam.NonlinearFactor
 
 
 def with_observations(block: Block) -> Block:
-    """Block whose GTSAM factors and constraints among ``extra`` are observations.
+    """Convert GTSAM factors and constraints among ``extra`` of a block to observations.
 
     Raises
     ------
     InputError
-        A factor names a variable that does not exist, or cannot be evaluated; named by its number from 0. A
+        A factor names a variable that does not exist, or cannot be evaluated; the message contains its number from 0. A
         constraint has too few members.
     """
     if all(isinstance(extra, ExtraObservation) for extra in block.extra):
         return block
-    return replace(block, extra=tuple(
-        extra if isinstance(extra, ExtraObservation) else constraint_observation(extra)
-        if isinstance(extra, Constraint) else _observation(block, extra, n)
-        for n, extra in enumerate(block.extra)
-    ))  # fmt: skip
+    return replace(
+        block,
+        extra=tuple(
+            extra
+            if isinstance(extra, ExtraObservation)
+            else constraint_observation(extra)
+            if isinstance(extra, Constraint)
+            else _observation(block, extra, n)
+            for n, extra in enumerate(block.extra)
+        ),
+    )
 
 
 def _observation(block: Block, factor: Any, number: int) -> NativeObservation:
-    """Observation of one factor."""
+    """Return the observation of one factor."""
     import gtsam
 
     label = f"extra observation {number} ({type(factor).__name__})"
@@ -57,12 +63,11 @@ def _observation(block: Block, factor: Any, number: int) -> NativeObservation:
     keys = tuple(int(key) for key in factor.keys())
     names = tuple(_name(block, key, label) for key in keys)
     arguments = tuple(
-        Argument(name, "m" if name.startswith("point:") else "prior sigma", name.startswith("point:"))
-        for name in names
-    )  # fmt: skip
+        Argument(name, "m" if name.startswith("point:") else "prior sigma", name.startswith("point:")) for name in names
+    )
 
     def rows(*x: Array) -> tuple[Array, Array]:
-        """Whitened residual and Jacobian."""
+        """Return the whitened residual and Jacobian."""
         values = gtsam.Values()
         for key, argument, own in zip(keys, arguments, x, strict=True):
             if argument.is_point:
@@ -95,7 +100,7 @@ def _observation(block: Block, factor: Any, number: int) -> NativeObservation:
 
 
 def _name(block: Block, key: int, label: str) -> str:
-    """Name of the variable of a key."""
+    """Return the name of the variable of a key."""
     import gtsam
 
     kind, n = chr(gtsam.symbolChr(key)), int(gtsam.symbolIndex(key))

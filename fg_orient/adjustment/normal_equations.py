@@ -1,4 +1,4 @@
-"""Reduced normal equations of the images at a state with a multiple of the identity added, for regularisations."""
+"""Reduced normal equations of the images at a state, with a multiple of the identity added, for regularisations."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.adjustment.schur_reduced import LapackReduced, banded_order
 from fg_orient.model.errors import InputError
 
-#: Steps of the power method, which is started at ones: the largest eigenvalue needs to be known within a factor of two.
+#: Number of steps of the power method, which starts at ones; a factor of two is accurate enough for the largest
+#: eigenvalue.
 STEPS = 20
 
 
@@ -28,7 +29,7 @@ class NormalEquations:
     backend : SchurBackend
     blocks : (B, k, k) array
     added : (z, z) array or None
-        Part of observations of several images.
+        Contribution of observations of several images.
     rhs : (z,) array
         ``A^T l`` of a step.
     squares : float
@@ -60,7 +61,7 @@ class NormalEquations:
         return cls(backend, blocks.copy(), linear.joined, prior - gradient, squares - float(prior @ x))
 
     def factor(self, diagonal: float) -> Callable[[Array], Array]:
-        """Solver of ``N + diagonal I`` for columns (z, k); Singular if it is not positive definite."""
+        """Return the solver of ``N + diagonal I`` for columns (z, k); Singular if it is not positive definite."""
         pattern, problem = self.backend.structure.pattern, self.backend.problem
         whole = problem.ties is not None or self.added is not None
         order = None if whole else banded_order(pattern, problem.first)
@@ -68,7 +69,7 @@ class NormalEquations:
         return lambda columns: -known.solve(columns)
 
     def product(self, x: Array) -> Array:
-        """N x (z,)."""
+        """Return N x (z,)."""
         problem, (row, column) = self.backend.problem, self.backend.structure.pattern.blocks
         wide = problem.image_matrix(x)
         out, other = np.zeros(wide.shape), row != column
@@ -79,7 +80,7 @@ class NormalEquations:
         return np.asarray(summed if self.added is None else summed + self.added @ x)
 
     def largest(self) -> float:
-        """Largest eigenvalue, by the power method."""
+        """Return the largest eigenvalue, by the power method."""
         x, size = np.ones(len(self.rhs)) / np.sqrt(len(self.rhs)), 0.0
         for _ in range(STEPS):
             moved = self.product(x)

@@ -3,25 +3,27 @@
 Between two iterations a record is written, a checkpoint kept, and an interrupt can end the run. GTSAM's own tests for
 the end compare costs; they are replaced by the rule of :mod:`fg_orient.adjustment.loop` on the scaled step, which
 resolves the solution to rounding. Levenberg-Marquardt and Dogleg reject steps whose decrease is below the rounding of
-the cost, and try several before they give up; Gauss-Newton steps follow their first short step. Gauss-Newton that
-raises the cost continues as Levenberg-Marquardt.
+the cost, and try several before they give up. Therefore Gauss-Newton steps follow their first short step. If
+Gauss-Newton increases the cost, the run continues with Levenberg-Marquardt.
 
 The whitened gradient of the last linearisation, ``sqrt(g^T S^-1 g)``, is the length of the remaining Gauss-Newton step
-in units of the standard deviation of the solution. An end with more than :data:`REMAINING` of it is not converged.
+in units of the standard deviation of the solution. An end with a longer remaining step than :data:`REMAINING` is not
+converged.
 
 Under a loss the weights are held during an iteration and then follow the residuals (iteratively reweighted least
-squares); the held cost is not below the cost of the loss, so that a decrease of the one is a decrease of the other.
+squares). The cost with held weights is not below the cost of the loss, so a decrease of the former is a decrease of the
+latter.
 
 iSAM2 (:class:`IncrementalGraph`): groups of ground points are added, replaced and removed one by one. A
 :class:`LocalGroup` is a separate small adjustment problem: a few images, and ground points with all their rays,
-eliminated inside the factor (:mod:`fg_orient.adjustment.eliminated`). An update costs the groups that changed, and the
-part of the tree above their images. There is a linearisation point for each vector of unknowns. A vector is linearised
-again where its correction exceeds :data:`RELINEARISE` prior sigmas; then the points of its groups are intersected
-again. An update is repeated until no vector is linearised again.
+eliminated inside the factor (:mod:`fg_orient.adjustment.eliminated`). The cost of an update depends on the groups that
+changed, and on the part of the tree above their images. There is a linearisation point for each vector of unknowns. A
+vector is linearised again if its correction exceeds :data:`RELINEARISE` prior sigmas; then the points of its groups are
+intersected again. An update is repeated until no vector is linearised again.
 
-Errors of the linear model are of second order in the corrections that remain below the threshold. In a strip of frame
-images (prior sigmas 5 mrad and 2 m) the solution after each update differs from the batch solution by 8e-6 of its
-standard deviation for a threshold of 1e-3, 1e-5 for 2e-3, 1e-4 for 1e-2 and 5e-4 for 3e-2.
+Errors of the linear model are of second order in the corrections below the threshold. In a strip of frame images (prior
+sigmas 5 mrad and 2 m) the solution after each update differs from the batch solution by 8e-6 of its standard deviation
+for a threshold of 1e-3, 1e-5 for 2e-3, 1e-4 for 1e-2 and 5e-4 for 3e-2.
 """
 
 from __future__ import annotations
@@ -56,17 +58,17 @@ from fg_orient.adjustment.point_groups import vector_names
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.model.errors import InputError, finding
 
-#: Whitened gradient at the end, in standard deviations of the solution, above which it is not converged.
+#: Whitened gradient at the end, in standard deviations of the solution, above which the run is not converged.
 REMAINING: Final = 1e-3
-#: Control of the Gauss-Newton steps that follow the damped ones.
+#: Value of the control for the Gauss-Newton steps that follow the damped steps.
 FINAL: Final = 0.0
-#: Step of Levenberg-Marquardt or Dogleg, in prior sigmas, that Gauss-Newton steps follow.
+#: Step of Levenberg-Marquardt or Dogleg, in prior sigmas, below which Gauss-Newton steps follow.
 SHORT: Final = 0.1
-#: Relative increase of the cost that is more than rounding.
+#: Relative increase of the cost above which it is more than rounding.
 RISE: Final = 1e-9
-#: Relative decrease of the cost that is rounding.
+#: Relative decrease of the cost below which it is rounding.
 FLAT: Final = 1e-15
-#: Relative change of the cost after a refused step up to which more damping is not tried: the step was short enough.
+#: Relative change of the cost after a refused step below which more damping is not tried: the step was short enough.
 UNCHANGED: Final = 1e-12
 #: First damping of Levenberg-Marquardt in prior sigmas, first radius of Dogleg.
 DAMPING: Final = 1e-5
@@ -75,7 +77,7 @@ RADIUS: Final = 100.0
 
 @dataclass(frozen=True)
 class _Step(Step):
-    """A step with the whitened gradient before it, if it is a Gauss-Newton step; a refused one: its least size."""
+    """Step with the whitened gradient before it, if it is a Gauss-Newton step; for a refused step, its least size."""
 
     gradient: float = math.nan
 
@@ -83,7 +85,7 @@ class _Step(Step):
 class _Run:
     """Values that one of GTSAM's optimisers has reached, iteration by iteration.
 
-    Each iteration has a new optimiser and a new graph (:mod:`fg_orient.adjustment.reduced_graph`), which continue with
+    Each iteration has a new optimiser and a new graph (:mod:`fg_orient.adjustment.reduced_graph`). They continue with
     the damping or radius of the previous iteration.
     """
 
@@ -98,7 +100,7 @@ class _Run:
     def _begin(self) -> None:
         """Make the graph and the optimiser of the next iteration."""
         self._linear = self._backend.linearised(self.values, self._free)
-        # with less damping GTSAM may find a free datum singular, and each trial takes a factorisation
+        # with less damping GTSAM may find a free datum singular, and each trial needs a factorisation
         least = DAMPING if self._backend.problem.least_damping > 0.0 else 0.0
         self._optimizer = native(self.kind, self._linear, self.control, least)
         self.error = float(self._optimizer.error())
@@ -111,7 +113,7 @@ class _Run:
         backend, here, linear, optimizer, before = self._backend, self.state, self._linear, self._optimizer, self._free
         optimizer.iterate()
         self._done = True
-        # a copy: the values of an optimiser are gone with it
+        # a copy: the values of an optimiser disappear with it
         self.values, self.error = linear.of_images(optimizer.values()), float(optimizer.error())
         if self.kind == "levenberg-marquardt":
             self.control = float(optimizer.lambda_())
@@ -172,15 +174,16 @@ def _optimise(
     shrink: float = SHRINK,
     keep: Callable[[Carried[State]], None] | None = None,
 ) -> LoopResult[State]:
-    """Run GTSAM's optimiser ``kind``; parameters as of :func:`fg_orient.adjustment.loop.gauss_newton`."""
+    """Run GTSAM's optimiser ``kind``; parameters as in :func:`fg_orient.adjustment.loop.gauss_newton`."""
     course = Course(start, callback, keep)
     carried = course.carried
-    final = carried.control == FINAL  # before an interrupt, as the next
+    final = carried.control == FINAL  # as the next iteration had it before an interrupt
     changed = kind == "gauss-newton" and not (math.isnan(carried.control) or final)
-    damped = "levenberg-marquardt" if kind == "gauss-newton" else kind  # where Gauss-Newton raises the cost
+    # Levenberg-Marquardt follows if Gauss-Newton increases the cost
+    damped = "levenberg-marquardt" if kind == "gauss-newton" else kind
     first = damped if changed else "gauss-newton" if final else kind
     is_free = backend.problem.least_damping > 0.0  # Gauss-Newton's equations are singular
-    # once at most, and not under a loss, whose weights follow each step
+    # at most once, and not under a loss, whose weights follow each step
     tried = is_free or backend.robust is not None
     run = _begin(first, backend, carried.state, carried.control)
     for _ in course.remaining(max_iterations):
@@ -189,7 +192,7 @@ def _optimise(
         rises = not run.error <= before * (1.0 + RISE) + RISE
         course.assess(
             before, math.inf if rises else run.error, step, 0.0 if math.isnan(control) else control, always=not rises
-        )  # fmt: skip
+        )
         if rises:
             if not newton or (final and tried):
                 return course.end(here, before, False, finding("loop.no_step"))
@@ -198,7 +201,7 @@ def _optimise(
             course.go_on(control=run.control, rejected=carried.rejected + 1)
             continue
         known = carried.previous < math.inf
-        rate = min(step.length / carried.previous, 1.0) if known else 1.0  # of the steps, and of the gradient
+        rate = min(step.length / carried.previous, 1.0) if known else 1.0  # rate of the steps, and of the gradient
         # a free datum allows no Gauss-Newton steps, and the next damped step cannot decrease the cost
         flat = is_free and rate * step.length < ROUNDING_STEP and rate**2 * (before - run.error) <= FLAT * before
         if flat or (newton and settled(step.length, carried.previous, tolerance)):
@@ -228,7 +231,7 @@ def _begin(kind: str, backend: GraphBackend | ImagesGraph, state: State, control
 
 def _end(
     course: Course[State], backend: GraphBackend | ImagesGraph, run: _Run, step: _Step, *, changed: bool
-) -> LoopResult[State]:  # fmt: skip
+) -> LoopResult[State]:
     """End the run after a small step; the gradient decides whether it is the solution."""
     if step.length < ROUNDING_STEP and step.gradient <= REMAINING:
         converged, end = True, finding("loop.small_step_damped") if changed else SMALL
@@ -243,11 +246,11 @@ GTSAM_OPTIMIZERS: Final = {
 }
 
 
-#: Correction, in prior sigmas, from which a vector of unknowns is linearised again.
+#: Correction, in prior sigmas, above which a vector of unknowns is linearised again.
 RELINEARISE: Final = 2e-3
 #: Change of a correction, in prior sigmas, below which iSAM2's back-substitution ends.
 WILDFIRE: Final = 1e-9
-#: Repetitions of an update after which the solution is reported as not found.
+#: Number of repetitions of an update after which the solution is reported as not found.
 MAX_REPEATS: Final = 30
 
 
@@ -258,7 +261,7 @@ class LocalGroup:
     Parameters
     ----------
     problem : Problem
-        Its images are those that see the points.
+        Problem whose images are those that see the points.
     points : tuple of int
         Numbers of the points in the whole block.
     """
@@ -266,9 +269,9 @@ class LocalGroup:
     problem: Problem
     points: tuple[int, ...]
     elimination: Elimination = field(init=False)
-    #: Name and part among the free unknowns of each vector.
+    #: Name of each vector, and its part of the free unknowns.
     vectors: tuple[tuple[str, slice], ...] = field(init=False)
-    #: Places of the factors in iSAM2.
+    #: Positions of the factors in iSAM2.
     slots: list[int] = field(init=False, default_factory=list)
 
     def __post_init__(self) -> None:
@@ -277,7 +280,7 @@ class LocalGroup:
         self.vectors = tuple((names[n], part) for n, part in self.elimination.parts.items())
 
     def sizes(self) -> dict[str, int]:
-        """Length of each vector."""
+        """Return the length of each vector."""
         return {name: part.stop - part.start for name, part in self.vectors}
 
     def _free(self, unknowns: Mapping[str, Array]) -> Array:
@@ -297,7 +300,7 @@ class LocalGroup:
         self.elimination.require_possible()
 
     def normal(self, unknowns: Mapping[str, Array]) -> Array:
-        """Reduced normal matrix (n, n) of all vectors of the group."""
+        """Return the reduced normal matrix (n, n) of all vectors of the group."""
         self.evaluate(unknowns)
         out = np.zeros((self.vectors[-1][1].stop,) * 2)
         for group, rows in zip(self.elimination.groups, self.elimination.last_rows(), strict=True):
@@ -305,12 +308,15 @@ class LocalGroup:
         return out
 
     def state(self, unknowns: Mapping[str, Array]) -> State:
-        """State of the group at vectors of images."""
+        """Return the state of the group at vectors of images."""
         self.evaluate(unknowns)
         return self.elimination.state(self._free(unknowns), complete=True)
 
     def factors(self, key: Callable[[str], int]) -> list[gtsam.CustomFactor]:
-        """Factors of the points; they do not refer to this object, which would keep the graph alive for ever."""
+        """Return the factors of the points.
+
+        They do not refer to this object, which would keep the graph in memory for ever.
+        """
         elimination = self.elimination
         keys = {n: key(name) for n, (name, _) in zip(elimination.parts, self.vectors, strict=True)}
         images = ", ".join(image.id for image in self.problem.block.images[:3])
@@ -323,7 +329,7 @@ class IncrementalGraph:
     Parameters
     ----------
     priors : bool
-        Whether each vector of unknowns has a prior of unit weight.
+        True if each vector of unknowns has a prior of unit weight.
     """
 
     def __init__(self, priors: bool) -> None:
@@ -334,7 +340,7 @@ class IncrementalGraph:
         self._prior_slots: dict[str, int] = {}
         #: Vectors of unknowns by name, in prior sigmas.
         self.unknowns: dict[str, Array] = {}
-        #: An update did not end: the object can no longer be used.
+        #: True if an update did not end: the object can no longer be used.
         self.broken = False
 
     def _key(self, name: str) -> int:
@@ -343,7 +349,7 @@ class IncrementalGraph:
         return self._keys[name]
 
     def start(self, groups: Sequence[LocalGroup]) -> dict[str, Array]:
-        """Vectors of groups, as estimated or zero, where the points of the groups are intersected.
+        """Return the vectors of groups, estimated or zero, at which the points of the groups are intersected.
 
         Raises
         ------
@@ -359,15 +365,16 @@ class IncrementalGraph:
                 raise InputError.of(
                     "incremental.shared (failure): images that share unknowns under an id must share the same unknowns"
                     " -> give each camera its own id",
-                    place=name, value=f"{size} and {len(out[name])} unknowns",
-                )  # fmt: skip
+                    place=name,
+                    value=f"{size} and {len(out[name])} unknowns",
+                )
         for group in groups:
             group.evaluate(out)
         return out
 
     def update(
         self, gone: Sequence[LocalGroup], new: Sequence[LocalGroup], start: Mapping[str, Array], kept: Iterable[str]
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Replace groups.
 
         Parameters

@@ -19,8 +19,8 @@ from fg_orient.adjustment.border_matrix import triangle
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.model.block import ExtraObservation
 
-#: Condition of the image unknowns with all rows above which normal equations lose the weakest direction: the square of
-#: the condition must stay well below 1e16.
+#: Condition number of the image unknowns with all rows, above which normal equations lose the weakest direction: its
+#: square must stay well below 1e16.
 NORMAL_LIMIT: Final = 1e6
 
 
@@ -38,12 +38,12 @@ class Penalty(ExtraObservation):
 
 
 def needs_rows(problem: Problem) -> bool:
-    """Whether the normal equations of a regularised problem are too ill-conditioned to eliminate the points in them."""
+    """Return whether the normal equations of a regularised problem are too ill-conditioned to eliminate the points."""
     return any(isinstance(e, Penalty) and e.condition > NORMAL_LIMIT for e in problem.block.extra)
 
 
 def without_penalties(problem: Problem) -> Problem:
-    """The problem without the rows of a regularisation."""
+    """Return the problem without the rows of a regularisation."""
     others = tuple(e for e in problem.block.extra if not isinstance(e, Penalty))
     return replace(problem, block=replace(problem.block, extra=others))
 
@@ -56,10 +56,10 @@ def penalty_squares(problem: Problem, state: State) -> float:
 
 
 def penalties(problem: Problem, rows: Any, source: str, condition: float) -> tuple[Penalty, ...]:
-    """Rows (k, z) of the free image unknowns, dense or sparse, as penalties.
+    """Return the rows (k, z) of the free image unknowns, dense or sparse, as penalties.
 
-    There is one per image, and one for all rows of several images. A shared unknown is read from the first image that
-    has it.
+    There is one penalty per image, and one for all rows of several images. A shared unknown is read from the first
+    image that has it.
     """
     from scipy import sparse
 
@@ -84,7 +84,7 @@ def penalties(problem: Problem, rows: Any, source: str, condition: float) -> tup
 
 
 def held_rows(problem: Problem, rows: Array, name: str, source: str) -> tuple[Equation, tuple[str, ...], Array]:
-    """Equation, names and setup of rows (k, z) of the free unknowns of all images; see :func:`linear_rows`."""
+    """Return equation, names and setup of rows (k, z) of the free unknowns of all images; see :func:`linear_rows`."""
     wide = rows
     if problem.ties is not None:  # a shared unknown is read from the first image that has it
         wide = np.zeros((len(rows), problem.n_image_unknowns))
@@ -95,7 +95,7 @@ def held_rows(problem: Problem, rows: Array, name: str, source: str) -> tuple[Eq
 def linear_rows(
     problem: Problem, rows: Array, images: Index, name: str, source: str
 ) -> tuple[Equation, tuple[str, ...], Array]:
-    """Equation, names of the unknowns and setup of rows (k, w) of these images' unknowns, which shall be zero."""
+    """Return equation, names of unknowns and setup of rows (k, w) of these images' unknowns, which shall be zero."""
 
     def residual(_record: Any, setup: Any, *x: Any) -> Any:
         return setup @ np.concatenate(x)

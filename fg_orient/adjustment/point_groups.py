@@ -1,4 +1,4 @@
-"""Groups of ground points: which belong together, their reduced normal matrices and the square roots of these."""
+"""Groups of ground points, their reduced normal matrices and the square roots of these matrices."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ Index = npt.NDArray[np.int64]
 
 #: Work of a group that does not depend on its size, in multiplications: calls, and small matrices.
 OVERHEAD: Final = 1_500_000
-#: Sets of images that are compared with each other, and those of them that are joined by the work; neighbours of more
-#: sets are joined before.
+#: Maximum number of sets of images that are compared with each other, and of sets that are joined by the work;
+#: neighbours of more sets are joined before.
 MOST_SETS: Final = 2000
 MOST_JOINED: Final = 400
 
 
 def vector_names(problem: Problem) -> list[str]:
-    """Names "image:ID" and "shared:ID" of the vectors of unknowns, by number, including vectors of length zero."""
+    """Return the names "image:ID" and "shared:ID" of the vectors of unknowns, by number, also of length zero."""
     names = [f"image:{image.id}" for image in problem.block.images]
     return names + ([] if problem.ties is None else [f"shared:{shared}" for shared in problem.ties.ids])
 
 
 def vector_parts(problem: Problem) -> list[tuple[int, slice]]:
-    """Number of each vector of image unknowns (images, then ids of shared unknowns) and its part of the free unknowns.
+    """Return the number of each vector of image unknowns (images, then shared ids) and its part of the free unknowns.
 
     Vectors of length zero are left out.
     """
@@ -55,17 +55,17 @@ class PointGroup:
     ----------
     number : int
     chunks, places, points : (2,) int tuples
-        First and end of its chunks, of its places among the ground points, and of its image points.
+        First and end of its chunks, of its positions among the ground points, and of its image points.
     images : (m,) int array
         Images that see its points, ascending.
     wide : (w,) int array
-        Unknowns of these images among those of all images.
+        Unknowns of these images, numbered among those of all images.
     vectors : tuple of int
-        The vectors of unknowns, see :func:`vector_parts`.
+        Vectors of unknowns, see :func:`vector_parts`.
     free : (n,) int array
         Their unknowns among the free ones.
     fold : (w,) int array or None
-        Column of each of ``wide`` among these n; None where they are the same.
+        Column of each of ``wide`` among these n; None if both are the same.
     """
 
     number: int
@@ -104,7 +104,7 @@ class GroupRows:
 
     @property
     def has_matrix(self) -> bool:
-        """Whether there are rows, or the cost alone."""
+        """True if there are rows; False if there is only the cost."""
         return self._matrix is not None
 
     @property
@@ -116,7 +116,7 @@ class GroupRows:
     def error(self) -> Array:
         """Error (n + 1,)."""
         matrix, gradient = self._normal
-        # rounding may leave less than one unknown alone can decrease
+        # rounding may leave less than a single unknown can decrease
         diagonal = np.diag(matrix)
         least = gradient**2 / np.where(diagonal > 0.0, diagonal, np.inf)
         out = np.zeros(len(self.at) + 1)
@@ -130,11 +130,11 @@ class GroupRows:
 
 
 def numbers_of_groups(first: Small, image: Small, size: Index) -> Index:
-    """Number of the group of each ground point, from 0 in the order of the points.
+    """Return the number of the group of each ground point, from 0 in the order of the points.
 
-    Points that the same images see belong together. Two groups are joined if this decreases the predicted work: a group
-    with n unknowns needs ``n^3`` for its matrix in GTSAM, and :data:`OVERHEAD`. One group for all is the result where
-    all images see points together.
+    Points that the same images see belong to one group. Two groups are joined if this decreases the predicted work: a
+    group with n unknowns needs ``n^3`` for its matrix in GTSAM, and :data:`OVERHEAD`. If all images see points
+    together, the result is one group.
 
     Parameters
     ----------
@@ -163,17 +163,17 @@ def numbers_of_groups(first: Small, image: Small, size: Index) -> Index:
 
 
 def _work(groups: Mask, size: Index) -> Array:
-    """Predicted work (G,) of groups of images (G, M)."""
+    """Return the predicted work (G,) of groups of images (G, M)."""
     return np.asarray((groups @ size).astype(float) ** 3 + OVERHEAD)
 
 
 def _contains(groups: Mask, sets: Mask) -> Mask:
-    """Whether each group (G, M) contains each set (S, M)."""
+    """Return whether each group (G, M) contains each set (S, M)."""
     return np.asarray((~groups).astype(np.float32) @ sets.T.astype(np.float32) == 0.0)
 
 
 def _in_order(label: npt.NDArray[Any]) -> Index:
-    """Numbers from 0 in place of labels (P,), in the order of their first occurrence."""
+    """Return the numbers from 0 in place of labels (P,), in the order of their first occurrence."""
     _, begin, number = np.unique(label, return_index=True, return_inverse=True)
     rank = np.empty(len(begin), np.int64)
     rank[np.argsort(begin)] = np.arange(len(begin))
@@ -181,10 +181,10 @@ def _in_order(label: npt.NDArray[Any]) -> Index:
 
 
 def _joined(sets: Mask, size: Index) -> Mask:
-    """Sets of images (G, M), no two of which would take less work as one, from different sets (S, M)."""
+    """Return sets of images (G, M) from different sets (S, M); no two of them would take less work as one."""
 
     def gains(k: int) -> Array:
-        """Work (S,) that is saved where set k is joined with each other one."""
+        """Return the work (S,) that is saved if set k is joined with each other set."""
         saved = work + work[k] - _work(sets | sets[k], size)
         saved[k] = -np.inf
         return np.where(left, saved, -np.inf)
@@ -205,7 +205,7 @@ def _joined(sets: Mask, size: Index) -> Mask:
 
 
 def square_root(matrix: Array, gradient: Array, length: float) -> Array:
-    """Jacobian (n + 1, n) with ``J^T J = S`` whose last row is the gradient divided by the length of the error.
+    """Return the Jacobian (n + 1, n) with ``J^T J = S``; its last row is the gradient over the length of the error.
 
     The other rows are a pivoted Cholesky factor of the rest of S, scaled to a unit diagonal; pivots that are rounding
     are left out.
@@ -226,7 +226,7 @@ def square_root(matrix: Array, gradient: Array, length: float) -> Array:
     matrix = matrix - np.outer(jacobian[n], jacobian[n])
     matrix /= root[:, None]
     matrix /= root
-    # the transposed view is in Fortran's order: LAPACK takes it without a copy
+    # the transposed view has Fortran's order, so LAPACK uses it without a copy
     factor, pivots, rank, _ = lapack.dpstrf(matrix.T, tol=n * np.finfo(float).eps, lower=1, overwrite_a=1)
     jacobian[:rank, pivots - 1] = np.triu(factor.T)[:rank]
     jacobian[:rank] *= root
@@ -234,13 +234,13 @@ def square_root(matrix: Array, gradient: Array, length: float) -> Array:
 
 
 class GroupMatrices:
-    """Groups of ground points, and their matrices where the points were eliminated last.
+    """Groups of ground points, and their matrices at the last elimination of the points.
 
     Parameters
     ----------
     backend : SchurBackend
     begins : (G,) int array
-        First place of each group among the ground points.
+        First position of each group among the ground points.
     parts : mapping
         Part of the free unknowns of each vector, by its number.
     """
@@ -264,9 +264,9 @@ class GroupMatrices:
 
     @cached_property
     def _sorted(self) -> tuple[Any, Index, Index, Index, Index]:
-        """Slots in the order of groups and blocks, first slot (E + 1,) and images (E,), (E,) of each block of a group.
+        """Slots in the order of groups and blocks; first slot (E + 1,) and images (E,), (E,) of each block of a group.
 
-        The last array (G + 1,) has the first block of each group.
+        The last array (G + 1,) contains the first block of each group.
         """
         s = self._backend.structure
         slot_chunk = np.searchsorted(s.slot_begin, np.arange(len(s.slot_own)), side="right") - 1
@@ -281,25 +281,47 @@ class GroupMatrices:
         return order.astype(s.block_slots.dtype), begin, s.block_row[block], s.block_column[block], first
 
     def blocks(self, groups: set[int]) -> Array:
-        """Blocks (E, k, k) of the matrices of groups, by the entries of all groups."""
+        """Return the blocks (E, k, k) of the matrices of groups, by the entries of all groups."""
         backend, s, (slots, begin, row, column, first) = self._backend, self._backend.structure, self._sorted
         blocks = np.empty((len(row), s.wide.shape[1], s.wide.shape[1]))
         lo, hi = int(first[min(groups)]), int(first[max(groups) + 1])
         backend.workers.run(
-            gather_blocks, hi - lo, begin, slots, s.slot_own, row, column, backend.buffers.sums, s.wide, s.scale,
-            s.size, s.n_basis, s.n_components, blocks, start=lo,
-        )  # fmt: skip
+            gather_blocks,
+            hi - lo,
+            begin,
+            slots,
+            s.slot_own,
+            row,
+            column,
+            backend.buffers.sums,
+            s.wide,
+            s.scale,
+            s.size,
+            s.n_basis,
+            s.n_components,
+            blocks,
+            start=lo,
+        )
         return blocks
 
     def normal(self, group: PointGroup, blocks: Array) -> tuple[Array, Array]:
-        """Reduced normal matrix (n, n) and gradient (n,) of a group."""
+        """Return the reduced normal matrix (n, n) and gradient (n,) of a group."""
         s, (slots, begin, row, column, first) = self._backend.structure, self._sorted
         lo, hi = first[group.number : group.number + 2].tolist()
         gradient = np.zeros(self._backend.problem.n_image_unknowns)
         gather_gradients(
-            begin[lo : hi + 1], slots, s.slot_own, row[lo:hi], column[lo:hi],
-            self._backend.buffers.gradients, s.wide, s.scale, s.size, s.n_components, gradient,
-        )  # fmt: skip
+            begin[lo : hi + 1],
+            slots,
+            s.slot_own,
+            row[lo:hi],
+            column[lo:hi],
+            self._backend.buffers.gradients,
+            s.wide,
+            s.scale,
+            s.size,
+            s.n_components,
+            gradient,
+        )
         own = gradient[group.wide]
         if group.fold is None:
             return self._matrix(group, row[lo:hi], column[lo:hi], blocks[lo:hi]), own
@@ -311,7 +333,7 @@ class GroupMatrices:
         return matrix, own
 
     def _matrix(self, group: PointGroup, row: Index, column: Index, blocks: Array) -> Array:
-        """Reduced normal matrix (w, w) of the images of a group, from its blocks (E, k, k) and their images."""
+        """Return reduced normal matrix (w, w) of the images of a group, from its blocks (E, k, k) and their images."""
         size = self._backend.structure.size[group.images]
         m, widest = len(size), int(size.max(initial=0))
         a, b = (np.searchsorted(group.images, k) for k in (row, column))

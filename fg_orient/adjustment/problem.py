@@ -1,4 +1,4 @@
-"""The adjustment problem: block, parameters and start values compiled to arrays.
+"""Adjustment problem: block, parameters and start values compiled to arrays.
 
 The unit of every residual is one sigma: image points in pixel sigmas (whitened by the image's model:
 ``fg_orient.sensors.base``), control points ``W (G - G_0)``, priors ``x`` (unknowns in prior sigmas). All backends
@@ -42,8 +42,8 @@ from fg_orient.sensors.lines import on_features
 #: One ground point by its number, or several by numbers or by a mask.
 Points = int | npt.NDArray[np.intp] | npt.NDArray[np.bool_]
 
-#: Damping of a free datum: the weight of priors with thousand times the given sigmas. It changes steps, not the
-#: solution; smaller values lose digits. The images fix the datum: ground points need almost no damping.
+#: Damping of a free datum: it equals the weight of priors with a thousand times the given sigmas. It changes steps, not
+#: the solution; smaller values lose digits. The images fix the datum, so ground points need almost no damping.
 FREE_DAMPING: Final = 1e-6
 FREE_POINT_DAMPING: Final = 1e-12
 
@@ -61,7 +61,7 @@ class State:
 
 @dataclass(frozen=True)
 class ExtraArgument:
-    """An argument of an extra observation: image or ground point number ``index``, a vector of length ``size``.
+    """Argument of an extra observation: image or ground point number ``index``, a vector of length ``size``.
 
     ``constant`` contains the local coordinates (3,) of a point that is not an unknown.
     """
@@ -90,9 +90,9 @@ class Problem:
         Local origin, ECEF; unknown ground points are relative to it, axes parallel to ECEF.
     start : State
     active, observed : (N,) bool arrays
-        Points that are unknowns; unknown points with control-point equations.
+        Points that are unknowns; unknown points that have control-point equations.
     control_records : (N, 12) array
-        Record of the control-point equation, rows of observed points.
+        Records of the control-point equation, in the rows of observed points.
     regularisation : Regularisation, optional
         Regularisation whose penalties are among the extra observations.
     """
@@ -115,12 +115,12 @@ class Problem:
 
     @property
     def has_control(self) -> bool:
-        """Whether any image shows a control point or a control feature."""
+        """True if any image shows a control point or a control feature."""
         return bool(self.on_features or np.isin(self.block.points.where(Role.CONTROL), self.observations.point).any())
 
     @cached_property
     def on_features(self) -> dict[str, tuple[str, Array]]:
-        """Feature and its chord (3,) by the id of each ground point on a line or spline."""
+        """Feature, and its chord (3,), by the id of each ground point on a line or spline."""
         return on_features(self.block.extra)
 
     @cached_property
@@ -149,29 +149,29 @@ class Problem:
         return self.n_image_unknowns if self.ties is None else len(self.ties)
 
     def unknowns(self, state: State, k: int) -> Array:
-        """The unknowns of an image (its own number of them), prior sigmas."""
+        """Return the unknowns of an image (as many as it has), prior sigmas."""
         return np.ascontiguousarray(state.image[k, : len(self.parameters[k])])
 
     def image_columns(self, state: State) -> Array:
-        """Unknowns of all images, one after the other, in the order of ``first``."""
+        """Return the unknowns of all images, one after the other, in the order of ``first``."""
         return np.asarray(state.image[self._exists])
 
     def image_vector(self, state: State) -> Array:
-        """Unknowns of all images, one after the other; shared unknowns once, as ``ties`` numbers them."""
+        """Return the unknowns of all images, one after the other; shared unknowns once, as ``ties`` numbers them."""
         return self.free(self.image_columns(state))
 
     def free(self, wide: Array) -> Array:
-        """Rows of all image unknowns, those of shared unknowns once, as ``ties`` numbers them."""
+        """Return the rows of all image unknowns, those of shared unknowns once, as ``ties`` numbers them."""
         return wide if self.ties is None else np.asarray(wide[self.ties.place])
 
     def image_matrix(self, vector: Array) -> Array:
-        """Matrix ``State.image`` of a vector as from :meth:`image_vector`."""
+        """Convert a vector as from :meth:`image_vector` to the matrix ``State.image``."""
         out = np.zeros(self._exists.shape)
         out[self._exists] = vector if self.ties is None else vector[self.ties.of]
         return out
 
     def prior_squares(self, state: State) -> float:
-        """Sum of squares of the image unknowns; a shared unknown counts once."""
+        """Return the sum of squares of the image unknowns; a shared unknown counts once."""
         unknowns = state.image if self.ties is None else self.image_vector(state)
         return float(np.vdot(unknowns, unknowns))
 
@@ -198,36 +198,36 @@ class Problem:
         return np.asarray(self.n_image_unknowns + 3 * (np.cumsum(self.active) - 1), np.intp)
 
     def image_slice(self, k: int) -> slice:
-        """Columns of an image."""
+        """Return the columns of an image."""
         return slice(int(self.first[k]), int(self.first[k + 1]))
 
     def point_slice(self, j: int) -> slice:
-        """Columns of an unknown ground point."""
+        """Return the columns of an unknown ground point."""
         return slice(int(self.point_columns[j]), int(self.point_columns[j]) + 3)
 
     def vector(self, state: State) -> Array:
-        """Unknowns of a state as one vector (n_columns,)."""
+        """Return the unknowns of a state as one vector (n_columns,)."""
         return np.concatenate([self.image_columns(state), state.ground[self.active].ravel()])
 
     def moved(self, state: State, step: Array) -> State:
-        """State after a step (n_columns,)."""
+        """Return the state after a step (n_columns,)."""
         image, ground = state.image.copy(), state.ground.copy()
         image[self._exists] += step[: self.n_image_unknowns]
         ground[self.active] += step[self.n_image_unknowns :].reshape(-1, 3)
         return State(image, ground)
 
     def control_weights(self, points: Points) -> Array:
-        """Square roots W of the weights of control points (3, 3), or (m, 3, 3): W^T W inverts their covariance."""
+        """Return square roots W (3, 3), or (m, 3, 3), of weights of control points: W^T W inverts their covariance."""
         records = self.control_records[points]
         return np.asarray(records[..., POINT.whitening].reshape(*records.shape[:-1], 3, 3))
 
     def control_residuals(self, state: State, points: Points) -> Array:
-        """Whitened residuals of control points (3,), or (m, 3): adjusted minus measured."""
+        """Return the whitened residuals of control points (3,), or (m, 3): adjusted minus measured."""
         difference = state.ground[points] - self.control_records[points, POINT.place]
         return np.asarray(np.einsum("...ij,...j->...i", self.control_weights(points), difference))
 
     def point_normals(self, points: npt.NDArray[np.intp], d_ground: Array) -> Array:
-        """Normal matrices (N, 3, 3) of the ground points with images held fixed.
+        """Return the normal matrices (N, 3, 3) of the ground points with images held fixed.
 
         ``points`` (n,) are the ground points of image points, ``d_ground`` (n, 2, 3) their whitened Jacobians.
         """
@@ -244,7 +244,7 @@ class Problem:
         return FREE_DAMPING if options.datum == "free" and not options.priors else 0.0
 
     def point_damping(self, damping: float) -> float:
-        """Relative increase of the diagonal of the normal equations of each ground point by a damping.
+        """Return the relative increase of the diagonal of the normal equations of each ground point by a damping.
 
         A relative increase (Marquardt 1963) does not depend on the unit of length. Distant points, which their rays
         hardly determine, can still move along the rays.
@@ -254,12 +254,12 @@ class Problem:
 
     @property
     def n_unknowns(self) -> int:
-        """Image unknowns and three per unknown ground point."""
+        """Number of image unknowns, plus three per unknown ground point."""
         return self.n_free_unknowns + 3 * int(self.active.sum())
 
     @property
     def n_observations(self) -> int:
-        """Equations: two per image point, three per observed control point, one per prior, and extra observations."""
+        """Number of equations: two per image point, three per observed control point, one per prior, and extra ones."""
         priors = self.n_free_unknowns if self.block.options.priors else 0
         extra = sum(e.n_residuals for e in self.block.extra)
         return 2 * len(self.observations) + 3 * int(self.observed.sum()) + priors + extra
@@ -273,7 +273,7 @@ class Problem:
         return whole - penalty if penalty else whole
 
     def axes(self, ground_m: Array) -> Array:
-        """Rotations (N, 3, 3) to East, North, Up at ECEF coordinates (N, 3); identities in a local system."""
+        """Return rotations (N, 3, 3) to East, North, Up at ECEF coordinates (N, 3); identities in a local system."""
         return _axes(self.block, ground_m)
 
     @property
@@ -283,19 +283,19 @@ class Problem:
         return ("X", "Y", "Z") if local else ("East", "North", "Up")
 
     def label(self, row: int) -> str:
-        """Name of an image point for messages."""
+        """Return the name of an image point for messages."""
         block, o = self.block, self.observations
         return f"image {block.images[o.image[row]].id}, point {block.points.ids[o.point[row]]}"
 
     def named_points(self) -> list[int]:
-        """Numbers of the unknown ground points that extra observations name, ascending."""
+        """Return the numbers of the unknown ground points that extra observations name, ascending."""
         arguments = (a for extra in self.block.extra for a in self.extra_arguments(extra))
         return sorted({a.index for a in arguments if not a.is_image and a.constant is None})
 
     def extra_arguments(self, extra: ExtraObservation) -> list[ExtraArgument]:
-        """Arguments of an extra observation; points that are not unknowns are constants.
+        """Return the arguments of an extra observation; points that are not unknowns are constants.
 
-        InputError for a name that does not exist, is of the wrong kind or has no image point, or without unknowns.
+        InputError: a name does not exist, is of the wrong kind or has no image point; there are no unknowns.
         """
         arguments: list[ExtraArgument] = []
         for name, argument in zip(extra.unknowns, extra.equation.arguments, strict=True):
@@ -319,17 +319,20 @@ class Problem:
         return arguments
 
     def extra_setup(self, extra: ExtraObservation) -> Array:
-        """Setup of an extra observation: given, or the setup of its first image."""
+        """Return the setup of an extra observation: the given one, or the setup of its first image."""
         if extra.setup is not None:
             return extra.setup
         return self.parameters[next(a.index for a in self.extra_arguments(extra) if a.is_image)].setup
 
     def corrections(self, state: State) -> list[Any]:
-        """Corrections of all images: ``Correction``, or RPC compensation (6,) px."""
+        """Return the corrections of all images: ``Correction``, or RPC compensation (6,) px."""
         return [model.correction(self.unknowns(state, k)) for k, model in enumerate(self.models)]
 
     def pixel_residuals(self, state: State, whitened: Array | None = None) -> Array:
-        """Residuals v = adjusted - observed (n, 2): line, sample in pixels; from whitened ones, if they are known."""
+        """Return residuals v = adjusted - observed (n, 2): line, sample in pixels.
+
+        ``whitened``: whitened ones if known.
+        """
         o, v = self.observations, residuals(self, state) if whitened is None else whitened
         return v * np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)
 
@@ -341,13 +344,14 @@ def compile_problem(block: Block, like: Problem | None = None) -> Problem:
     ----------
     block : Block
     like : Problem, optional
-        Problem of a similar block: constants that are equal are copied from it (``rows.unchanged_rows``).
+        Problem of a similar block, from which equal constants are copied (``rows.unchanged_rows``).
 
     Raises
     ------
     InputError
-        No control point (unless priors or an image without unknowns fix the datum, or it is free), a sensor without
-        image model, images in different coordinate systems, no unknowns, points that cannot be intersected.
+        There is no control point (unless priors or an image without unknowns fix the datum, or it is free); a sensor
+        has no image model; images have different coordinate systems; there are no unknowns; points cannot be
+        intersected.
     """
     options = block.options
     control_rows = block.points.where(Role.CONTROL)
@@ -391,7 +395,7 @@ def compile_problem(block: Block, like: Problem | None = None) -> Problem:
         block, models, observations, records, origin, start, active, observed,
         _control_records(block, start_ecef, origin, observed),
     )  # fmt: skip
-    if like is None:  # the largest array: at its first use, or of some rows only
+    if like is None:  # the largest array is computed at its first use, or only some rows of it
         computed_by(out, "records", partial(_new_records, models, observations, start_ecef, origin))
         release(out, "records")
     return out
@@ -401,7 +405,7 @@ def _new_records(
     models: Sequence[ImageModel], observations: ImagePoints, ground_m: Array, origin_m: Array,
     rows: npt.NDArray[np.intp] | slice | None,
 ) -> Array:  # fmt: skip
-    """Whitened records of some image points, or of all."""
+    """Return the whitened records of some image points, or of all."""
     return whitened_records(models, observations if rows is None else observations.take(rows), ground_m, origin_m)
 
 
@@ -409,7 +413,7 @@ def _records(
     models: Sequence[ImageModel], observations: ImagePoints, ground_m: Array, origin_m: Array,
     same: npt.NDArray[np.intp], like: Problem,
 ) -> Array:  # fmt: skip
-    """Whitened records, with the rows ``same`` (n,) of another problem copied."""
+    """Return the whitened records, with the rows ``same`` (n,) of another problem copied."""
     old, new = np.flatnonzero(same >= 0), np.flatnonzero(same < 0)
     made = like.records[:0]
     if len(new):
@@ -420,7 +424,7 @@ def _records(
 
 
 def no_point_is_named(block: Block) -> bool:
-    """Whether no extra observation names a ground point: all points can then be eliminated."""
+    """Return whether no extra observation names a ground point: all points can then be eliminated."""
     return all(name.startswith("image:") for extra in block.extra for name in extra.unknowns)
 
 
@@ -432,9 +436,9 @@ def participates(block: Block) -> npt.NDArray[np.bool_]:
 
 
 def _control_records(block: Block, ecef_m: Array, origin_m: Array, observed: npt.NDArray[np.bool_]) -> Array:
-    """Records (N, 12) of the control-point equations: W for ECEF axes from E/N/U sigmas."""
+    """Return the records (N, 12) of the control-point equations: W for ECEF axes from E/N/U sigmas."""
     out, rows = np.full((len(ecef_m), POINT.size), np.nan), np.flatnonzero(observed)
-    # W^T W = C^-1 by QR of the scaled axes: without a covariance matrix any ratio of sigmas is exact
+    # W^T W = C^-1 by QR of the scaled axes; without a covariance matrix any ratio of sigmas is exact
     w = np.linalg.qr(_axes(block, ecef_m[rows]) / block.points.known.sigma_enu_m[rows][:, :, None]).R
     w *= np.where(np.einsum("nii->ni", w) < 0.0, -1.0, 1.0)[:, :, None]
     out[rows] = POINT.pack(whitening=w.reshape(-1, 9), place=ecef_m[rows] - origin_m)

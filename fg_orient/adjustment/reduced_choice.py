@@ -1,8 +1,8 @@
 """Choice of the method for a reduced camera system, by predicted work and memory from the sparsity of its blocks.
 
 Work is counted in floating-point operations of LAPACK's Cholesky factorisation. GTSAM takes six times as long for the
-same number (measured: 3060 unknowns, full). Conjugate gradients read all blocks, or the rows of all image points, in
-each step: 10 GB/s, while LAPACK does 45 GFlop/s (one thread). Products from the rows need no blocks. The fill of the
+same number (measured: 3060 unknowns, full). In each step conjugate gradients read all blocks, or the rows of all image
+points, at 10 GB/s; LAPACK computes 45 GFlop/s (one thread). Products from the rows need no blocks. The fill of the
 sparse factor is counted by a symbolic elimination with least degree.
 """
 
@@ -20,40 +20,43 @@ from fg_orient.adjustment.problem import Problem, no_point_is_named
 if TYPE_CHECKING:
     from scipy.sparse import coo_array
 
-#: Elements of the largest band: 0.24 GB. Unknowns of the largest full matrix: 1.8 GB.
+#: Maximum number of elements of a band: 0.24 GB. Maximum number of unknowns of a full matrix: 1.8 GB.
 BAND_LIMIT: Final = 30_000_000
 LARGEST_FULL: Final = 15_000
-#: Unknowns of the largest full matrix of a border: 0.5 GB.
+#: Maximum number of unknowns of a full matrix of a border: 0.5 GB.
 FULL_BORDER: Final = 8000
-#: Time of GTSAM over the time of LAPACK for the same operations, and its time for each image in these operations.
+#: Ratio of GTSAM's to LAPACK's time for the same operations, and GTSAM's time for each image in these operations.
 GTSAM: Final = 6.0
 GTSAM_IMAGE: Final = 1e6
-#: Time of LAPACK's banded over its full factorisation for the same operations (measured: 432 to 2700
+#: Ratio of the time of LAPACK's banded to its full factorisation for the same operations (measured: 432 to 2700
 #: unknowns).
 BANDED: Final = 1.4
-#: Steps of conjugate gradients that are expected for each link on the way from one image to the farthest one (measured:
-#: 2 to 10 in each of the first iterations), and LAPACK's operations in the time in which a byte is read.
+#: Number of steps of conjugate gradients that are expected for each link on the path from one image to the farthest one
+#: (measured: 2 to 10 in each of the first iterations), and number of LAPACK's operations in the time in which a byte is
+#: read.
 STEPS: Final = 15
 PER_BYTE: Final = 4.5
-#: Bytes of the rows of an image point, which each step reads where the blocks are not formed; LAPACK's operations in
-#: the time in which a block is formed (measured: 2.5 us where images are paired at random).
+#: Bytes of the rows of an image point, which each step reads if the blocks are not formed; LAPACK's operations in the
+#: time in which a block is formed (measured: 2.5 us if images are paired at random).
 ROW_BYTES: Final = 208
 PER_BLOCK: Final = 1e5
-#: Factor methods are preferred up to this ratio of work: they give the covariance.
+#: Ratio of work up to which methods with a factor are preferred, because they give the covariance.
 PREFERRED: Final = 2.0
-#: Unknowns above which conjugate gradients may be chosen: their steps depend on the condition, a factor does not.
+#: Number of unknowns above which conjugate gradients may be chosen; their number of steps depends on the condition
+#: number.
 ITERATIVE: Final = 3000
-#: Image unknowns above which the Schur backend replaces the graph by default, if it is so many times faster.
+#: Number of image unknowns above which the Schur backend replaces the graph by default, and how many times faster it
+#: must be.
 WIDE: Final = 1500
 FASTER: Final = 3.0
-#: Images up to which the fill of a sparse factor is counted.
+#: Maximum number of images for which the fill of a sparse factor is counted.
 COUNTED: Final = 5000
 
 
 class Pattern(NamedTuple):
     """Blocks of a reduced system: unknowns (M,) of each image; images (B,) of each block, row <= column.
 
-    ``rays``: number of image points of which products with the matrix may be made; zero if there are blocks only.
+    ``rays``: number of image points for products with the matrix by rows; zero if there are only blocks.
     """
 
     size: Index
@@ -67,7 +70,7 @@ class Pattern(NamedTuple):
         return self.block_row, self.block_column
 
     def links(self) -> coo_array:
-        """Matrix (M, M) with a number other than 0 where two images have a block; its upper triangle."""
+        """Return the matrix (M, M) with a number other than 0 where two images have a block; its upper triangle."""
         from scipy.sparse import coo_array
 
         images = len(self.size)
@@ -76,7 +79,7 @@ class Pattern(NamedTuple):
 
 @dataclass(frozen=True)
 class Order:
-    """An order of the images: first unknown (M,) of each image, and all unknowns (u,).
+    """Order of the images: first unknown (M,) of each image, and all unknowns (u,).
 
     ``band`` is the number of elements of a column of the lower triangle below the diagonal.
     """
@@ -87,9 +90,9 @@ class Order:
 
 
 def narrowest(pattern: Pattern, first: Index) -> Order:
-    """Order of the images with the narrower band: as given, or reversed Cuthill-McKee (George & Liu 1981)."""
+    """Return the order of images with the narrower band: as given, or reversed Cuthill-McKee (George & Liu 1981)."""
     images = len(pattern.size)
-    if len(pattern.block_row) == images * (images + 1) // 2:  # all images share points: the order has no effect
+    if len(pattern.block_row) == images * (images + 1) // 2:  # all images share points, so the order has no effect
         return Order(first[:-1].astype(np.int64), np.arange(first[-1]), int(first[-1]) - 1)
     from scipy.sparse.csgraph import reverse_cuthill_mckee
 
@@ -120,7 +123,7 @@ class Choice(NamedTuple):
 
 
 def predictions(pattern: Pattern, band: int) -> list[Choice]:
-    """Methods that are possible for a pattern whose best order has this band.
+    """Return the methods that are possible for a pattern whose best order has this band.
 
     Parameters
     ----------
@@ -148,24 +151,24 @@ def predictions(pattern: Pattern, band: int) -> list[Choice]:
 
 
 def choose(pattern: Pattern, band: int) -> Choice:
-    """Method with the least predicted work, factors preferred; see :func:`predictions`."""
+    """Return the method with the least predicted work, factors preferred; see :func:`predictions`."""
     formed = PER_BLOCK * len(pattern.block_row)
     return min(predictions(pattern, band), key=lambda one: _rank(one) + (0.0 if one.kind == "implicit" else formed))
 
 
 def choice_of(problem: Problem) -> Choice:
-    """Method for the reduced system of a problem, from its image points alone; see :func:`choose`."""
+    """Return the method for the reduced system of a problem, from its image points alone; see :func:`choose`."""
     pattern = pattern_of(problem)
     return choose(pattern, narrowest(pattern, problem.first).band)
 
 
 def _rank(one: Choice) -> float:
-    """Work, more for the method without a factor."""
+    """Return the work; it is increased for methods without a factor."""
     return one.work * (PREFERRED if one.kind in ("iterative", "implicit") else 1.0)
 
 
 def is_wide(problem: Problem) -> bool:
-    """Whether LAPACK or conjugate gradients solve the reduced system in much less time than GTSAM's elimination."""
+    """Return whether LAPACK or conjugate gradients solve the reduced system in much less time than GTSAM."""
     if problem.n_free_unknowns < WIDE or problem.ties is not None or not no_point_is_named(problem.block):
         return False
     pattern = pattern_of(problem)
@@ -174,13 +177,13 @@ def is_wide(problem: Problem) -> bool:
 
 
 def pattern_of(problem: Problem) -> Pattern:
-    """Images with common unknown points, from the image points alone."""
+    """Return the images with common unknown points, from the image points alone."""
     o, free = problem.observations, problem.active[problem.observations.point]
     return pattern_of_rays(o.image[free], o.point[free], np.diff(problem.first))
 
 
 def pattern_of_rays(image: Index, point: Index, size: Index) -> Pattern:
-    """Images with common points; image and unknown point (n,) of the image points, number (M,) of unknowns."""
+    """Return the pattern of images with common points, from the image and unknown point (n,) of the image points."""
     from scipy.sparse import csr_array, eye_array
 
     seen = csr_array((np.ones(len(image)), (image, point)), (len(size), int(point.max(initial=0)) + 1))
@@ -191,7 +194,7 @@ def pattern_of_rays(image: Index, point: Index, size: Index) -> Pattern:
 
 
 def farthest(pattern: Pattern) -> int:
-    """Links on the shortest way from the first image to the farthest one that it is linked with."""
+    """Count the links on the shortest path from the first image to the farthest image that is connected with it."""
     from scipy.sparse.csgraph import dijkstra
 
     way = dijkstra(pattern.links().tocsr(), directed=False, unweighted=True, indices=np.zeros(1, np.int64))
@@ -199,7 +202,7 @@ def farthest(pattern: Pattern) -> int:
 
 
 def elimination_degrees(pattern: Pattern) -> Index:
-    """Number (M,) of images that remain linked to each image when it is eliminated, those of least degree first."""
+    """Count the images (M,) that remain linked to each image when it is eliminated, in the order of least degree."""
     images = len(pattern.size)
     if len(pattern.block_row) == images * (images + 1) // 2:
         return np.arange(images)[::-1]
@@ -211,7 +214,7 @@ def elimination_degrees(pattern: Pattern) -> Index:
     for n in range(images):
         k = int(np.argmin(degree))
         out[n] = degree[k]
-        if degree[k] == images - n - 1:  # all others are linked with each other, too, or will be
+        if degree[k] == images - n - 1:  # all other images are linked with each other, or will be
             out[n:] = np.arange(images - n)[::-1]
             break
         own, degree[k] = bits[k], gone
@@ -222,6 +225,6 @@ def elimination_degrees(pattern: Pattern) -> Index:
 
 
 def _packed(mask: Mask) -> npt.NDArray[np.uint64]:
-    """Rows of a mask (n, m) as bits, in words of 64."""
+    """Return the rows of a mask (n, m) as bits, in words of 64."""
     bits = np.packbits(mask, axis=1)
     return np.pad(bits, ((0, 0), (0, -bits.shape[1] % 8))).view(np.uint64)

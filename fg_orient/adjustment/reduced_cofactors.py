@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from fg_orient.adjustment.reduced_choice import Choice
     from fg_orient.adjustment.schur import SchurSystem
 
-#: Number of joint blocks of images in memory.
+#: Maximum number of joint blocks of images in memory.
 KNOWN: Final = 1000
 
 # images that see an unknown point, in ascending order, its H^-1 (3, 3) and K (3, u)
@@ -39,24 +39,24 @@ class ImageCofactors(Protocol):
     """Source of the joint cofactors of images: a factorised reduced system, or GTSAM Marginals."""
 
     def covariance(self, images: tuple[int, ...]) -> Array:
-        """Joint cofactors of images, prior sigmas."""
+        """Return the joint cofactors of images, prior sigmas."""
         ...
 
     @property
     def selects(self) -> bool:
-        """Whether :meth:`selected` is possible in time and memory."""
+        """True if :meth:`selected` is possible in time and memory."""
         ...
 
     def selected(self, pairs: Index) -> Array:
-        """Joint cofactors (P, k, k) of pairs of images that share points; shorter blocks end with zeros."""
+        """Return the joint cofactors (P, k, k) of pairs of images that share points; shorter blocks end with zeros."""
         ...
 
 
 @dataclass(frozen=True)
 class SummedSystem:
-    """Linearisation at the solution of an adjustment in parts, or by the graph; priors included.
+    """Linearisation at the solution of an adjustment in parts, or by the graph; priors are included.
 
-    ``reduced(damping)`` factorises it, by the method ``choice``; ``Singular`` if it is not positive definite.
+    ``reduced(damping)`` factorises the system by the method ``choice``; ``Singular`` if it is not positive definite.
     """
 
     state: State
@@ -71,7 +71,7 @@ class ReducedCofactors:
     ----------
     problem : Problem
     system : SchurSystem or SummedSystem
-        The linearisation at the solution.
+        Linearisation at the solution.
 
     Raises
     ------
@@ -88,7 +88,7 @@ class ReducedCofactors:
         self._of((0,))  # raises the error of an ill-conditioned system
 
     def _of(self, images: tuple[int, ...]) -> Array:
-        """Joint cofactors of images in ascending order, which are kept."""
+        """Return the joint cofactors of images in ascending order; they are kept."""
         if self._whole is not None:
             index = np.concatenate([np.arange(self._problem.first[k], self._problem.first[k + 1]) for k in images])
             return np.asarray(self._whole[np.ix_(index, index)])
@@ -122,7 +122,7 @@ class ReducedCofactors:
 
     @property
     def selects(self) -> bool:
-        """Whether the blocks of all pairs of images that share points cost less than the whole inverse."""
+        """True if the blocks of all pairs of images that share points cost less than the whole inverse."""
         return self._reduced.selects
 
     def blocks(self, pairs: npt.NDArray[np.intp]) -> Array:
@@ -134,12 +134,12 @@ class ReducedCofactors:
 
     @property
     def _is_large(self) -> bool:
-        """Whether joint cofactors of images come from :attr:`_selected`, not from the whole inverse."""
+        """True if joint cofactors of images come from :attr:`_selected`, not from the whole inverse."""
         return bool(cofactors.WHOLE_LIMIT < self._problem.first[-1] and self.selects)
 
     @cached_property
     def _selected(self) -> tuple[Index, Array]:
-        """Keys (B,), row times images plus column, and joint cofactors (B, k, k) of all images that share points."""
+        """Keys (B,) (row times number of images plus column) and joint cofactors (B, k, k) of images sharing points."""
         pairs, _ = pairs_of_images(self._problem, self._order)
         return pairs[:, 0] * self._problem.n_images + pairs[:, 1], self._reduced.selected(pairs)
 
@@ -176,7 +176,7 @@ class ReducedCofactors:
         return np.asarray(0.5 * (out + out.T))
 
     def _columns(self, images: tuple[int, ...]) -> dict[int, npt.NDArray[np.intp]]:
-        """Columns of images among the unknowns of these images."""
+        """Return the columns of images among the unknowns of these images."""
         first = np.concatenate([[0], np.cumsum([len(self._problem.parameters[k]) for k in images])])
         return {k: np.arange(first[n], first[n + 1]) for n, k in enumerate(images)}
 

@@ -1,6 +1,6 @@
-"""Normal equations of all eliminated points as GTSAM's factors, for one iteration of an optimiser.
+"""Normal equations of all eliminated points as GTSAM factors, for one iteration of an optimiser.
 
-A factor that is written in Python can give GTSAM a Jacobian only, of which GTSAM forms the normal matrix again. A
+A factor written in Python can only give GTSAM a Jacobian, from which GTSAM forms the normal matrix again. A
 ``HessianFactor`` contains the matrix itself, but its cost belongs to a linear model. Therefore the graph of an
 iteration contains, in place of the factors of groups of points,
 
@@ -8,8 +8,8 @@ iteration contains, in place of the factors of groups of points,
   vectors without a cost (``LinearContainerFactor`` without a linearisation point has the cost 0 at all values);
 - one factor with the cost of all groups at any values, and a Jacobian of zeros.
 
-The sum has the matrix, the gradient and the cost of the groups at the values where it was made, and their cost at all
-other values. An iteration of GTSAM's optimisers needs no more.
+At the values where the graph was made, the sum has the matrix, the gradient and the cost of the groups. At all other
+values it has their cost. This is sufficient for an iteration of GTSAM's optimisers.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
 Pair = tuple[int, int]
 
-#: Vectors from which they are joined to variables of about so many unknowns, if all are linked, and unknowns up to
-#: which all are one variable: GTSAM then takes less time for few large factors.
+#: Number of vectors from which they are joined to variables of about this number of unknowns, if all are linked; number
+#: of unknowns up to which all form one variable. GTSAM takes less time for few large factors.
 JOINED_FROM: Final = 40
 JOINED_SIZE: Final = 150
 #: Blocks of a factor of three vectors, in the order of GTSAM's arguments.
@@ -41,7 +41,7 @@ _PLACES: Final = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
 def cover(pairs: Collection[Pair]) -> list[tuple[int, ...]]:
-    """Sets of up to three vectors that contain each pair (n < m) once, with few sets; vectors of no pair are left out.
+    """Return few sets of up to three vectors that contain each pair (n < m) once; vectors in no pair are left out.
 
     Making a factor of three vectors takes as long as a factor of two.
     """
@@ -64,7 +64,7 @@ def cover(pairs: Collection[Pair]) -> list[tuple[int, ...]]:
 
 
 def free_unknowns(values: gtsam.Values, vectors: Sequence[tuple[int, slice]]) -> Array:
-    """Image unknowns (u,) of GTSAM values from their keys and parts; nan for vectors that the values do not have."""
+    """Return image unknowns (u,) of GTSAM values from their keys and parts; nan for vectors that are missing."""
     free = np.full(vectors[-1][1].stop, np.nan)
     for key, part in vectors:
         if values.exists(key):
@@ -73,7 +73,7 @@ def free_unknowns(values: gtsam.Values, vectors: Sequence[tuple[int, slice]]) ->
 
 
 class GroupSums:
-    """Factors of the sums of all groups of points: which vectors they link, and the factor of their cost.
+    """Factors of the sums of all groups of points: the vectors that they link, and the factor of their cost.
 
     Parameters
     ----------
@@ -81,14 +81,14 @@ class GroupSums:
     keys : mapping
         GTSAM key of each vector of unknowns, by its number.
     alone : bool
-        There are no other factors but the priors of the vectors.
+        True if the priors of the vectors are the only other factors.
     """
 
     def __init__(self, elimination: Elimination, keys: Mapping[int, int], *, alone: bool) -> None:
         self.elimination, self._ties = elimination, elimination.problem.ties
         #: Keys of the images and shared unknowns, and their parts of the free unknowns.
         self.vectors = [(keys[n], part) for n, part in elimination.parts.items()]
-        #: Order of elimination, by the pattern of the first graph.
+        #: Order of elimination, from the pattern of the first graph.
         self.ordering: gtsam.Ordering | None = None
         self._parts, self._keys = elimination.parts, dict(keys)
         pairs, n = self._pairs(), len(keys)
@@ -96,9 +96,9 @@ class GroupSums:
         size = dict(linked)
         for a, b in pairs:
             linked[a], linked[b] = linked[a] + size[b], linked[b] + size[a]
-        #: Unknowns of the vectors that are linked to one of them, at most: as many has the widest elimination at least.
+        #: Maximum number of unknowns of the vectors linked to a vector; the widest elimination has at least this size.
         self.widest = max(linked.values(), default=0)
-        #: Vectors are joined to few variables: no order of elimination saves anything, or less than small factors cost.
+        #: vectors are joined to few variables if no order saves anything, or if this costs less than small factors
         is_dense = n >= JOINED_FROM and len(pairs) == n * (n - 1) // 2
         self.is_joined = alone and (is_dense or self.vectors[-1][1].stop <= JOINED_SIZE)
         if self.is_joined:
@@ -113,24 +113,28 @@ class GroupSums:
         self.cost = cost_factor(lambda free: elimination.cost(free) + 0.5 * prior * float(free @ free), self.variables)
         covered = cover(pairs)
         single, s = set(self._keys) - {n for own in covered for n in own}, elimination.backend.structure
-        # block of the reduced matrix of each pair; images that no eliminated point is seen in have none
-        self._block = {} if self.is_joined or self._ties is not None else {
-            pair: k for k, pair in enumerate(zip(s.block_row.tolist(), s.block_column.tolist(), strict=True))
-        }  # fmt: skip
+        # block of the reduced matrix of each pair; images without eliminated points have no block
+        self._block = (
+            {}
+            if self.is_joined or self._ties is not None
+            else {pair: k for k, pair in enumerate(zip(s.block_row.tolist(), s.block_column.tolist(), strict=True))}
+        )
         size = {n: part.stop - part.start for n, part in self._parts.items()}
         self._zero = {(a, b): np.zeros((a, b)) for a in {*size.values()} for b in {*size.values()}}
         self._sets, seen = [], set[Pair]()
         for own in [*covered, *((n,) for n in sorted(single))]:
             blocks = [(own[a], own[b]) for a, b in _PLACES if b < len(own)]
-            self._sets.append((
-                [self._keys[n] for n in own],
-                [(pair, (size[pair[0]], size[pair[1]]), pair not in seen) for pair in blocks],
-                [(self._parts[n], (n, n) not in seen) for n in own],
-            ))  # fmt: skip
+            self._sets.append(
+                (
+                    [self._keys[n] for n in own],
+                    [(pair, (size[pair[0]], size[pair[1]]), pair not in seen) for pair in blocks],
+                    [(self._parts[n], (n, n) not in seen) for n in own],
+                )
+            )
             seen.update(blocks)
 
     def _pairs(self) -> set[Pair]:
-        """Different vectors that a block of the reduced matrix links."""
+        """Return pairs of different vectors that a block of the reduced matrix links."""
         elimination, s = self.elimination, self.elimination.backend.structure
         exists, of_image = elimination.parts, dict[int, list[int]]()
         for k in range(elimination.problem.n_images):
@@ -142,7 +146,9 @@ class GroupSums:
         return {(min(n, m), max(n, m)) for n, m in every if n != m}
 
     def factors(self, blocks: Array, gradient: Array, prior: Array) -> list[gtsam.LinearContainerFactor]:
-        """Factors of blocks (B, k, k) and gradient (u,) of :meth:`Elimination.linearised`; their cost is zero.
+        """Return the factors of blocks (B, k, k) and gradient (u,) of :meth:`Elimination.linearised`.
+
+        Their cost is zero.
 
         ``prior`` (u,) is added to the diagonal.
         """
@@ -163,8 +169,10 @@ class GroupSums:
         hessian: Any = gtsam.HessianFactor  # its overloads do not accept a list of arguments
         for keys, pairs, own in self._sets:
             g = [block(pair, size) if is_new else zero[size] for pair, size, is_new in pairs]
-            r = [right[part] if is_new else zero[part.stop - part.start, part.stop - part.start][0]
-                 for part, is_new in own]  # fmt: skip
+            r = [
+                right[part] if is_new else zero[part.stop - part.start, part.stop - part.start][0]
+                for part, is_new in own
+            ]
             out.add(hessian(*keys, *_arguments(g, r), 0.0))
         return [gtsam.LinearContainerFactor(out.at(k)) for k in range(out.size())]
 
@@ -176,9 +184,9 @@ class ReducedGraph:
     ----------
     backend : GraphBackend
     values : gtsam.Values
-        Where the optimiser linearises.
+        Values at which the optimiser linearises.
     free : (u,) array
-        Its image unknowns.
+        Image unknowns of these values.
     """
 
     def __init__(self, backend: GraphBackend, values: gtsam.Values, free: Array) -> None:
@@ -200,12 +208,12 @@ class ReducedGraph:
         self.ordering = sums.ordering
 
     def of_images(self, values: gtsam.Values) -> gtsam.Values:
-        """Return values of images from the values of the variables of the graph, as a copy."""
+        """Return a copy of the values of images from the values of the variables of the graph."""
         sums = self._backend.sums
         return _values(free_unknowns(values, sums.variables), sums.vectors) if sums.is_joined else gtsam.Values(values)
 
     def after(self, values: gtsam.Values, step: Array) -> tuple[float, float]:
-        """Cost after a step (u,) to other values by the linear model of the groups; the gradient of everything along.
+        """Return the cost after a step (u,) to other values by the linear model of groups, and the gradient along it.
 
         The cost of the other factors is the actual one.
         """
@@ -222,7 +230,7 @@ class ReducedGraph:
         return cost + float(backend.others.error(values)), along
 
     def steepest(self) -> float:
-        """Longest Gauss-Newton step of one image unknown alone, in standard deviations from the groups of points."""
+        """Return longest Gauss-Newton step of a single image unknown, in standard deviations from groups of points."""
         backend, s = self._backend, self._backend.elimination.backend.structure
         gradient, slope, ties = self._gradient.copy(), self._slope(), backend.problem.ties
         for key, part in backend.sums.vectors:
@@ -237,12 +245,12 @@ class ReducedGraph:
         return float((np.abs(gradient) / np.sqrt(np.where(diagonal > 0.0, diagonal, np.inf))).max(initial=0.0))
 
     def _slope(self) -> gtsam.VectorValues:
-        """Gradient of the other factors."""
+        """Return the gradient of the other factors."""
         return self._backend.others.linearize(self._values).gradientAtZero()
 
 
 def _arguments(blocks: list[Array], right: list[Array]) -> list[Array]:
-    """Blocks and right sides of one, two or three vectors in the order of GTSAM's constructor."""
+    """Return the blocks and right sides of one, two or three vectors in the order of GTSAM's constructor."""
     if len(right) == 1:
         return [blocks[0], right[0]]
     if len(right) == 2:
@@ -251,7 +259,7 @@ def _arguments(blocks: list[Array], right: list[Array]) -> list[Array]:
 
 
 def _values(free: Array, vectors: Sequence[tuple[int, slice]]) -> gtsam.Values:
-    """GTSAM values of image unknowns (u,)."""
+    """Return the GTSAM values of image unknowns (u,)."""
     values = gtsam.Values()
     for key, part in vectors:
         values.insert(key, free[part])
@@ -259,7 +267,7 @@ def _values(free: Array, vectors: Sequence[tuple[int, slice]]) -> gtsam.Values:
 
 
 def cost_factor(cost: Callable[[Array], float], vectors: Sequence[tuple[int, slice]]) -> gtsam.CustomFactor:
-    """Factor with the cost at any values of the unknowns (u,) of vectors; its Jacobian for one vector is zero."""
+    """Return a factor with the cost at any values of the unknowns (u,) of vectors; its Jacobian is zero."""
 
     def error(_this: Any, values: Any, jacobians: Any) -> Array:
         if jacobians is not None:

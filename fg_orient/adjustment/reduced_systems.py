@@ -1,4 +1,4 @@
-"""Reduced camera systems of one pattern: the method of solution, and GTSAM on the blocks.
+"""Reduced camera systems of one pattern: the method of solution, and the solution of the blocks by GTSAM.
 
 GTSAM eliminates a graph of one HessianFactor per image and one per pair of images that share points; its ordering is
 computed once.
@@ -24,7 +24,7 @@ REDUCED: Final = ("auto", "blocks", "dense", "banded", "graph", "iterative", "im
 
 
 class GraphReduced:
-    """A GTSAM graph over the images; parameters as for :class:`LapackReduced`, and the elimination order."""
+    """GTSAM graph over the images; parameters as in :class:`LapackReduced`, and the elimination order."""
 
     def __init__(
         self, pattern: Pattern, first: Index, blocks: Array, diagonal: float, ordering: gtsam.Ordering, threads: int = 1
@@ -42,9 +42,9 @@ class GraphReduced:
                 own[i] += block
                 continue
             n, m = size[i], size[j]
-            self._off.add(gtsam.HessianFactor(
-                i, j, np.zeros((n, n)), block, np.zeros(n), np.zeros((m, m)), np.zeros(m), 0.0
-            ))  # fmt: skip
+            self._off.add(
+                gtsam.HessianFactor(i, j, np.zeros((n, n)), block, np.zeros(n), np.zeros((m, m)), np.zeros(m), 0.0)
+            )
         self._own = own
         self._marginals: gtsam.Marginals | None = None
 
@@ -86,7 +86,7 @@ class GraphReduced:
 
 
 def elimination_order(pattern: Pattern) -> gtsam.Ordering:
-    """COLAMD order of the images by the pattern of the blocks."""
+    """Order the images by COLAMD, from the pattern of the blocks."""
     import gtsam
 
     graph, one = gtsam.GaussianFactorGraph(), np.eye(1)
@@ -110,18 +110,23 @@ class ReducedSystems:
     ties : Ties, optional
         Unknowns shared by images; the matrix is then full.
     choice : Choice, optional
-        Method, chosen before.
+        Method, if it was chosen before.
     threads : int
         See :class:`LapackReduced`.
     """
 
     def __init__(
-        self, pattern: Pattern, first: Index, kind: str = "blocks", ties: Ties | None = None,
-        choice: Choice | None = None, threads: int = 1,
-    ) -> None:  # fmt: skip
+        self,
+        pattern: Pattern,
+        first: Index,
+        kind: str = "blocks",
+        ties: Ties | None = None,
+        choice: Choice | None = None,
+        threads: int = 1,
+    ) -> None:
         self.pattern, self._first, self._ties, self._ordering = pattern, first, ties, None
         self._threads = threads
-        #: Prediction of the chosen method; None where the kind was given.
+        #: Prediction of the chosen method; None if the kind was given.
         self.choice = choice
         if ties is not None:
             self.kind = "dense"
@@ -133,10 +138,14 @@ class ReducedSystems:
         self._ordering = elimination_order(pattern) if self.kind == "graph" else None
 
     def __call__(
-        self, blocks: Array, diagonal: float, added: Array | None = None, chi2: float = 0.0,
+        self,
+        blocks: Array,
+        diagonal: float,
+        added: Array | None = None,
+        chi2: float = 0.0,
         implicit: ImplicitProduct | None = None,
-    ) -> Reduced:  # fmt: skip
-        """System of these blocks (B, k, k) with ``diagonal`` and a matrix (z, z) added; Singular if not definite.
+    ) -> Reduced:
+        """Return a system of blocks (B, k, k) with ``diagonal`` and a matrix (z, z) added; Singular if not definite.
 
         ``chi2`` and ``implicit``: see :class:`IterativeReduced`.
         """

@@ -1,13 +1,13 @@
-"""Least squares of any function with full statistics, on the loop of the bundle adjustment.
+"""Least-squares fit of any function with full statistics, by the loop of the bundle adjustment.
 
-Unknowns have no priors here, so only the columns of the Jacobian define their scales: the larger of the present length
-of the column (Marquardt 1963) and half the scale before it. If a column collapses (an exponent that diverges), its
-unknown stays damped for some steps; if the column stays short, the unknown becomes free. With the largest length so far
-(Moré 1978) this unknown would always stay damped.
+Unknowns have no priors here, so only the columns of the Jacobian define their scales. A scale is the larger of the
+present length of the column (Marquardt 1963) and half the scale before it. If a column collapses (an exponent that
+diverges), its unknown stays damped for some steps; if the column stays short, the unknown becomes free. With the
+largest length so far (Moré 1978) this unknown would always stay damped.
 
 A step is measured in the space of the observations, ``|J dx| / (sqrt(u) sigma0)``: the relative offset of Bates and
-Watts (1981), independent of units and parametrisation. Observations that fit exactly have no sigma0; it is therefore
-at least sqrt(eps) times the root mean square of the observations.
+Watts (1981), independent of units and parametrisation. Observations that fit exactly have no sigma0; therefore it is at
+least sqrt(eps) times the root mean square of the observations.
 
 Damped steps include the second-order correction along the step (geodesic acceleration: Transtrum, Sethna 2012,
 eqs. 3-6). They are rejected if this correction is large.
@@ -45,14 +45,14 @@ Model = Callable[..., Any]
 EPS: Final = float(np.finfo(np.float64).eps)
 #: Share of a scale that remains after each accepted step.
 FORGET: Final = 0.5
-#: Share of the step at which the second difference is taken, and the largest correction relative to the step.
+#: Share of the step at which the second difference is taken, and largest correction relative to the step.
 PROBE: Final = 0.1
 MAX_ACCELERATION: Final = 0.75
-#: Complex steps, as shares of the parameter: far below rounding, far above underflow.
+#: Complex step, relative to the parameter: far below rounding, far above underflow.
 TINY: Final = 1e-30
 #: Residuals above this are rejected, because their squares overflow.
 LARGEST: Final = 1e150
-#: Derivatives and differences of the model may differ by this share of the column.
+#: Largest relative difference between derivatives and difference quotients of a column of the model.
 DERIVATIVE_TOLERANCE: Final = 1e-3
 
 
@@ -77,7 +77,7 @@ class CurveFit:
     reason : str
         Reason for the end of the iteration.
     log : tuple of IterationRecord
-        Its ``chi2`` is in units of the loop.
+        Records of the iterations; their ``chi2`` is in units of the loop.
     unavailable : str
         Reason why there are no cofactors.
     """
@@ -95,7 +95,7 @@ class CurveFit:
 
     @property
     def iterations(self) -> int:
-        """Steps tried."""
+        """Number of steps tried."""
         return len(self.log)
 
     @property
@@ -171,8 +171,9 @@ def fit_curve(
         The model has no finite derivatives at an iterate, or Gauss-Newton's equations are singular.
     """
     loops: dict[str, Optimizer] = {
-        "levenberg-marquardt": delayed_levenberg_marquardt, "gauss-newton": gauss_newton,
-    }  # fmt: skip
+        "levenberg-marquardt": delayed_levenberg_marquardt,
+        "gauss-newton": gauss_newton,
+    }
     if optimizer not in loops:
         raise InputError.of("curve.optimizer", place="optimizer", value=optimizer, known=", ".join(loops))
     b, observed = _numbers(start, "start", "(u,) start values"), _numbers(y, "y", "(n,) observations")
@@ -198,7 +199,7 @@ def _numbers(values: npt.ArrayLike, place: str, wanted: str) -> Array:
 
 
 def _weights(sigma: npt.ArrayLike | None, n: int) -> Array:
-    """One over the standard deviations."""
+    """Return one over the standard deviations."""
     if sigma is None:
         return np.ones(n)
     given = np.array(sigma, dtype=np.float64)
@@ -227,12 +228,12 @@ class _Backend:
         self.weight = weight / self.unit
 
     def residuals(self, b: Array) -> Array:
-        """Model minus observation (n,) in units of the loop."""
+        """Return model minus observation (n,) in units of the loop."""
         with np.errstate(all="ignore"):
             return np.asarray((self._model(self._x, *b) - self.y) * self.weight, dtype=np.float64)
 
     def design(self, b: Array) -> Array:
-        """Derivatives (n, u) of the residuals."""
+        """Return the derivatives (n, u) of the residuals."""
         with np.errstate(all="ignore"):
             if self._jacobian is not None:
                 return np.asarray(self._jacobian(self._x, *b), dtype=np.float64) * self.weight[:, None]
@@ -266,7 +267,7 @@ class _Backend:
                 raise InputError.of("curve.derivatives", place=f"parameter {k + 1}", value=f"{off / limit:.2g} of both")
 
     def _difference(self, b: Array, k: int) -> tuple[Array, float]:
-        """Central difference of the residuals (n,), and its possible rounding error."""
+        """Return the central difference of the residuals (n,), and its possible rounding error."""
         h = EPS ** (1 / 3) * (abs(b[k]) or 1.0)
         ends = [self.residuals(np.where(np.arange(len(b)) == k, b[k] + s * h, b)) for s in (-1.0, 1.0)]
         values = np.abs(ends[1]) + np.abs(self.y * self.weight)
@@ -277,18 +278,18 @@ class _Backend:
         return _System(self, state)
 
     def error(self, state: _Point) -> float:
-        """Half the sum of squares."""
+        """Return half the sum of squares."""
         residual = self.residuals(state.parameters)
         with np.errstate(over="ignore"):
             return 0.5 * float(residual @ residual)
 
     def retract(self, state: _Point, step: Any) -> _Point:
-        """Parameters after a step, and the scales of that step."""
+        """Return the parameters after a step, and the scales of that step."""
         return _Point(state.parameters + step.data.parameters, step.data.scale)
 
 
 class _Singular(RuntimeError):
-    """The equations need damping."""
+    """Error: the equations need damping."""
 
 
 class _System:
@@ -312,7 +313,7 @@ class _System:
         self._offset = 1.0 / (np.sqrt(u) * sigma0)
 
     def solve(self, damping: float) -> Step:
-        """Gauss-Newton step, or damped step with second-order correction; _Singular if an unknown is not determined."""
+        """Return a Gauss-Newton step, or a damped step of second order; _Singular if an unknown is not determined."""
         against = self._factor(damping)
         first = against(self.residual)
         with np.errstate(over="ignore"):
@@ -325,7 +326,7 @@ class _System:
         return Step(_Point(step / self.scale, self.scale), length, predicted)
 
     def _factor(self, damping: float) -> Callable[[Array], Array]:
-        """Solver of the damped equations: from residuals (n,) to the scaled step (u,)."""
+        """Return the solver of the damped equations: from residuals (n,) to the scaled step (u,)."""
         u, rows = len(self._b), self.triangle
         if damping > 0.0:
             rows = np.vstack([rows, np.sqrt(damping) * np.eye(u)])
@@ -337,7 +338,7 @@ class _System:
         return lambda right: np.asarray(-solve_triangular(upper, onto @ right, check_finite=False))
 
     def _acceleration(self, first: Array, against: Callable[[Array], Array]) -> Array:
-        """Second derivative (u,) of the path; nan if it is not small relative to the step."""
+        """Return the second derivative (u,) of the path; nan if it is not small relative to the step."""
         beyond = self._backend.residuals(self._b + PROBE * first / self.scale)
         if np.isfinite(beyond).all() and np.abs(beyond).max() < LARGEST:
             second = against(2.0 / PROBE * ((beyond - self.residual) / PROBE - self.design @ first))
@@ -347,7 +348,7 @@ class _System:
 
 
 def _conclude(backend: _Backend, result: LoopResult[_Point]) -> CurveFit:
-    """Statistics at the end."""
+    """Compute the statistics at the end."""
     b, unit = result.state.parameters, backend.unit
     system = backend.linearise(_Point(b, np.zeros(len(b))))
     n, u = system.design.shape
@@ -362,6 +363,14 @@ def _conclude(backend: _Backend, result: LoopResult[_Point]) -> CurveFit:
         cofactors = inverse @ inverse.T / unit**2
         numbers = 1.0 - np.sum(system.orthogonal**2, axis=1)
     return CurveFit(
-        b, system.residual / backend.weight, 2.0 * system.error * unit**2, n - u, cofactors, numbers,
-        result.converged, result.reason, result.log, unavailable,
-    )  # fmt: skip
+        b,
+        system.residual / backend.weight,
+        2.0 * system.error * unit**2,
+        n - u,
+        cofactors,
+        numbers,
+        result.converged,
+        result.reason,
+        result.log,
+        unavailable,
+    )

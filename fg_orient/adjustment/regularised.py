@@ -25,21 +25,23 @@ class Regularisation:
     rule : str
         Rule that chose kappa, "" if it was given.
     choice : KappaChoice or None
-        With the curve of the rule and its remarks.
+        Choice with the curve of the rule and its remarks.
     singular_values : (z,) array
-        Of the reduced Jacobian in the units of the norm, descending, without priors; empty for a large system.
+        Singular values of the reduced Jacobian in the units of the norm, descending, without priors; empty for a large
+        system.
     rank : int
         Number of singular values above the cut.
     gap : float
-        Ratio of the singular values above and below the cut; inf without one below, or if that is zero.
+        Ratio of the singular values above and below the cut; inf if there is no value below, or if it is zero.
     units : (z,) array
-        Deviations in the units of the norm are these times deviations in prior sigmas.
+        Factors that convert deviations in prior sigmas to the units of the norm.
     rows : (k, z) array, or sparse array of a large system
-        Penalty R: ``R x = 0`` was added, with x in prior sigmas.
+        Rows R of the penalty: ``R x = 0`` was added, with x in prior sigmas.
     null : (z, d) array
         Orthonormal basis, in the units of the norm, of the directions below the rank cut and of all held ones.
     standard : LinearSystem or None
-        The reduced system in standard form, on which the rules of kappa work (penalty |y|^2); None for a large system.
+        Reduced system in standard form, to which the rules of kappa are applied (penalty |y|^2); None for a large
+        system.
     condition : float
         Condition of the reduced Jacobian with priors and penalty.
     determined : float

@@ -1,4 +1,4 @@
-"""Resection and space intersection with one side held fixed: robust start values, and points located afterwards.
+"""Resection and space intersection with one side held fixed, for robust start values and for points located afterwards.
 
 Start values that resist many gross errors are least median or least trimmed squares, image by image. Random subsets of
 5 to 9 control points of **one image** give its orientation by resection at the measured coordinates. The subset whose
@@ -8,14 +8,14 @@ Observations that fit the best subset within 2.5 scales are adjusted again by le
 
     s = c (1 + 5 / (n - u)) sqrt(med),   c = 1.4826 in one dimension, 0.8493 for image points (median of chi2_2)
 
-with n residuals and u unknowns that they determine. Images with too few control points follow, from points that two
-oriented images locate. The sigmas of control and located points are propagated to the image: whitening uses
-``I + C Q C^T``. The start of a ground point is the candidate with the least sum of squares, each limited to 2.5 scales:
-candidates are intersections of pairs of rays and the measured coordinates. (The least median is of no use for a point
-with two rays, whose intersection always fits.)
+with n residuals and u unknowns that they determine. Images with too few control points are oriented afterwards, from
+points that two oriented images locate. The sigmas of control and located points are propagated to the image: whitening
+uses ``I + C Q C^T``. The start of a ground point is the candidate with the least sum of squares, each limited to 2.5
+scales. Candidates are the intersections of pairs of rays and the measured coordinates. (The least median is useless for
+a point with two rays, whose intersection always fits.)
 
-The number of subsets keeps the probability that all contain gross errors below 1 - :data:`CERTAINTY`, if
-:data:`SHARE` of the image points are wrong.
+The number of subsets is chosen so that all of them contain gross errors with a probability below 1 - :data:`CERTAINTY`,
+if :data:`SHARE` of the image points are wrong.
 
 Check points outside the adjustment are located afterwards (:func:`locate_points`): the whitened conditions of all rays
 are minimised over the three coordinates with the adjusted orientation held fixed. The same Jacobians propagate
@@ -45,24 +45,25 @@ METHODS: Final = ("lms", "lts")
 #: Probability of at least one subset without gross errors, and the share of wrong image points assumed.
 CERTAINTY: Final = 0.999
 SHARE: Final = 0.4
-#: Least and largest number of image points of a subset; half the number of determined unknowns within these limits.
+#: Least and largest number of image points of a subset; within these limits half the number of determined unknowns is
+#: used.
 SIZES: Final = (5, 9)
-#: Minimum number of points of an image that are not in a subset and assess it.
+#: Minimum number of points of an image that are not in a subset and test it.
 JUDGES: Final = 2
 SEED: Final = 1984
-#: Linearisations: at the metadata, and at the result of the first.
+#: Number of linearisations: at the metadata, and at the result of the first.
 ROUNDS: Final = 2
 #: Probability of the limit above which observations are excluded (2.5 sigmas in one dimension).
 KEPT: Final = 0.98758
-#: Pairs of rays tried per ground point.
+#: Maximum number of pairs of rays tried per ground point.
 MOST_PAIRS: Final = 28
 
 
 class Resection(NamedTuple):
     """Orientation of one image from its control points, or from points located by other images.
 
-    Its fields are the unknowns (u,) in prior sigmas, the image points used (n,) and a mask of those that fit, and the
-    scale s in sigmas.
+    Fields: the unknowns (u,) in prior sigmas, the image points used (n,) with a mask of those that fit, and the scale s
+    in sigmas.
     """
 
     unknowns: Array
@@ -72,15 +73,15 @@ class Resection(NamedTuple):
 
 
 def subset_count(size: int, share: float = SHARE, certainty: float = CERTAINTY) -> int:
-    """Number of random subsets of this size for this certainty, see :data:`CERTAINTY` (Rousseeuw & Leroy 1987)."""
+    """Return the number of random subsets of this size for this certainty (Rousseeuw & Leroy 1987)."""
     return math.ceil(math.log(1.0 - certainty) / math.log(1.0 - (1.0 - share) ** size))
 
 
 def resection_start(compiled: Problem, method: str, seed: int = SEED) -> tuple[State, tuple[Resection, ...]]:
-    """Start of a robust adjustment, and the resections of all images.
+    """Return the start of a robust adjustment, and the resections of all images.
 
     ``method`` is "lms" or "lts", ``seed`` is the seed of the random subsets. InputError: images have too few control
-    points and located points (names all these images), or share unknowns.
+    points and located points (all these images are named), or share unknowns.
     """
     if compiled.ties is not None:
         raise InputError.of("frame.shared_not", option="robust_start", value=method, id=", ".join(compiled.ties.ids))
@@ -122,12 +123,15 @@ class _Pass:
             ready = [k for k, own in left.items() if len(own) >= least]
             if not ready:
                 ids = [image.id for image in self.compiled.block.images]
-                raise InputError(*(
-                    finding("adjust.few_control", place=f"image {ids[k]}", value=len(own), least=least)
-                    for k, own in left.items()
-                ))  # fmt: skip
-            resected = {k: _resect(self.compiled, self.state, self.cofactors, k, left[k], self.method, self.seed)
-                        for k in ready}  # fmt: skip
+                raise InputError(
+                    *(
+                        finding("adjust.few_control", place=f"image {ids[k]}", value=len(own), least=least)
+                        for k, own in left.items()
+                    )
+                )
+            resected = {
+                k: _resect(self.compiled, self.state, self.cofactors, k, left[k], self.method, self.seed) for k in ready
+            }
             for k, resection in resected.items():
                 self.image[k, : len(resection.unknowns)] = resection.unknowns
             self.resections |= resected
@@ -143,7 +147,7 @@ class _Pass:
         self.known |= wanted
 
     def located(self, wanted: npt.NDArray[np.bool_], usable: npt.NDArray[np.bool_]) -> tuple[Array, Array]:
-        """Coordinates (N, 3), local m, with the least limited sum of squares of the usable rays; their cofactors."""
+        """Return coordinates (N, 3), local m, with the least limited sum of squares of usable rays, and cofactors."""
         compiled, o = self.compiled, self.compiled.observations
         scale = max(1.0, float(np.median([r.scale for r in self.resections.values()])))
         v, _, c = linearised(compiled, self.state)
@@ -166,7 +170,7 @@ class _Pass:
 def _resect(
     compiled: Problem, state: State, cofactors: Array, k: int, rows: Index, method: str, seed: int
 ) -> Resection:
-    """Resection of an image by known points, linearised at a state."""
+    """Resect an image by known points, linearised at a state."""
     v, b = _whitened(compiled, state, cofactors, k, rows)
     x, prior = compiled.unknowns(state, k), compiled.block.options.priors
     determined = int(np.count_nonzero(np.linalg.svd(b.reshape(-1, b.shape[2]), compute_uv=False) >= 1.0))
@@ -183,7 +187,7 @@ def _resect(
 
 
 def _whitened(compiled: Problem, state: State, cofactors: Array, k: int, rows: Index) -> tuple[Array, Array]:
-    """Residuals (n, 2) and Jacobians (n, 2, u), in sigmas of image point and known point together."""
+    """Return the residuals (n, 2) and Jacobians (n, 2, u), in sigmas of image point and known point together."""
     v, b, c = image_rows(compiled, state, k, rows, jacobian=True)
     total = np.eye(2) + c @ cofactors[compiled.observations.point[rows]] @ c.transpose(0, 2, 1)
     inverse = np.linalg.inv(np.linalg.cholesky(total))
@@ -191,7 +195,7 @@ def _whitened(compiled: Problem, state: State, cofactors: Array, k: int, rows: I
 
 
 def _draw(n: int, size: int, rng: np.random.Generator) -> Index:
-    """Random subsets (m, size) of n, or all subsets if these are not more."""
+    """Return random subsets (m, size) of n, or all subsets if there are not more."""
     m = subset_count(size)
     if math.comb(n, size) <= m:
         return np.array(list(combinations(range(n), size)), dtype=np.intp)
@@ -199,7 +203,7 @@ def _draw(n: int, size: int, rng: np.random.Generator) -> Index:
 
 
 def _fit(v: Array, b: Array, x: Array, prior: bool) -> Array:
-    """Steps (m, u) from x by least squares, of m sets of residuals (m, n, 2) and Jacobians (m, n, 2, u)."""
+    """Solve m least-squares problems: steps (m, u) from x, residuals (m, n, 2), Jacobians (m, n, 2, u)."""
     m, u = len(b), b.shape[-1]
     a, right = b.reshape(m, -1, u), v.reshape(m, -1)
     normal, g = np.einsum("mru,mrw->muw", a, a), -np.einsum("mru,mr->mu", a, right)
@@ -209,17 +213,17 @@ def _fit(v: Array, b: Array, x: Array, prior: bool) -> Array:
 
 
 def _squares(v: Array, b: Array, step: Array) -> Array:
-    """Squared lengths of the residuals after steps (..., u): (..., n)."""
+    """Return the squared lengths of the residuals after steps (..., u): (..., n)."""
     return np.asarray(np.sum((v + np.einsum("nru,...u->...nr", b, step)) ** 2, axis=-1))
 
 
 def _half(n: int, size: int) -> int:
-    """Number of n observations that must fit: the majority as defined by Rousseeuw & Leroy (1987)."""
+    """Return how many of n observations must fit: the majority as defined by Rousseeuw & Leroy (1987)."""
     return min((n + size + 1) // 2, n)
 
 
 def _best(v: Array, b: Array, x: Array, prior: bool, subsets: Index, method: str) -> Array:
-    """Step of the best subset."""
+    """Return the step of the best subset."""
     steps = _fit(v[subsets], b[subsets], x, prior)
     h = _half(len(v), subsets.shape[1])
     ordered = np.sort(_squares(v, b, steps), axis=1)[:, :h]
@@ -227,7 +231,7 @@ def _best(v: Array, b: Array, x: Array, prior: bool, subsets: Index, method: str
 
 
 def _located(v: Array, c: Array, w: Array | None, scale: float, rng: np.random.Generator) -> Array:
-    """Steps (m, 3) of m points with residuals (m, r, 2), Jacobians (m, r, 2, 3), and weights of coordinates or None."""
+    """Return steps (m, 3) of m points from residuals (m, r, 2), Jacobians (m, r, 2, 3), and weights of coordinates."""
     m, r = v.shape[:2]
     candidates = [] if w is None else [np.zeros((m, 3))]
     pairs = list(combinations(range(r), 2))
@@ -271,7 +275,7 @@ class LocatedPoints:
         return np.asarray(self.state.ground[self.index] + self.problem.origin_m)
 
     def cofactors(self, blocks: Callable[[Index], Array]) -> Array:
-        """Cofactors (n, 3, 3) m^2 from joint cofactors of the images; see ``cofactors_of_points``."""
+        """Return the cofactors (n, 3, 3) m^2 from joint cofactors of the images; see ``cofactors_of_points``."""
         return cofactors_of_points(self.problem, self.state, self.index, blocks)
 
 
@@ -282,9 +286,9 @@ def locate_points(problem: Problem, state: State, start_m: Array, index: Index) 
     ----------
     problem : Problem
     state : State
-        Its image unknowns are used.
+        State whose image unknowns are used.
     start_m : (N, 3) array
-        ECEF m, near the points; also gives the weights. Other rows are ignored.
+        Coordinates ECEF m near the points; they also define the weights. Other rows are ignored.
     index : (n,) int array
         Ground points, each measured in two or more images.
     """
@@ -310,7 +314,7 @@ def locate_points(problem: Problem, state: State, start_m: Array, index: Index) 
 
 
 def _steps(problem: Problem, state: State, rows: list[Index], place: Index, n: int) -> Array:
-    """Gauss-Newton steps (n, 3) of the points; ``place``: place of each ray's point among them."""
+    """Return the Gauss-Newton steps (n, 3) of the points; ``place``: index of each ray's point among them."""
     normal, right = np.zeros((n, 3, 3)), np.zeros((n, 3))
     for k, own in enumerate(rows):
         value, _, d_ground = image_rows(problem, state, k, own, jacobian=True)

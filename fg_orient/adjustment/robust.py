@@ -1,16 +1,16 @@
-"""Robust losses of an adjustment, and weights of the rows.
+"""Robust losses of an adjustment, and the weights of the rows.
 
 The cost is the sum of rho(t) over image points (t: whitened norm of 2 residuals) and control points (3), plus half the
 sum of squares of priors and extra observations. Rows multiplied by the root of their weight give the Gauss-Newton steps
 of iteratively reweighted least squares (Holland & Welsch 1977). Their gradient is the gradient of the cost.
 
-The two rays of a tie point without further observations contradict each other in one residual, the y-parallax, and the
-data do not show which of them is wrong. Each of them has the mean of their squared norms (:func:`together`): a gross
-error in one of them costs the point, not the ray that happens to have the larger residual. Graduated non-convexity
-gives rivals among three and more rays one weight, too (``fg_orient.adjustment.best_rays.sharing``).
+The two rays of a tie point without further observations contradict each other in one residual, the y-parallax. The data
+do not show which ray is wrong. Both get the mean of their squared norms (:func:`together`). So a gross error in one of
+them costs the point, not the ray that happens to have the larger residual. Graduated non-convexity also gives rivals
+among three or more rays one weight (``fg_orient.adjustment.best_rays.sharing``).
 
-Each loss contains the share :data:`FLOOR` of the square. Therefore the intersection of its rays still determines a
-ground point whose image points have no other weight. With fixed weights the problem is an ordinary least-squares
+Each loss contains the share :data:`FLOOR` of the square. Therefore a ground point whose image points have no other
+weight is still determined by the intersection of its rays. With fixed weights the problem is an ordinary least-squares
 problem (:func:`weighted_problem`); covariances under a loss are the covariances of that problem.
 """
 
@@ -29,16 +29,16 @@ from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import image_rows, residuals, rows_by_image, whitened_records
 from fg_orient.model.distributions import chi_square_median, chi_square_quantile
 
-#: Share of the square in every loss: a residual of 1000 sigmas has the effect of 0.001 sigma. With a smaller share,
-#: rounding dominates the cofactors of a point with one good ray (its pivots differ by this factor).
+#: Share of the square in every loss: a residual of 1000 sigmas acts like 0.001 sigma. With a smaller share, rounding
+#: would dominate the cofactors of a point with one good ray (its pivots differ by this factor).
 FLOOR: Final = 1e-6
 #: Weight below which an observation is down-weighted.
 DOWN: Final = 0.5
 IMAGE, CONTROL = 2, 3
 NONE: Final = "none"
-#: Rules with weights 1/t, which may exceed 1 and are not shares of the information of an observation.
+#: Rules with weights 1/t, which may exceed 1 and do not measure the information of an observation.
 UNWEIGHED: Final = ("lad",)
-#: Scales of image points and control points: 1 sigma.
+#: A priori scales of image points and control points: 1 sigma.
 A_PRIORI: Final = (1.0, 1.0)
 
 
@@ -59,11 +59,11 @@ class ScaledLoss:
     constant: float
 
     def weights(self, norm: npt.ArrayLike) -> Array:
-        """Weights of whitened norms, from FLOOR to 1."""
+        """Return the weights of whitened norms, from FLOOR to 1."""
         return np.asarray(FLOOR + (1.0 - FLOOR) * self.weight(np.asarray(norm) / self.constant))
 
     def costs(self, norm: npt.ArrayLike) -> Array:
-        """Integrals of ``t * weights(t)`` from 0."""
+        """Return the integrals of ``t * weights(t)`` from 0."""
         u = np.asarray(norm) / self.constant
         return np.asarray(self.constant**2 * (0.5 * FLOOR * u**2 + (1.0 - FLOOR) * self.cost(u)))
 
@@ -89,11 +89,11 @@ class Weighing(Protocol):
     """Weights of the rows of a backend."""
 
     def weigh(self, image_squares: Array, control_squares: Array) -> tuple[Array, Array, float]:
-        """Weights of image points (n,) and control points (m,) from their squared norms, and the cost of both."""
+        """Return weights of image points (n,) and control points (m,) from their squared norms, and cost of both."""
         ...
 
     def costs(self, image_squares: Array, control_squares: Array) -> tuple[Array, Array]:
-        """Costs of image points (n,) and control points (m,)."""
+        """Return the costs of image points (n,) and control points (m,)."""
         ...
 
 
@@ -101,7 +101,7 @@ class Weighing(Protocol):
 class FixedWeights:
     """Weights that do not depend on the residuals; the cost is half the weighted sum of squares.
 
-    ``image`` (n,) in the order of the backend, ``control`` (m,) of the observed control points.
+    ``image`` (n,) in the order of the backend, ``control`` (m,) in the order of the observed control points.
     """
 
     image: Array
@@ -119,7 +119,7 @@ class FixedWeights:
 
 @dataclass(frozen=True)
 class Weights:
-    """Weights at a state, of image points (n,) and of ground points (N,), which are 1 except at control points.
+    """Weights at a state, of image points (n,) and of ground points (N,); the latter are 1 except at control points.
 
     ``scale``: units of the losses of image points and of control points, in sigmas.
     """
@@ -130,35 +130,35 @@ class Weights:
 
 
 def are_information(loss: str, weights: Weights) -> bool:
-    """Whether cofactors with these weights have a meaning: no weight may exceed 1."""
+    """Return whether cofactors with these weights are meaningful: no weight may exceed 1."""
     largest = max(float(weights.image.max(initial=0.0)), float(weights.control.max(initial=0.0)))
     return loss not in UNWEIGHED and largest <= 1.0 + 1e-12
 
 
 def scaled(loss: Loss, scale: tuple[float, float] = A_PRIORI) -> Robust:
-    """Losses of image points and control points for 95 % efficiency, with constants in units of these scales."""
+    """Return losses of image points and control points for 95 % efficiency, with constants in units of these scales."""
     constants = (loss.constant(d) * s for d, s in zip((IMAGE, CONTROL), scale, strict=True))
     return Robust(*(ScaledLoss(loss.weight, loss.cost, c) for c in constants))
 
 
 def inlier_limit(probability: float, dimension: int) -> float:
-    """Whitened norm that a good observation does not exceed with this probability: root of the chi-square quantile."""
+    """Return the whitened norm that a good observation does not exceed with this probability: root of the quantile."""
     return float(np.sqrt(chi_square_quantile(dimension, probability)))
 
 
 def control_squares(problem: Problem, state: State) -> Array:
-    """Squared whitened norms (m,) of the observed control points, in their order."""
+    """Return the squared whitened norms (m,) of the observed control points, in their order."""
     return np.asarray(np.sum(problem.control_residuals(state, np.flatnonzero(problem.observed)) ** 2, axis=1))
 
 
 def squares(problem: Problem, state: State) -> tuple[Array, Array]:
-    """Squares that decide on the weights: of image points (n,) and of observed control points (m,), in their order."""
+    """Return squares that determine the weights of image points (n,) and observed control points (m,), in order."""
     image = np.sum(residuals(problem, state) ** 2, axis=1)
     return together(image, two_ray_rows(problem)), control_squares(problem, state)
 
 
 def two_ray_rows(problem: Problem) -> Index:
-    """Rows (p, 2) of the two rays of each unknown point that has no other observation."""
+    """Return the rows (p, 2) of the two rays of each unknown point that has no other observation."""
     point = problem.observations.point
     two = (np.bincount(point, minlength=len(problem.active)) == 2) & problem.active & ~problem.observed
     two[problem.named_points()] = False
@@ -167,14 +167,14 @@ def two_ray_rows(problem: Problem) -> Index:
 
 
 def together(image_squares: Array, pairs: Index) -> Array:
-    """Squared norms (n,) of image points, with the mean of both rows of each pair (p, 2)."""
+    """Return the squared norms (n,) of image points, with the mean of both rows of each pair (p, 2)."""
     out = image_squares.copy()
     out[pairs] = image_squares[pairs].mean(axis=1, keepdims=True)
     return out
 
 
 def weights_at(problem: Problem, state: State, robust: Robust) -> tuple[Weights, float]:
-    """Weights at a state, in the order of the problem; cost minus half the weighted sum of squares."""
+    """Return the weights at a state, in the order of problem, and the cost minus half the weighted sum of squares."""
     image_squares, observed_squares = squares(problem, state)
     image, observed, cost = robust.weigh(image_squares, observed_squares)
     control = np.ones(len(problem.observed))
@@ -183,7 +183,7 @@ def weights_at(problem: Problem, state: State, robust: Robust) -> tuple[Weights,
 
 
 def weighted_problem(problem: Problem, weights: Weights) -> Problem:
-    """Least-squares problem with these weights: sigmas are divided by their roots."""
+    """Return the least-squares problem with these weights: sigmas are divided by their roots."""
     o, root = problem.observations, np.sqrt(weights.image)
     weighted = replace(o, sigma_line_px=o.sigma_line_px / root, sigma_sample_px=o.sigma_sample_px / root)
     control = problem.control_records.copy()
@@ -192,16 +192,16 @@ def weighted_problem(problem: Problem, weights: Weights) -> Problem:
     return replace(problem, observations=weighted, records=records, control_records=control)
 
 
-#: Directions with a smaller share of their error in the residual are excluded from the scale: it is approximate.
+#: Least share of an error in the residual; directions below it are excluded from the scale, because it is approximate.
 CHECKED: Final = 0.1
-#: With fewer residuals the scale is 1.
+#: Number of residuals below which the scale is 1.
 LEAST: Final = 10
 #: Lower bound of the scale: residuals of zero would down-weight every other observation.
 LOWEST: Final = 0.01
 
 
 def robust_scale(problem: Problem, state: State) -> tuple[float, float]:
-    """Scales of image points and of control points at a state, in sigmas; 1 with fewer than :data:`LEAST` ratios.
+    """Return scales of image points and control points at a state, in sigmas; 1 with fewer than :data:`LEAST` ratios.
 
     The ratio of residuals to sigmas from their median: gross errors do not affect it. A residual is smaller than its
     error, because the unknowns absorb a part. With ground points free and the orientation of each image free (the
@@ -223,7 +223,7 @@ def robust_scale(problem: Problem, state: State) -> tuple[float, float]:
 
 
 def _ground_cofactors(problem: Problem, blocks: list[tuple[npt.NDArray[np.intp], Array]]) -> Array:
-    """Cofactors (N, 3, 3) of the unknown ground points, orientation held fixed; zero for all others."""
+    """Return the cofactors (N, 3, 3) of the unknown ground points, orientation held fixed; zero for all others."""
     rows, c = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
     normal = problem.point_normals(problem.observations.point[rows], c)
     out = np.zeros_like(normal)
@@ -232,7 +232,7 @@ def _ground_cofactors(problem: Problem, blocks: list[tuple[npt.NDArray[np.intp],
 
 
 def _of_image(problem: Problem, ground: Array, rows: npt.NDArray[np.intp], v: Array, b: Array, c: Array) -> Array:
-    """Ratios of T to the median of its chi-square, of the image points of one image."""
+    """Return the ratios of T to the median of its chi-square, of the image points of one image."""
     q = np.eye(2) - np.einsum("nri,nij,nsj->nrs", c, ground[problem.observations.point[rows]], c)
     kept = np.einsum("nrs,nsu->nru", q, b)
     prior = np.eye(b.shape[2]) if problem.block.options.priors else 0.0
@@ -241,14 +241,14 @@ def _of_image(problem: Problem, ground: Array, rows: npt.NDArray[np.intp], v: Ar
 
 
 def _of_control(problem: Problem, state: State, ground: Array) -> Array:
-    """Ratios of the control points."""
+    """Return the ratios of the control points."""
     rows = np.flatnonzero(problem.observed)
     w, v = problem.control_weights(rows), problem.control_residuals(state, rows)
     return _ratios(v, np.eye(3) - np.einsum("nij,njk,nlk->nil", w, ground[rows], w))
 
 
 def _ratios(v: Array, q: Array) -> Array:
-    """Ratios of ``v^T Q^+ v`` to the median of chi-square of the rank of Q, where the rank is not zero."""
+    """Return the ratios of ``v^T Q^+ v`` to the median of chi-square of the rank of Q, where the rank is not zero."""
     size, axes = np.linalg.eigh(q)
     checked = size > CHECKED
     part = np.einsum("nij,ni->nj", axes, v)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from fg_orient.sensors.base import ImageModel
 
 
-#: Image points whose records are made at once: more need more memory, not less time.
+#: Number of image points whose records are made together: more need more memory, not less time.
 AT_ONCE: Final = 4096
 
 
@@ -49,7 +49,7 @@ class Rows(NamedTuple):
 def whitened_records(
     models: Sequence[ImageModel], observations: ImagePoints, ground_m: Array, origin_m: Array
 ) -> Array:
-    """Records (n, d) of image points, whose residuals are in sigmas; ``ground_m`` (N, 3) ECEF."""
+    """Return the records (n, d) of image points, whose residuals are in sigmas; ``ground_m`` (N, 3) ECEF."""
     out = np.zeros((len(observations), 0))
     for k, model in enumerate(models):
         of_image = np.flatnonzero(observations.image == k)
@@ -67,7 +67,7 @@ def whitened_records(
 
 
 def unchanged_rows(like: Problem, block: Block, observations: ImagePoints) -> Index:
-    """Rows (n,) of ``like`` with the same constants as these image points; -1 for changed constants.
+    """Return the rows (n,) of ``like`` with the same constants as these image points; -1 for changed constants.
 
     A search for gross errors compiles a block again for each excluded observation. Start value and whitening of an
     image point depend only on its sensor, and on all rays and the known coordinates of its ground point.
@@ -90,14 +90,14 @@ def unchanged_rows(like: Problem, block: Block, observations: ImagePoints) -> In
 
 
 def rows_by_image(problem: Problem) -> list[Index]:
-    """Rows of ``problem.observations`` in each image, ascending."""
+    """Return the rows of ``problem.observations`` in each image, ascending."""
     image = problem.observations.image
     order = np.argsort(image, kind="stable")
     return np.split(order, np.cumsum(np.bincount(image, minlength=problem.n_images))[:-1])
 
 
 def image_rows(problem: Problem, state: State, k: int, rows: Index, *, jacobian: bool) -> tuple[Array, Array, Array]:
-    """Residuals (n, 2) of image points of one image, and Jacobians (n, 2, u) and (n, 2, 3), empty if not requested.
+    """Return residuals (n, 2) of image points of one image, and Jacobians (n, 2, u), (n, 2, 3), empty if not requested.
 
     ``rows`` (n,) are rows of ``problem.observations``, all of image k.
     """
@@ -110,16 +110,30 @@ def image_rows(problem: Problem, state: State, k: int, rows: Index, *, jacobian:
     wide[0, columns.wide] = x * columns.scale
     value, d_image, d_ground = np.empty((n, 2)), np.zeros((n, 2, columns.n_components)), np.zeros((n, 2, 3))
     kernel(
-        0, n, own, records, own, np.zeros(n, np.int32), own, columns.setup, basis.shape[1], basis, wide, ground, value,
-        d_image, d_ground, jacobian,
-    )  # fmt: skip
+        0,
+        n,
+        own,
+        records,
+        own,
+        np.zeros(n, np.int32),
+        own,
+        columns.setup,
+        basis.shape[1],
+        basis,
+        wide,
+        ground,
+        value,
+        d_image,
+        d_ground,
+        jacobian,
+    )
     if not jacobian:
         return value, np.empty((n, 2, 0)), np.empty((n, 2, 0))
     return value, d_image[:, :, columns.component] * (basis[:, columns.basis] * columns.scale)[:, None], d_ground
 
 
 def refuse(problem: Problem, state: State, row: int) -> NoReturn:
-    """Raise the error for the rows of an image point that the scalar kernel of its equation shows.
+    """Raise the error that the scalar kernel of its equation shows for an image point.
 
     Raises
     ------
@@ -137,7 +151,7 @@ def refuse(problem: Problem, state: State, row: int) -> NoReturn:
 
 
 def residuals(problem: Problem, state: State) -> Array:
-    """Whitened residuals (n, 2) of all image points."""
+    """Return the whitened residuals (n, 2) of all image points."""
     out = np.empty((len(problem.observations), 2))
     for begin in range(0, len(out), AT_ONCE):
         part = slice(begin, min(begin + AT_ONCE, len(out)))
@@ -154,7 +168,7 @@ def linearised(problem: Problem, state: State, rows: Index | None = None) -> Row
 
 
 def _evaluate(problem: Problem, state: State, rows: Index | slice, out: Rows, *, want: bool) -> None:
-    """Write the residuals of image points and, if wanted, their Jacobians; images of one equation together."""
+    """Write the residuals of image points and, if wanted, their Jacobians, for all images of an equation together."""
     o, row = problem.observations, np.arange(len(out.residual), dtype=np.int32)
     image, point = o.image[rows], o.point[rows]
     whole = isinstance(rows, slice) and rows == slice(None)
@@ -179,16 +193,27 @@ def _evaluate(problem: Problem, state: State, rows: Index | slice, out: Rows, *,
         direct = columns.is_plain and c == out.image.shape[2]
         d_image = out.image if direct or not want else np.zeros((len(row), 2, c))
         kernel(
-            0, len(members), members, *arguments, columns.setup, basis.shape[1], basis, wide, ground, out.residual,
-            d_image, out.ground, want,
-        )  # fmt: skip
+            0,
+            len(members),
+            members,
+            *arguments,
+            columns.setup,
+            basis.shape[1],
+            basis,
+            wide,
+            ground,
+            out.residual,
+            d_image,
+            out.ground,
+            want,
+        )
         if want and not direct:
             factor = basis[members][:, columns.basis] * columns.scale
             out.image[members, :, :size] = d_image[members][:, :, columns.component] * factor[:, None]
 
 
 def side_by_side(problem: Problem, image: Index, d_image: Array) -> tuple[Array, Index, tuple[int, ...]]:
-    """Jacobian (2n, u) of image points to the unknowns of all their images, one image after the other.
+    """Return the Jacobian (2n, u) of image points to the unknowns of all their images, one image after the other.
 
     ``image`` (n,) are the images of the points, ``d_image`` their Jacobians as in :class:`Rows`. Further results: the
     places (u,) of the columns among the unknowns of all images, and the images in the order of the columns.
@@ -205,10 +230,10 @@ def side_by_side(problem: Problem, image: Index, d_image: Array) -> tuple[Array,
 
 
 def image_models(images: Sequence[Image], options: Options) -> tuple[ImageModel, ...]:
-    """Model of each image.
+    """Return the model of each image.
 
     InputError: a sensor has no image model; approximate values of a shared unknown differ; ``image_unknowns`` names an
-    unknown that no image has, or no unknown of an image.
+    unknown that no image has, or removes all unknowns of an image.
     """
     starts: dict[tuple[str, str], float] = {}
     for image in images:
@@ -228,7 +253,7 @@ def image_models(images: Sequence[Image], options: Options) -> tuple[ImageModel,
 
 
 def groups(models: Sequence[ImageModel]) -> list[list[int]]:
-    """Images with the same equation and the same unknowns, by number, in the order of their first image."""
+    """Return the images with the same equation and the same unknowns, by number, in the order of their first image."""
     out: dict[tuple[str, bytes], list[int]] = {}
     for k, model in enumerate(models):
         out.setdefault((model.equation.name, model.parameters.setup.tobytes()), []).append(k)
@@ -236,7 +261,7 @@ def groups(models: Sequence[ImageModel]) -> list[list[int]]:
 
 
 def summed(values: Array, first: Index) -> Array:
-    """Sums (P, ...) of the values (n, ...) of the rays of each point; a tenth of the time of ``np.add.reduceat``."""
+    """Sum values (n, ...) over the rays of each point (P, ...), in a tenth of the time of ``np.add.reduceat``."""
     from scipy import sparse
 
     n, points = len(values), len(first) - 1
@@ -244,31 +269,31 @@ def summed(values: Array, first: Index) -> Array:
     return np.asarray(of_point @ values.reshape(n, -1)).reshape(points, *values.shape[1:])
 
 
-#: Computes some rows of an array, or all of them (None).
+#: Function that computes some rows of an array, or all of them (None).
 Compute = Callable[[Index | slice | None], Array]
 Kind = TypeVar("Kind", bound=type)
 Owner = TypeVar("Owner")
 
 
 def recomputed(name: str) -> Callable[[Kind], Kind]:
-    """Class decorator: the array ``name`` of a dataclass can be released."""
+    """Decorate a dataclass so that its array ``name`` can be released."""
 
     def changed(kind: Kind) -> Kind:
         again = cached_property(lambda owner: vars(owner)[_function(name)](None))
         again.__set_name__(kind, name)
-        setattr(kind, name, again)  # the array of an object hides it until the array is released
+        setattr(kind, name, again)  # the array in an object hides this attribute until the array is released
         return kind
 
     return changed
 
 
 def computed_by(owner: Any, name: str, function: Compute) -> None:
-    """State the function that computes an array of ``owner`` again."""
+    """Set the function that computes an array of ``owner`` again."""
     vars(owner)[_function(name)] = function
 
 
 def held(owner: Owner, name: str) -> Owner:
-    """``owner`` with the array computed."""
+    """Return ``owner`` with the array computed."""
     getattr(owner, name)
     return owner
 
@@ -280,7 +305,7 @@ def release(owner: Any, name: str) -> None:
 
 
 def replaced(owner: Owner, name: str, **changes: Any) -> Owner:
-    """``dataclasses.replace`` of other fields; an array that is released stays so."""
+    """Replace other fields as ``dataclasses.replace``; a released array stays released."""
     if name in vars(owner):
         return replace(owner, **changes)  # type: ignore[type-var]
     out: Owner = replace(owner, **changes, **{name: np.empty((0, 0))})  # type: ignore[type-var]
@@ -290,7 +315,7 @@ def replaced(owner: Owner, name: str, **changes: Any) -> Owner:
 
 
 def some_rows(owner: Any, name: str, rows: Index | slice) -> Array:
-    """Rows of an array of ``owner``; of a released array only these rows are computed."""
+    """Return the rows of an array of ``owner``; of a released array only these rows are computed."""
     if name not in vars(owner):
         return vars(owner)[_function(name)](rows)  # type: ignore[no-any-return]
     return getattr(owner, name)[rows]  # type: ignore[no-any-return]

@@ -1,9 +1,9 @@
 """Threads during an adjustment.
 
-Kernels release the interpreter and run in parallel in a few permanent threads. Dense linear algebra runs in one thread
-(:func:`one_blas_thread`). The matrices of this package are small: two BLAS threads take ten times the processor time of
-one (measured with 180 unknowns). The order of sums also changes rounding errors, so that results of singular systems
-would depend on the number of cores. Only factors of large reduced systems take more threads
+Kernels release the interpreter lock and run in parallel in a few permanent threads. Dense linear algebra runs in one
+thread (:func:`one_blas_thread`). The matrices of this package are small: two BLAS threads take ten times the processor
+time of one (measured with 180 unknowns). The order of sums also changes rounding errors; results of singular systems
+would then depend on the number of cores. Only factors of large reduced systems take more threads
 (``schur_reduced.LapackReduced``).
 """
 
@@ -28,22 +28,22 @@ if TYPE_CHECKING:
 Index = npt.NDArray[np.int64]
 
 
-#: Image points in the time that it takes to synchronise a thread at a stage, 50 us: a stage of n image points takes
-#: n / t + t times this number with t threads. Two threads take as long as one at 2000 image points (measured).
+#: Number of image points processed in the time of synchronising a thread at a stage, 50 us. With t threads a stage of n
+#: image points takes n / t + t times this number. Two threads take as long as one at 2000 image points (measured).
 PER_THREAD: Final = 1000
 
 
 def processors() -> int:
-    """Number of processors that this process may use."""
+    """Return the number of processors that this process may use."""
     if hasattr(os, "sched_getaffinity"):  # Linux
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def threads_for(image_points: int) -> int:
-    """Number of threads with the shortest time, at most the number of processors; see :data:`PER_THREAD`.
+    """Return the number of threads with the shortest time, at most the number of processors; see :data:`PER_THREAD`.
 
-    Thread t pays from t (t - 1) :data:`PER_THREAD` image points on.
+    Thread t saves time above t (t - 1) :data:`PER_THREAD` image points.
     """
     return min(processors(), (1 + math.isqrt(1 + 4 * image_points // PER_THREAD)) // 2)
 
@@ -57,7 +57,7 @@ class Workers:
         self._process = 0
 
     def run(self, kernel: Callable[..., Any], cuts: int | Index, *arguments: Any, start: int = 0) -> list[Any]:
-        """Call ``kernel(lo, hi, *arguments)`` for each part; results in the order of the parts.
+        """Call ``kernel(lo, hi, *arguments)`` for each part; return results in the order of the parts.
 
         ``cuts`` is the length of the range, or the running sum of the cost of its items; ``start`` its first item.
         """
@@ -79,7 +79,7 @@ class Workers:
         return [own, *(result for result, _ in others)]
 
     def _results(self, mates: tuple[_Mate, ...]) -> list[tuple[Any, BaseException | None]]:
-        """Wait for all threads; after an interrupt they are replaced, because their results would come later."""
+        """Wait for all threads; after an interrupt they are replaced, because their results would arrive later."""
         try:
             return [mate.outbox.get() for mate in mates]
         except BaseException:
@@ -87,7 +87,7 @@ class Workers:
             raise
 
     def _others(self) -> tuple[_Mate, ...]:
-        """Further threads, permanent: a start takes 0.1 to 0.5 ms. A forked process starts new threads."""
+        """Return further permanent threads: to start one takes 0.1 to 0.5 ms. A forked process starts new threads."""
         if not self._mates or self._process != os.getpid():
             self._mates, self._process = tuple(_Mate() for _ in range(self.threads - 1)), os.getpid()
             for mate in self._mates:
@@ -95,7 +95,7 @@ class Workers:
         return self._mates
 
     def _bounds(self, cuts: int | Index) -> list[int]:
-        """Ends of the parts, the first being 0."""
+        """Return the ends of the parts; the first is 0."""
         last = cuts if isinstance(cuts, int) else len(cuts) - 1  # items without cost may be at the end
         if self.threads == 1:
             return [0, last]
@@ -119,7 +119,7 @@ class _Mate:
 
 
 def _work(inbox: SimpleQueue[Any], outbox: SimpleQueue[Any]) -> None:
-    """Loop of a thread; it references only the queues, so that it ends with its owner."""
+    """Run the loop of a thread; it references only the queues, so that it ends with its owner."""
     while (task := inbox.get()) is not None:
         kernel, lo, hi, arguments = task
         try:
@@ -131,7 +131,7 @@ def _work(inbox: SimpleQueue[Any], outbox: SimpleQueue[Any]) -> None:
 
 @cache
 def _libraries() -> ThreadpoolController:
-    """The BLAS libraries of this process; the search takes 10 ms and is made once."""
+    """Return the BLAS libraries of this process; the search takes 10 ms and is made only once."""
     import scipy.linalg  # noqa: F401  # scipy has a separate BLAS, which must be loaded before it can be limited
     from threadpoolctl import ThreadpoolController
 

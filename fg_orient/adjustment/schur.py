@@ -1,4 +1,4 @@
-"""The Schur backend: the problem as arrays, ground points eliminated by compiled kernels.
+"""Schur backend: the problem as arrays, with ground points eliminated by compiled kernels.
 
 It solves the same normal equations as the graph, without Python calls per observation: linearisation, 3 x 3 point
 blocks, reduced camera system, its solution (``fg_orient.adjustment.reduced_systems``), back-substitution. The order of
@@ -35,7 +35,7 @@ from fg_orient.model.errors import InputError
 
 @dataclass(frozen=True)
 class SchurStep:
-    """A step; see ``loop.Step``: ``image`` (u,) prior sigmas, ``ground`` (P, 3) m, states before and after it."""
+    """Step; see ``loop.Step``: ``image`` (u,) prior sigmas, ``ground`` (P, 3) m, states before and after it."""
 
     image: Array
     ground: Array
@@ -51,26 +51,26 @@ class SchurStep:
 
 
 class Blended(ABC):
-    """A linearisation with steps of a trust region: unknowns (u,) that stay, and eliminated points (P, 3)."""
+    """Linearisation with steps of a trust region: remaining unknowns (u,), and eliminated points (P, 3)."""
 
     @abstractmethod
     def solve(self, damping: float) -> SchurStep:
-        """Step with ``damping`` times the identity added."""
+        """Return the step with ``damping`` times the identity added."""
 
     @abstractmethod
     def gradient(self) -> tuple[Array, Array]:
-        """Gradient (u,), (P, 3)."""
+        """Return the gradient (u,), (P, 3)."""
 
     @abstractmethod
     def curvature(self, image: Array, ground: Array) -> float:
-        """Squares of the whitened Jacobian times a direction (u,), (P, 3)."""
+        """Return the squares of the whitened Jacobian times a direction (u,), (P, 3)."""
 
     @abstractmethod
     def given(self, image: Array, ground: Array) -> SchurStep:
-        """A given step (u,), (P, 3), with the error that the linear model predicts after it."""
+        """Return a given step (u,), (P, 3), with the error that the linear model predicts after it."""
 
     def dogleg(self, radius: float) -> SchurStep:
-        """Blend of the steepest-descent and the Gauss-Newton step."""
+        """Return a blend of the steepest-descent and the Gauss-Newton step."""
         newton = self.solve(0.0)
         if newton.norm <= radius:
             return newton
@@ -86,7 +86,7 @@ class Blended(ABC):
         return self.given(image + share * d_image, ground + share * d_ground)
 
     def steepest(self) -> tuple[Array, Array]:
-        """Step (u,), (P, 3) to the minimum of the linear model along the negative gradient."""
+        """Return the step (u,), (P, 3) to the minimum of the linear model along the negative gradient."""
         image, ground = self.gradient()
         factor = -float((np.sum(image**2) + np.sum(ground**2)) / self.curvature(image, ground))
         return image * factor, ground * factor
@@ -95,12 +95,12 @@ class Blended(ABC):
 class SchurSystem(Blended):
     """One linearisation; see ``loop.System``.
 
-    Its rows are in the buffers of the backend. If another linearisation has replaced them they are computed again.
+    Its rows are in the buffers of the backend. If another linearisation has replaced them, they are computed again.
     """
 
     def __init__(self, backend: SchurBackend, state: State) -> None:
         self._backend, self.state = backend, state
-        self._name = object()  # owner of the buffers; the system itself would give a reference cycle
+        self._name = object()  # owner of the buffers; a reference to the system itself would be a cycle
         self._newton: SchurStep | None = None
         self._robust, self._excess = backend.robust, 0.0
         self._eliminated_at: float | None = None
@@ -111,7 +111,7 @@ class SchurSystem(Blended):
 
     @property
     def backend(self) -> SchurBackend:
-        """Backend that linearised."""
+        """Backend that made this linearisation."""
         return self._backend
 
     @property
@@ -124,7 +124,7 @@ class SchurSystem(Blended):
         b.held, b.root_weight, b.owner, self._eliminated_at = None, np.ones(0), self._name, None
         b.control = backend.problem.control_records
         if self._robust is None and backend.last_damping == 0.0:
-            # Gauss-Newton eliminates next: do it while the rows are in the cache
+            # the next step of Gauss-Newton eliminates: do it while the rows are in the cache
             with contextlib.suppress(Singular):
                 self._eliminate(0.0, fresh=True)
                 return
@@ -155,7 +155,7 @@ class SchurSystem(Blended):
         self._backend.workers.run(scale_rows, len(part), part, rows.value, rows.d_image, rows.d_ground)
 
     def buffers(self) -> Buffers:
-        """Arrays of this linearisation."""
+        """Return the arrays of this linearisation."""
         if self._backend.buffers.owner is not self._name:
             self._fill()
         return self._backend.buffers
@@ -166,12 +166,12 @@ class SchurSystem(Blended):
         return self._backend.reduced.choice
 
     def release(self) -> None:
-        """Free the arrays of this linearisation, 0.1 kB for each image point; they are computed again at need."""
+        """Free the arrays of this linearisation, 0.1 kB for each image point; they are computed again if needed."""
         self._backend.buffers = Buffers(self.structure, self._backend.problem.control_records)
         self._backend.stages.release()
 
     def rows(self, tile: Tile) -> TileRows:
-        """Whitened, weighted rows of a tile; rows that are not kept are overwritten by the next tile."""
+        """Return the whitened, weighted rows of a tile; rows that are not kept are overwritten by the next tile."""
         b = self.buffers()
         rows = b.rows(tile)
         if not tile.kept and b.held is not tile:
@@ -182,41 +182,43 @@ class SchurSystem(Blended):
         return rows
 
     def reduced(self, damping: float) -> Reduced:
-        """Eliminate the points: reduced camera system with ``damping`` times the identity added.
+        """Eliminate the points; return the reduced camera system with ``damping`` times the identity added.
 
         Singular if a ground point, or the reduced system, is not determined.
         """
         return self._reduced(self._eliminated(damping), damping)
 
     def _reduced(self, blocks: Array, damping: float) -> Reduced:
-        """Reduced system of these blocks, with priors, damping and observations of several images."""
+        """Return the reduced system of these blocks, with priors, damping and observations of several images."""
         backend = self._backend
         implicit = ImplicitProduct(self, damping) if backend.implicit else None
         return backend.reduced(blocks, backend.prior + damping, self._extras.matrix, 2.0 * self.error, implicit)
 
     @property
     def joined(self) -> Array | None:
-        """``J^T J`` (z, z) of the observations of several images; None without such."""
+        """``J^T J`` (z, z) of the observations of several images; None without such observations."""
         return self._extras.matrix
 
     def partial(self, damping: float) -> tuple[Array, Array]:
-        """Eliminate the points: blocks (B, k, k) without priors and damping of the images, and gradient (u,).
+        """Eliminate the points.
 
-        Observations of several images are in the gradient only. They are contributions to the reduced normal equations
-        of a larger block. Singular if a ground point is not determined.
+        Return blocks (B, k, k) without priors and damping of the images, and the gradient (u,).
+
+        Observations of several images are only in the gradient. The results are contributions to the reduced normal
+        equations of a larger block. Singular if a ground point is not determined.
         """
         blocks = self._eliminated(damping)
         return blocks, self._gathered_gradient()
 
     def eliminated_buffers(self, damping: float) -> Buffers:
-        """Arrays of this linearisation, with the points eliminated under this damping."""
+        """Return the arrays of this linearisation, with the points eliminated under this damping."""
         b = self.buffers()
         if self._eliminated_at != damping or not b.has_sums:
             self._eliminate(damping)
         return b
 
     def _eliminated(self, damping: float) -> Array:
-        """Blocks (B, k, k) of the reduced system; point blocks and gradients are in the buffers."""
+        """Return the blocks (B, k, k) of the reduced system; point blocks and gradients are in the buffers."""
         s, b = self.structure, self.eliminated_buffers(damping)
         self._backend.workers.run(
             gather_blocks, s.block_begin, s.block_begin, s.block_slots, s.slot_own, s.block_row, s.block_column, b.sums,
@@ -267,7 +269,7 @@ class SchurSystem(Blended):
         return step
 
     def substitute(self, image: Array, damping: float) -> SchurStep:
-        """Complete a step (u,) of the images, which has this damping, by the points."""
+        """Complete a step (u,) of the images, made with this damping, by the steps of the points."""
         backend, s, b = self._backend, self.structure, self.buffers()
         if self._eliminated_at != damping:
             self._eliminate(damping)
@@ -279,7 +281,7 @@ class SchurSystem(Blended):
         return self._step(image, ground, float(b.squares.sum()))
 
     def gradient(self) -> tuple[Array, Array]:
-        """Gradient of the images (u,) and of the points (P, 3)."""
+        """Return the gradient of the images (u,) and of the points (P, 3)."""
         s, b = self.structure, self.buffers()
         self._eliminated_at = None
         for tile in s.tiles:
@@ -294,12 +296,12 @@ class SchurSystem(Blended):
         return self._gathered_gradient(), b.gradient.copy()
 
     def curvature(self, image: Array, ground: Array) -> float:
-        """Squares of the whitened Jacobian times a direction (u,), (P, 3)."""
+        """Return the squares of the whitened Jacobian times a direction (u,), (P, 3)."""
         own = self._backend.prior * np.sum(image**2) + self._extras.squares_along(image, 0.0)
         return float(self._squares_along(image, ground, 0.0) + own + self._whitened_squares(ground))
 
     def _squares_along(self, image: Array, ground: Array, share: float) -> float:
-        """Squares of ``share`` of the residuals of the image points plus their Jacobian times a step."""
+        """Return the squares of ``share`` of the residuals of the image points plus their Jacobian times a step."""
         backend, s, b = self._backend, self.structure, self.buffers()
         wide = s.widened(backend.problem.image_matrix(image))
         for tile in s.tiles:
@@ -311,13 +313,13 @@ class SchurSystem(Blended):
         return float(np.sum(b.squares))
 
     def _whitened_squares(self, ground: Array) -> float:
-        """Sum of squares of the control-point rows times a step (P, 3)."""
+        """Return the sum of squares of the control-point rows times a step (P, 3)."""
         s = self._backend.structure
         w = self.buffers().control[s.observed, POINT.whitening].reshape(-1, 3, 3)
         return float(np.sum(np.einsum("nij,nj->ni", w, ground[s.free == 2]) ** 2))
 
     def given(self, image: Array, ground: Array) -> SchurStep:
-        """A given step (u,), (P, 3), with the error that the linear model predicts after it."""
+        """Return a given step (u,), (P, 3), with the error that the linear model predicts after it."""
         return self._step(image, ground, self._squares_along(image, ground, 1.0))
 
     def _step(self, image: Array, ground: Array, squares: float) -> SchurStep:
@@ -339,11 +341,11 @@ class SchurBackend:
         Threads of the kernels; by default by the number of image points, see ``runtime.threads_for``.
     reduced : str
         "dense", "banded": Cholesky factor of the reduced matrix or of its band; "graph": GTSAM on its blocks;
-        "iterative", "implicit": conjugate gradients on its blocks, or on the rows without blocks. "auto": by predicted
-        work and memory (``fg_orient.adjustment.reduced_choice``); "blocks": of the methods with blocks, for
-        :meth:`SchurSystem.partial`.
+        "iterative", "implicit": conjugate gradients on its blocks, or on the rows without blocks. "auto": chosen by
+        predicted work and memory (``fg_orient.adjustment.reduced_choice``); "blocks": chosen among the methods with
+        blocks, for :meth:`SchurSystem.partial`.
     grouping : callable, optional
-        Number of the group of each ground point; a chunk holds points of one group.
+        Function that returns the number of the group of each ground point; a chunk contains points of one group.
 
     Raises
     ------
@@ -365,7 +367,7 @@ class SchurBackend:
         if reduced == "auto" and alone and problem.n_image_unknowns > ITERATIVE:
             self._choice = choice_of(problem)
         kind = reduced if self._choice is None else self._choice.kind
-        #: Whether the reduced matrix is never formed.
+        #: True if the reduced matrix is never formed.
         self.implicit = kind == "implicit" and alone
         self.structure = compile_structure(problem, grouping, diagonal=self.implicit)
         self.workers = Workers(threads_for(len(problem.observations)) if threads is None else threads)
@@ -382,7 +384,7 @@ class SchurBackend:
         return ReducedSystems(*at, self._choice, self.workers.threads)
 
     def initial(self) -> State:
-        """Start values."""
+        """Return the start values."""
         return self.problem.start
 
     def linearise(self, state: State) -> SchurSystem:
@@ -390,7 +392,7 @@ class SchurBackend:
         return SchurSystem(self, state)
 
     def error(self, state: State) -> float:
-        """Half the weighted sum of squares, or the cost under the loss; see :meth:`linearise`."""
+        """Return half the weighted sum of squares, or the cost under the loss; see :meth:`linearise`."""
         if self.robust is None:
             return self.half_squares(self._values(state), state)
         _, _, cost = self.robust.weigh(*self.squares(state))
@@ -407,7 +409,7 @@ class SchurBackend:
         return np.asarray(np.argsort(self.structure.row)[two_ray_rows(self.problem)])
 
     def _values(self, state: State) -> Iterator[Array]:
-        """Residuals (n, 2) of one tile after the other; the next tile overwrites them."""
+        """Yield the residuals (n, 2) of one tile after the other; the next tile overwrites them."""
         for tile in self.structure.tiles:
             space = self.buffers.rows(tile)
             value = self.buffers.trial[: tile.points[1] - tile.points[0]]
@@ -415,18 +417,18 @@ class SchurBackend:
             yield value
 
     def control_squares(self, state: State, records: Array | None = None) -> Array:
-        """Squared norms (m,) of the whitened residuals of the observed control points, by their records (N, 12)."""
+        """Return squared norms (m,) of whitened residuals of observed control points, from records (N, 12)."""
         out = np.empty(len(self.structure.observed))
         records = self.problem.control_records if records is None else records
         control_squares(state.ground, records, self.structure.observed, out)
         return out
 
     def retract(self, state: State, step: SchurStep) -> State:
-        """State after a step."""
+        """Return the state after a step."""
         return step.after if state is step.before else self.moved(state, step.image, step.ground)
 
     def moved(self, state: State, image: Array, ground: Array) -> State:
-        """State moved by image unknowns (u,) and points (P, 3)."""
+        """Move a state by image unknowns (u,) and points (P, 3)."""
         moved = state.ground.copy()
         move(self.structure.number, ground, moved)
         return State(state.image + self.problem.image_matrix(image), moved)
@@ -437,12 +439,12 @@ class SchurBackend:
         self.workers.run(self.stages.rows, hi - lo, rows, state, wide, want, start=lo)
 
     def half_squares(self, values: Iterable[Array], state: State, records: Array | None = None) -> float:
-        """Half the weighted sum of squares, from whitened residuals of the image points and control records."""
+        """Return half the weighted sum of squares, from whitened residuals of the image points and control records."""
         return self.half_linear(state, records) + half_extras(self.problem, state) + 0.5 * sum(
             float(np.vdot(v, v)) for v in values
         )  # fmt: skip
 
     def half_linear(self, state: State, records: Array | None = None) -> float:
-        """Half the weighted sum of squares of control points and priors."""
+        """Return half the weighted sum of squares of control points and priors."""
         control = self.control_squares(state, records)
         return 0.5 * float(control.sum() + self.prior * self.problem.prior_squares(state))

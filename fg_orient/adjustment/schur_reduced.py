@@ -1,4 +1,4 @@
-"""Reduced camera system with LAPACK's Cholesky factor.
+"""Reduced camera system, solved with LAPACK's Cholesky factor.
 
 The blocks (B, k, k) of the upper triangle are in the order of ``Pattern.block_row``. The unknowns of image i are
 ``first[i]`` to ``first[i + 1]``.
@@ -25,16 +25,16 @@ if TYPE_CHECKING:
 #: Limit of the condition number of the reduced system, scaled to a unit diagonal. Above it there is no covariance: the
 #: relative rounding error of a cofactor, a few eps cond, exceeds 1e-3.
 CONDITION_LIMIT: Final = 1e13
-#: Unknowns above which BLAS may take more threads than one: below the bits do not depend on their number.
+#: Number of unknowns above which BLAS may use more threads than one; below, the bits do not depend on their number.
 THREADED: Final = 3000
-#: Elements of the largest band of which blocks of the inverse are formed: 0.8 GB.
+#: Maximum number of elements of a band from which blocks of the inverse are formed: 0.8 GB.
 LARGEST_BAND: Final = 100_000_000
-#: Columns of a band that are solved for a covariance; of more the whole inverse is formed.
+#: Maximum number of columns of a band that are solved for a covariance; for more the whole inverse is formed.
 COLUMNS: Final = 1000
 
 
 class Singular(RuntimeError):
-    """The reduced camera system is not positive definite."""
+    """Error: the reduced camera system is not positive definite."""
 
 
 class Reduced(Protocol):
@@ -42,7 +42,7 @@ class Reduced(Protocol):
 
     @property
     def selects(self) -> bool:
-        """Whether :meth:`selected` is possible in time and memory."""
+        """True if :meth:`selected` is possible in time and memory."""
         ...
 
     def solve(self, gradient: Array) -> Array:
@@ -53,14 +53,14 @@ class Reduced(Protocol):
         ...
 
     def covariance(self, images: tuple[int, ...]) -> Array:
-        """Joint block of the inverse of S for different images, in the given order.
+        """Return the joint block of the inverse of S for different images, in the given order.
 
         RuntimeError: S is too close to singular.
         """
         ...
 
     def selected(self, pairs: Index) -> Array:
-        """Blocks (P, k, k) of the inverse for pairs of images (P, 2) that have a block; shorter ones end with zeros.
+        """Return blocks (P, k, k) of the inverse for pairs of images (P, 2) with a block; shorter ones end with zeros.
 
         RuntimeError: S is too close to singular.
         """
@@ -82,25 +82,32 @@ class LapackReduced:
     ties : Ties, optional
         Unknowns shared by images: the matrix is ``T^T S T`` of the free unknowns, full.
     added : (z, z) array, optional
-        Added to the matrix, which is then full.
+        Matrix to add; the sum is then full.
     threads : int
-        Threads of BLAS, from :data:`THREADED` unknowns on: the order of its sums depends on them.
+        Number of threads of BLAS, used from :data:`THREADED` unknowns on: the order of its sums depends on them.
 
     Raises
     ------
     Singular
-        It is not positive definite.
+        Singular :: The matrix is not positive definite.
     """
 
     def __init__(
-        self, pattern: Pattern, first: Index, blocks: Array, diagonal: float, order: Order | None = None,
-        ties: Ties | None = None, added: Array | None = None, threads: int = 1,
-    ) -> None:  # fmt: skip
+        self,
+        pattern: Pattern,
+        first: Index,
+        blocks: Array,
+        diagonal: float,
+        order: Order | None = None,
+        ties: Ties | None = None,
+        added: Array | None = None,
+        threads: int = 1,
+    ) -> None:
         self._first, self._ties, self._banded = first, ties, order is not None
         n = int(first[-1]) if ties is None else len(ties)
         self._threads = threads if n >= THREADED else 1
         self._order = order or Order(first[:-1].astype(np.int64), np.arange(n), n - 1)
-        # scaled to a unit diagonal: the limit for pivots does not depend on the units
+        # scaled to a unit diagonal, so that the limit for pivots does not depend on the units
         if ties is None and added is None:
             self._scale, sums, s = np.empty(n), np.empty(n), np.zeros((n, self._order.band + 1))
             at = (pattern.block_row, pattern.block_column, self._order.place, pattern.size, blocks)
@@ -180,12 +187,12 @@ class LapackReduced:
             return out
         if self._inverse is None:
             self._inverse = self._inverted()
-        return np.asarray(self._inverse[at[i][:, :, None], at[j][:, None, :]] * (
-            there[i][:, :, None] & there[j][:, None, :]
-        ))  # fmt: skip
+        return np.asarray(
+            self._inverse[at[i][:, :, None], at[j][:, None, :]] * (there[i][:, :, None] & there[j][:, None, :])
+        )
 
     def _inverted(self) -> Array:
-        """Inverse of S, also from a band: solving for columns one by one takes three times as long."""
+        """Return the inverse of S, also from a band: solving for columns one by one takes three times as long."""
         factor, unknowns = self._factor, self._order.unknowns
         if self._banded:
             n, band = len(self._scale), self._order.band
@@ -204,26 +211,29 @@ class LapackReduced:
         return out
 
     def condition(self) -> float:
-        """Condition number of the scaled matrix in the 1-norm; the norm of the inverse is estimated (Hager 1984)."""
+        """Return the condition number of the scaled matrix in the 1-norm.
+
+        The inverse's norm is estimated (Hager 1984).
+        """
         if self._condition is None:
             self._condition = self._norm * inverse_norm(self._solved, len(self._scale))
         return self._condition
 
 
 def banded_order(pattern: Pattern, first: Index) -> Order | None:
-    """Narrowest order of the images for the inverse; None if the matrix has no band, or if the band is too large."""
+    """Return the narrowest order of the images for the inverse; None without a band, or if the band is too large."""
     order, n = narrowest(pattern, first), int(first[-1])
     return order if (order.band + 1) * n <= LARGEST_BAND and order.band < n - 1 else None
 
 
 class LapackInverse:
-    """Source of the inverse of a system that another method solves: a factor by LAPACK, made at first use.
+    """Inverse of a system that another method solves: a factor by LAPACK, made at first use.
 
     Parameters as for :class:`LapackReduced`.
     """
 
     def __init__(self, pattern: Pattern, first: Index, blocks: Array, diagonal: float, threads: int) -> None:
-        # a copy: the next linearisation overwrites the blocks before a covariance is wanted
+        # a copy: the next linearisation overwrites the blocks before a covariance is requested
         self._at, self._threads = (pattern, first, blocks.copy(), diagonal), threads
 
     @property
@@ -243,7 +253,7 @@ class LapackInverse:
 
     @cached_property
     def factor(self) -> LapackReduced:
-        """The factor. Singular if the system is not positive definite, or too large."""
+        """Cholesky factor. Singular if the system is not positive definite, or too large."""
         if not self.selects:
             unknowns = int(self._at[1][-1])
             raise too_large(unknowns)
@@ -251,7 +261,7 @@ class LapackInverse:
 
 
 def full_matrix(pattern: Pattern, first: Index, blocks: Array, ties: Ties | None) -> Array:
-    """Symmetric matrix (z, z) of the free unknowns from the blocks: ``T^T S T`` where images share unknowns."""
+    """Return the symmetric matrix (z, z) of the free unknowns from the blocks: ``T^T S T`` if images share unknowns."""
     of = np.arange(first[-1]) if ties is None else ties.of
     n = len(of) if ties is None else len(ties)
     out = np.zeros((n, n))
@@ -260,13 +270,13 @@ def full_matrix(pattern: Pattern, first: Index, blocks: Array, ties: Ties | None
 
 
 def require_regular(condition: float) -> None:
-    """Raise Singular for the condition of a scaled reduced system that is too close to singular for cofactors."""
+    """Raise Singular for a condition number of a scaled reduced system that is too large for cofactors."""
     if not condition < CONDITION_LIMIT:
         raise Singular(f"the condition of the scaled reduced system is above {CONDITION_LIMIT:.0e}")
 
 
 def too_large(unknowns: int) -> Singular:
-    """Error for a full inverse of more than :data:`LARGEST_FULL` image unknowns."""
+    """Return the error for a full inverse of more than :data:`LARGEST_FULL` image unknowns."""
     return Singular(f"the covariance of {unknowns} image unknowns would take {8e-9 * unknowns**2:.0f} GB")
 
 
@@ -285,19 +295,19 @@ def inverse_norm(solve: Callable[[Array], Array], n: int) -> float:
     return estimate
 
 
-#: Rows that are mirrored at once.
+#: Number of rows that are mirrored together.
 PART: Final = 256
 
 
 def band_inverse(factor: Array, place: Index, size: Index, pairs: Index) -> Array:
-    """Blocks (P, k, k) of the inverse for pairs of images with a block in the band; shorter ones end with zeros.
+    """Return blocks (P, k, k) of the inverse for pairs of images within the band; shorter ones end with zeros.
 
     The factor is cut into blocks at least as wide as its band: it is block bidiagonal, ``L_k`` with ``C_k`` below it.
     From the last block up, with ``G = C_k L_k^-1`` and the inverse Z of what follows,
 
         Z_k+1,k = -Z_k+1 G,    Z_k = L_k^-T L_k^-1 + G^T Z_k+1 G
 
-    are the parts of the inverse where the matrix may have elements (Takahashi et al. 1973).
+    are the parts of the inverse in which the matrix may have elements (Takahashi et al. 1973).
 
     Parameters
     ----------
@@ -344,7 +354,7 @@ def band_inverse(factor: Array, place: Index, size: Index, pairs: Index) -> Arra
 
 
 def _part(factor: Array, row: int, row_end: int, column: int, column_end: int) -> Array:
-    """Rows and columns of a lower factor that is stored by its band, as a full matrix in Fortran order."""
+    """Return the rows and columns of a lower factor that is stored by its band, as a full matrix in Fortran order."""
     band = len(factor) - 1
     stored = np.ascontiguousarray(factor.T)
     step = stored.itemsize
@@ -357,7 +367,7 @@ def _part(factor: Array, row: int, row_end: int, column: int, column_end: int) -
 
 
 def mirror(matrix: Array) -> None:
-    """Write the upper triangle of a square matrix to the lower one, in parts: no second matrix is made."""
+    """Copy the upper triangle of a square matrix to the lower one, in parts, without a second matrix."""
     for lo in range(0, len(matrix), PART):
         own = matrix[lo : lo + PART, lo : lo + PART]
         own[:] = np.triu(own) + np.triu(own, 1).T

@@ -1,7 +1,7 @@
 """Stages of the Schur backend for a range of points: rows, point blocks, sums over pairs; and their memory.
 
-A thread runs all stages of its range before threads synchronise, because a synchronisation takes up to 50 us, and new
-rows are still in the cache when they are used.
+A thread runs all stages of its range before threads synchronise. A synchronisation takes up to 50 us, and new rows are
+then still in the cache when they are used.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from fg_orient.kernels.vectors import SLACK, padded
 
 #: Bytes of a cache line.
 CACHE_LINE: Final = 64
-#: Image points up to which the records are copied in the order of the points, 0.3 kB each: in the order of the input
-#: they cost 40 ns more per image point and iteration.
+#: Maximum number of image points for which records are copied in the order of the points, 0.3 kB each: in the order of
+#: the input they cost 40 ns more per image point and iteration.
 COPIED: Final = 100_000
 
 
@@ -41,7 +41,7 @@ class TileRows:
 
 
 class Buffers:
-    """Arrays of one linearisation, reused by the next: allocating memory costs more than computing in it.
+    """Arrays of one linearisation, reused by the next, because allocating memory costs more than computing in it.
 
     Tiles that are not kept share one space; ``held`` is the tile whose rows it contains.
     """
@@ -77,16 +77,16 @@ class Buffers:
 
     @property
     def has_sums(self) -> bool:
-        """Whether there are sums of pairs."""
+        """True if there are sums of pairs."""
         return "sums" in self.__dict__
 
     def release(self) -> None:
-        """Free the largest arrays. The reduced system is eliminated again where it is needed again."""
+        """Free the largest arrays. The reduced system is eliminated again if it is needed again."""
         for name in ("sums", "blocks"):
             self.__dict__.pop(name, None)
 
     def rows(self, tile: Tile, *, of_images: bool = True) -> TileRows:
-        """Space for the rows of a tile; without ``of_images`` for derivatives by the points only."""
+        """Return the space for the rows of a tile; without ``of_images`` for derivatives by the points only."""
         lo, hi = tile.points
         d_image, d_ground = self.kept if tile.kept else self._again
         at = slice(lo, hi) if tile.kept else slice(0, hi - lo)
@@ -94,7 +94,7 @@ class Buffers:
 
 
 def _aligned(*shape: int) -> Array:
-    """Uninitialised array at the start of a cache line: vectors across two lines are half as fast (measured)."""
+    """Return an uninitialised array at a cache line: vectors across two lines are half as fast (measured)."""
     n = int(np.prod(shape))
     space = np.empty(n + CACHE_LINE // 8)
     skip = -space.ctypes.data % CACHE_LINE // 8
@@ -102,7 +102,7 @@ def _aligned(*shape: int) -> Array:
 
 
 def row_arrays(n: int, c: int) -> tuple[Array, Array]:
-    """Jacobians of n image points; the first array is padded at its end, see ``fg_orient.kernels.vectors``."""
+    """Return Jacobians of n image points; the first array is padded at its end, see ``fg_orient.kernels.vectors``."""
     space = np.empty(2 * n * c + SLACK)
     space[2 * n * c :] = 0.0
     return space[: 2 * n * c].reshape(n, 2, c), np.empty((n, 2, 3))
@@ -130,7 +130,7 @@ class Stages:
         return self.problem.records[self.structure.row] if self._own else self.problem.records
 
     def release(self) -> None:
-        """Free the records; they are copied again at need."""
+        """Free the records; they are copied again if needed."""
         self.__dict__.pop("_records", None)
 
     def rows(self, lo: int, hi: int, rows: TileRows, state: State, wide: Array, want: bool) -> None:
@@ -147,9 +147,22 @@ class Stages:
                 first, end_of_part = np.searchsorted(group.members, (lo, hi))
                 members, part = group.members[first:end_of_part] - np.int32(start), (0, int(end_of_part - first))
             a = group.rows(
-                *part, members, records, self._row[at], s.image[at], s.point[at], group.columns.setup,
-                group.n_basis, s.basis[at], wide, state.ground, rows.value, rows.d_image, rows.d_ground, want,
-            )  # fmt: skip
+                *part,
+                members,
+                records,
+                self._row[at],
+                s.image[at],
+                s.point[at],
+                group.columns.setup,
+                group.n_basis,
+                s.basis[at],
+                wide,
+                state.ground,
+                rows.value,
+                rows.d_image,
+                rows.d_ground,
+                want,
+            )
             if a >= 0:
                 refuse(self.problem, state, int(s.row[start + a]))
 
@@ -160,17 +173,36 @@ class Stages:
         """
         s, problem = self.structure, self.problem
         p = point_blocks(
-            lo, hi, s.first, s.number, s.free, b.control, state.ground, problem.point_damping(damping),
-            rows.tile.points[0], rows.value, rows.d_ground, b.root, b.gradient, b.scaled,
-        )  # fmt: skip
+            lo,
+            hi,
+            s.first,
+            s.number,
+            s.free,
+            b.control,
+            state.ground,
+            problem.point_damping(damping),
+            rows.tile.points[0],
+            rows.value,
+            rows.d_ground,
+            b.root,
+            b.gradient,
+            b.scaled,
+        )
         if p >= 0:
             raise Singular(f"point {problem.block.points.ids[s.number[p]]} is not determined by its rays")
 
     def chunks(
-        self, lo: int, hi: int, rows: TileRows, state: State, wide: Array | None, damping: float, b: Buffers,
+        self,
+        lo: int,
+        hi: int,
+        rows: TileRows,
+        state: State,
+        wide: Array | None,
+        damping: float,
+        b: Buffers,
         pairs: bool = True,
-    ) -> None:  # fmt: skip
-        """Eliminate the ground points of chunks lo to hi; with ``wide`` their rows are computed and weighted before.
+    ) -> None:
+        """Eliminate the ground points of chunks lo to hi; with ``wide`` their rows are computed and weighted first.
 
         Without ``pairs`` only the blocks of the points are computed, for their own steps.
         """
@@ -185,21 +217,49 @@ class Stages:
         """Write the sums of the pairs of rays of chunks lo to hi, whose points are eliminated."""
         s = self.structure
         pair_blocks(
-            lo, hi, s.chunks, s.pieces, s.slots, s.slot_begin, s.image, s.n_basis, s.n_components, s.basis,
-            rows.tile.points[0], rows.d_image, b.scaled, b.sums, b.gradients,
-        )  # fmt: skip
+            lo,
+            hi,
+            s.chunks,
+            s.pieces,
+            s.slots,
+            s.slot_begin,
+            s.image,
+            s.n_basis,
+            s.n_components,
+            s.basis,
+            rows.tile.points[0],
+            rows.d_image,
+            b.scaled,
+            b.sums,
+            b.gradients,
+        )
 
     def substituted(
         self, lo: int, hi: int, rows: TileRows, state: State, wide: Array | None, step: Array, b: Buffers, ground: Array
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Write the steps (P, 3) of the points of chunks lo to hi after a step (M, w) of the images."""
         s = self.structure
         if wide is not None:
             self._weighted_rows(lo, hi, rows, state, wide, b)
         back_substitute(
-            lo, hi, s.chunk_places, s.first, s.image, s.n_basis, s.n_components, s.basis, step, rows.tile.points[0],
-            rows.value, rows.d_image, rows.d_ground, b.root, b.gradient, ground, b.squares,
-        )  # fmt: skip
+            lo,
+            hi,
+            s.chunk_places,
+            s.first,
+            s.image,
+            s.n_basis,
+            s.n_components,
+            s.basis,
+            step,
+            rows.tile.points[0],
+            rows.value,
+            rows.d_image,
+            rows.d_ground,
+            b.root,
+            b.gradient,
+            ground,
+            b.squares,
+        )
 
     def _weighted_rows(self, lo: int, hi: int, rows: TileRows, state: State, wide: Array, b: Buffers) -> None:
         """Compute the rows of the image points of chunks lo to hi, multiplied by the roots of their weights."""
@@ -213,10 +273,10 @@ class Stages:
 
 
 class ImageExtras:
-    """Extra observations of images, linearised at a state: J^T J is added to the reduced system.
+    """Extra observations of images, linearised at a state; their J^T J is added to the reduced system.
 
-    An observation of one image is added to the block of the image, an observation of several images to the full matrix.
-    Elimination and back-substitution of the ground points do not depend on them.
+    An observation of one image is added to the block of this image, an observation of several images to the full
+    matrix. Elimination and back-substitution of the ground points do not depend on them.
     """
 
     def __init__(self, problem: Problem, state: State) -> None:
@@ -235,18 +295,18 @@ class ImageExtras:
 
     @property
     def joined(self) -> bool:
-        """Whether an observation is of several images."""
+        """True if an observation belongs to several images."""
         return any(len(images) > 1 for images, _, _ in self._rows)
 
     @cached_property
     def matrix(self) -> Array | None:
-        """``J^T J`` (z, z) of the free unknowns by observations of several images; None without such observations."""
+        """``J^T J`` (z, z) of the free unknowns from observations of several images; None without such observations."""
         wide = [self._free(images, jacobians) for images, _, jacobians in self._rows if len(images) > 1]
         rows = np.vstack(wide) if wide else None
         return None if rows is None else rows.T @ rows
 
     def _free(self, images: tuple[int, ...], jacobians: tuple[Array, ...]) -> Array:
-        """Jacobian (r, z) by the free unknowns of all images."""
+        """Return the Jacobian (r, z) by the free unknowns of all images."""
         out = np.zeros((len(jacobians[0]), self._problem.n_image_unknowns))
         for k, j in zip(images, jacobians, strict=True):
             out[:, self._problem.image_slice(k)] += j
@@ -262,16 +322,16 @@ class ImageExtras:
         return out
 
     def squares_along(self, image: Array, share: float) -> float:
-        """Sum of squares of ``share`` of the residuals plus their Jacobian times a step (u,) of the images."""
+        """Return squares of ``share`` of the residuals plus their Jacobian times a step (u,) of the images, summed."""
         step = self._problem.image_matrix(image)
         moved = (
             share * r + sum(j @ step[k, : j.shape[1]] for k, j in zip(images, jacobians, strict=True))
             for images, r, jacobians in self._rows
-        )  # fmt: skip
+        )
         return sum(float(v @ v) for v in moved)
 
 
 def half_extras(problem: Problem, state: State) -> float:
-    """Half the sum of squares of the extra observations at a state."""
+    """Return half the sum of squares of the extra observations at a state."""
     extras = (extra_blocks(problem, e, state, jacobian=False)[0] for e in problem.block.extra)
     return 0.5 * sum(float(r @ r) for r in extras)

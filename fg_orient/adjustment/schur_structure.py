@@ -1,6 +1,6 @@
-"""A problem compiled to arrays for the Schur backend: sorted observations, columns, pieces, chunks, tiles.
+"""Compilation of a problem to arrays for the Schur backend: sorted observations, columns, pieces, chunks, tiles.
 
-Image points are sorted by ground point, and ground points by the images that see them, so that data used together are
+Image points are sorted by ground point, and ground points by the images that see them. So data used together are
 adjacent in memory. The layout is the same as in ``fg_orient.kernels.batch``, ``fg_orient.kernels.batch_points`` and
 ``fg_orient.kernels.batch_pairs``.
 """
@@ -28,24 +28,24 @@ from fg_orient.kernels.batch_rows import Flags
 Index = npt.NDArray[np.int64]
 Small = npt.NDArray[np.int32]
 
-#: Number of chunks, least and largest number of their image points. Each chunk has separate sums (a few blocks of 6
+#: Number of chunks, and least and largest number of their image points. Each chunk has separate sums (a few blocks of 6
 #: kB); threads divide the chunks.
 CHUNKS: Final = 12
 LEAST_CHUNK: Final = 768
 MOST_CHUNK: Final = 16384
-#: Time for the rows of an image point, in units of a pair of rays (measured: 110 and 50 ns).
+#: Time for the rows of an image point, in units of the time for a pair of rays (measured: 110 and 50 ns).
 RAY_COST: Final = 2
-#: Limits for the sums of the chunks: bytes per image point, bytes that are always allowed, least number of chunks.
+#: Limits for the sums of the chunks: bytes per image point, bytes that are always allowed, minimum number of chunks.
 SUMS: Final = 48
 LEAST_SUMS: Final = 16_000_000
 LEAST_CHUNKS: Final = 2
-#: Image points whose rows are computed together: 25 MB.
+#: Number of image points whose rows are computed together: 25 MB.
 TILE: Final = 131_072
-#: Number of image points up to which all rows are kept, 200 bytes each. Larger blocks keep this share: the working set
-#: is below 256 bytes per image point, and the other rows are computed three times instead of once.
+#: Number of image points up to which all rows are kept, 200 bytes each. Larger blocks keep the rows of this number: the
+#: working set is below 256 bytes per image point, and the other rows are computed three times instead of once.
 ALL_KEPT: Final = 300_000
 KEPT_SHARE: Final = 0.28
-#: Records that are copied at once.
+#: Number of records that are copied together.
 RECORDS: Final = 32_768
 
 
@@ -67,8 +67,8 @@ class Group:
 class Tile:
     """Consecutive chunks whose rows are computed and used together.
 
-    First and end of its image points, of its places among the ground points, and of its chunks; ``kept``: whether its
-    rows stay in memory, else they are computed for each use.
+    First and end of its image points, of its positions among the ground points, and of its chunks. ``kept``: true if
+    its rows stay in memory; otherwise they are computed for each use.
     """
 
     points: tuple[int, int]
@@ -85,16 +85,16 @@ class Structure:
     ----------
     groups : tuple of Group
     row, image, point : (n,) int arrays
-        Of the sorted image points: row in the problem, image, ground point.
+        Arrays of the sorted image points: row in the problem, image, ground point.
     number, free : (P,) int arrays
-        Ground point of each place; 0 constant, 1 unknown, 2 unknown and observed.
+        Ground point of each position; kind: 0 constant, 1 unknown, 2 unknown and observed.
     first : (P + 1,) int array
-        First image point of each place.
+        First image point of each position.
     basis : (n, b) array
     n_basis, n_components, size : (M,) int arrays
-        Of each image; ``size``: number of its unknowns.
+        Numbers of each image; ``size``: number of its unknowns.
     wide, scale : (M, k) arrays
-        Place among the wide numbers and factor of each unknown.
+        Position among the wide numbers, and factor, of each unknown.
     pieces, chunks, slots : int arrays
         See ``fg_orient.kernels.batch_pairs``.
     chunk_places, slot_begin : (N + 1,) int arrays
@@ -158,7 +158,7 @@ class Structure:
         return dict(zip(self.block_row[own].tolist(), own.tolist(), strict=True))
 
     def widened(self, image: Array) -> Array:
-        """Wide numbers (M, w) of unknowns (M, k), in the units of the components."""
+        """Return the wide numbers (M, w) of unknowns (M, k), in the units of the components."""
         out = np.zeros((len(image), self.width))
         widen(image, self.wide, self.scale, self.size, out)
         return out
@@ -192,16 +192,34 @@ def compile_structure(problem: Problem, grouping: Grouping | None = None, *, dia
     pairs = np.append(pieces[1:, 4], _entries(pieces)) - pieces[:, 4]
     cost = np.concatenate([[0], np.cumsum((pairs + RAY_COST * pieces[:, 3]) * pieces[:, 2])])[chunks]
     return Structure(
-        image_groups, row, image, point, number, free, first, basis, n_basis, n_components, size, wide, scale, pieces,
-        chunks, chunk_places=chunk_places, cost=cost, tiles=_tiles(first, chunk_places, diagonal), **slots,
-    )  # fmt: skip
+        image_groups,
+        row,
+        image,
+        point,
+        number,
+        free,
+        first,
+        basis,
+        n_basis,
+        n_components,
+        size,
+        wide,
+        scale,
+        pieces,
+        chunks,
+        chunk_places=chunk_places,
+        cost=cost,
+        tiles=_tiles(first, chunk_places, diagonal),
+        **slots,
+    )
 
 
 def _sorted(problem: Problem, grouping: Grouping | None) -> tuple[Small, Small, Small, Small, Flags]:
-    """Row, image and ground point of sorted image points, first of each ground point, flags of new groups' first ones.
+    """Return row, image and ground point of sorted image points, first of each ground point, flags of new groups.
 
-    Image points by ground point, ground points by first and last image, number of rays and all their images: rays that
-    two images share lie in few runs of memory, and points seen in the same images follow each other.
+    Image points are sorted by ground point. Ground points are sorted by first and last image, number of rays and all
+    their images. So rays that two images share lie in few runs of memory, and points seen in the same images follow
+    each other.
     """
     o, n, m = problem.observations, len(problem.observations), problem.n_images
     image, point = np.asarray(o.image, np.int64), np.asarray(o.point, np.int64)
@@ -225,7 +243,7 @@ def _sorted(problem: Problem, grouping: Grouping | None) -> tuple[Small, Small, 
 
 
 def _groups(problem: Problem, image: Small) -> tuple[Group, ...]:
-    """Images with the same equation and unknowns, and their image points."""
+    """Return the images with the same equation and unknowns, and their image points."""
     out, image_groups = [], groups(problem.models)
     for images in image_groups:
         model = problem.models[images[0]]
@@ -240,21 +258,26 @@ def _groups(problem: Problem, image: Small) -> tuple[Group, ...]:
 
 
 def _write_basis(problem: Problem, row: Small, group: Group, basis: Array) -> None:
-    """Write the basis values of a group's image points, some at a time: their records are copied for it."""
+    """Write the basis values of a group's image points, some at a time, because their records are copied for it."""
     for lo in range(0, len(row) if group.members is None else len(group.members), RECORDS):
         at = slice(lo, lo + RECORDS) if group.members is None else group.members[lo : lo + RECORDS]
         basis[at, : group.n_basis] = group.columns.values(problem.records[row[at]])
 
 
 def _chunks(
-    first: Small, image: Small, free: npt.NDArray[np.int8], fence: npt.NDArray[np.int8], n_images: int, numbers: int,
+    first: Small,
+    image: Small,
+    free: npt.NDArray[np.int8],
+    fence: npt.NDArray[np.int8],
+    n_images: int,
+    numbers: int,
     diagonal: bool,
-) -> tuple[Index, Index, dict[str, Any]]:  # fmt: skip
-    """Pieces (Q, 5), the first of each chunk and their number (N + 1,), and their :func:`_slots`.
+) -> tuple[Index, Index, dict[str, Any]]:
+    """Return the pieces (Q, 5), the first of each chunk and their number (N + 1,), and their :func:`_slots`.
 
-    The number of chunks is reduced where their sums, ``numbers`` for each slot, would need more memory than the rows:
-    where neighbouring points are seen by different images: at once to the least number if one slot for each block
-    needs more. A chunk begins at each ``fence``.
+    The number of chunks is reduced if their sums, ``numbers`` for each slot, would need more memory than the rows. This
+    happens if different images see neighbouring points. If even one slot for each block needs more, the least number is
+    used. A chunk begins at each ``fence``.
     """
     total = int(first[-1])
     limit = min(max(total // CHUNKS, LEAST_CHUNK), MOST_CHUNK)
@@ -273,14 +296,14 @@ def _chunks(
 
 
 def _entries(pieces: Index) -> int:
-    """Number of pairs of rays of all pieces, each piece counted once."""
+    """Return the number of pairs of rays of all pieces, each piece counted once."""
     return int(pieces[-1, 4] + pieces[-1, 3] * (pieces[-1, 3] + 1) // 2) if len(pieces) else 0
 
 
 def _slots(
     pieces: Index, chunks: Index, image: Small, free: npt.NDArray[np.int8], n_images: int, diagonal: bool
-) -> dict[str, Any]:  # fmt: skip
-    """Slots of the pieces, and blocks of the slots: fields of :class:`Structure` by name."""
+) -> dict[str, Any]:
+    """Return the slots of the pieces, and blocks of the slots: fields of :class:`Structure` by name."""
     key, kind = np.empty(_entries(pieces), np.int64), np.empty(_entries(pieces), np.int64)
     batch_sort.list_entries(pieces, chunks, image, free, n_images, key, kind)
     exists = (kind >= 0) & (key % (n_images + 1) == 0) if diagonal else kind >= 0
@@ -293,15 +316,18 @@ def _slots(
     slot_block = slot_key // 2 % len(blocks)
     block_begin = np.concatenate([[0], np.cumsum(np.bincount(slot_block, minlength=len(blocks)))])
     return {
-        "slots": slots, "slot_begin": begin.astype(np.int64), "slot_own": (slot_key % 2).astype(np.int32),
-        "block_row": blocks // n_images, "block_column": blocks % n_images,
+        "slots": slots,
+        "slot_begin": begin.astype(np.int64),
+        "slot_own": (slot_key % 2).astype(np.int32),
+        "block_row": blocks // n_images,
+        "block_column": blocks % n_images,
         "block_begin": block_begin.astype(np.int64),
         "block_slots": np.argsort(slot_block, kind="stable").astype(np.int32),
-    }  # fmt: skip
+    }
 
 
 def _tiles(first: Small, places: Small, every: bool) -> tuple[Tile, ...]:
-    """Tiles of about TILE image points; the rows of the first ones, or of ``every`` one, are kept."""
+    """Return the tiles of about TILE image points; the rows of the first tiles, or of ``every`` tile, are kept."""
     points = first[places].astype(np.int64)
     total, cuts = int(points[-1]), [0]
     while cuts[-1] < len(places) - 1:
@@ -309,7 +335,5 @@ def _tiles(first: Small, places: Small, every: bool) -> tuple[Tile, ...]:
     out = []
     for lo, hi in itertools.pairwise(cuts):
         kept = every or total <= ALL_KEPT or int(points[hi]) <= KEPT_SHARE * total
-        out.append(
-            Tile((int(points[lo]), int(points[hi])), (int(places[lo]), int(places[hi])), (lo, hi), kept)
-        )  # fmt: skip
+        out.append(Tile((int(points[lo]), int(points[hi])), (int(places[lo]), int(places[hi])), (lo, hi), kept))
     return tuple(out)

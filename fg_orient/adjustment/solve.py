@@ -60,14 +60,14 @@ if TYPE_CHECKING:
 
 S = TypeVar("S")
 
-#: Image points up to which a graph with a factor for each is built where eliminated points give a singular system:
-#: it takes 13 kB for each.
+#: Maximum number of image points for a graph with a factor for each (13 kB each); it is built if eliminated points give
+#: a singular system.
 EXPLICIT_LIMIT = 100_000
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """End of the optimisation.
+    """Result of the optimisation.
 
     Parameters
     ----------
@@ -77,15 +77,15 @@ class Estimate:
     backend, solver : str
         "graph", "schur" or "dense"; linear solver of the dense backend, else "".
     linear : ExplicitSystem, SchurSystem, DenseSystem, SummedSystem or BorderMatrix
-        The undamped linearisation at the state, for cofactors.
+        Undamped linearisation at the state, for cofactors.
     structure_s, solve_s : float
         Wall-clock seconds of compilation and optimisation.
     weights : Weights or None
         Weights at the state under a loss.
     resumed_at : int
-        Iterations of an interrupted run that this run continued.
+        Number of iterations of an interrupted run that this run continued.
     widest : int
-        Image unknowns that are linked to those of one image, at most.
+        Maximum number of image unknowns that are linked to those of one image.
     """
 
     state: State
@@ -124,11 +124,11 @@ def solve(
     callback : callable, optional
         Receives each record, first the records of an interrupted run.
     schur : callable, optional
-        Makes a backend that replaces the backend of the options (``fg_orient.adjustment.parts``).
+        Function that makes a backend which replaces the backend of the options (``fg_orient.adjustment.parts``).
     checkpoint : Checkpoint, optional
-        File for the state of the run, from which it can continue. The caller removes it after the end.
+        File for the state of the run, from which the run can continue. The caller removes it after the end.
     start : State, optional
-        Start instead of the problem's.
+        Start that replaces the start of the problem.
 
     Raises
     ------
@@ -138,7 +138,7 @@ def solve(
     NoSolutionError
         The equations become singular or not finite.
     KeyboardInterrupt
-        Its text contains the checkpoint if it was written.
+        Interrupt; its text names the checkpoint if it was written.
     """
     require_possible(problem.block.options)
     try:
@@ -156,7 +156,7 @@ def solve(
 
 
 def suitable_backend(block: Block) -> Backend:
-    """Backend of the options; for "auto" the graph, or the Schur backend for a free datum, which needs its damping."""
+    """Return the backend of the options; for "auto" the graph, or the Schur backend for a free datum."""
     options = block.options
     if options.backend != "auto":
         return options.backend
@@ -164,12 +164,12 @@ def suitable_backend(block: Block) -> Backend:
 
 
 def eliminates_points(problem: Problem) -> bool:
-    """Whether the graph eliminates points inside its factors; else it has one factor for each image point.
+    """Return whether the graph eliminates points inside its factors; else it has one factor for each image point.
 
-    Without priors the normal equations may be too ill-conditioned for it: GTSAM's QR of the rows does not square the
-    condition. A regularisation bounds the condition number, unless its rank includes small singular values. A free or
-    an inner datum fixes the motions that control points would fix. Under a loss the rays of points that extra
-    observations name would need separate weights.
+    Without priors the normal equations may be too ill-conditioned for an elimination of points: GTSAM's QR of the rows
+    does not square the condition number. A regularisation bounds the condition number, unless its rank includes small
+    singular values. A free datum or an inner datum fixes the motions that control points would fix. Under a loss the
+    rays of points that extra observations name would need separate weights.
     """
     points = int(np.count_nonzero(np.bincount(problem.observations.point)))
     all_of_them, some = no_point_is_named(problem.block), len(problem.named_points()) < points
@@ -184,7 +184,7 @@ def points_are_eliminated(options: Options, all_of_them: bool, some: bool) -> bo
 
 
 def first_sentence(error: Exception) -> str:
-    """Text of an exception in one line."""
+    """Return the text of an exception in one line."""
     return " ".join(str(error).split())[:160]
 
 
@@ -203,7 +203,7 @@ class _Job:
         self._marks = [working_clock()]
 
     def robust(self) -> Robust | None:
-        """Losses of the first iteration; None for least squares."""
+        """Return the losses of the first iteration; None for least squares."""
         first = self._first
         return None if self._plan is None else self._plan.robust(first.mu, first.scale)
 
@@ -219,13 +219,13 @@ class _Job:
         return Carried(state, mu=FROM_RESECTIONS, image_scale=image, control_scale=control)
 
     def _measured(self, state: State) -> tuple[float, float]:
-        """Scale of the losses at a state."""
+        """Return the scale of the losses at a state."""
         return robust_scale(self.problem, state) if self.options.robust_scale == "mad" else A_PRIORI
 
     def _best(self, state: State, scale: tuple[float, float]) -> State:
-        """Start of the last stage: after graduated stages, whose images are right, points lie where most rays agree.
+        """Return the start of the last stage: after graduated stages, points move to where most rays agree.
 
-        After Huber's loss the images are still biased by gross errors: most rays may then agree on a wrong place.
+        After Huber's loss gross errors still bias the images, and most rays may agree on a wrong place.
         """
         if not self.options.gnc:
             return state
@@ -234,7 +234,7 @@ class _Job:
         return with_best_rays(self.problem, state, (image, control))
 
     def start_again(self, backend: str) -> None:
-        """Begin from the start with another backend."""
+        """Begin again from the start with another backend."""
         self.backend, self._resumed, self._marks = backend, None, [working_clock()]
         self.__dict__.pop("_first", None)
 
@@ -279,7 +279,7 @@ class _Job:
         return result
 
     def estimate(self, backend: Any, result: LoopResult[S], state: State, linear: Any, solver: str = "") -> Estimate:
-        """End of the optimisation; ``linear`` is the undamped linearisation at the state."""
+        """Return the result of the optimisation; ``linear`` is the undamped linearisation at the state."""
         error, weights = result.error, None
         if backend.robust is not None:
             weights, excess = weights_at(self.problem, state, backend.robust)
@@ -294,7 +294,7 @@ class _Job:
 
 
 def _run(job: _Job, schur: Callable[[Problem], Any] | None) -> Estimate:
-    """Run the backend; an explicit graph with its QR follows where eliminated points give a singular system."""
+    """Run the backend; if eliminated points give a singular system, run an explicit graph with QR."""
     if schur is not None:
         job.backend = "schur"
         return _run_schur(job, schur)
@@ -313,7 +313,7 @@ def _run(job: _Job, schur: Callable[[Problem], Any] | None) -> Estimate:
     except RuntimeError:
         few, auto = len(job.problem.observations) <= EXPLICIT_LIMIT, job.options.backend == "auto"
         if auto and job.backend == "graph" and job.problem.regularisation is not None:
-            job.start_again("schur")  # GTSAM's Cholesky refuses pivots of very different size: a small kappa
+            job.start_again("schur")  # GTSAM's Cholesky refuses pivots of very different size, as with a small kappa
             return _run_schur(job)
         if not few or (job.backend != "graph" and not auto):
             raise
@@ -322,7 +322,7 @@ def _run(job: _Job, schur: Callable[[Problem], Any] | None) -> Estimate:
 
 
 def _in_cycles(problem: Problem, callback: Callback | None, parted: bool) -> Estimate:
-    """Repeated least squares with the weights of a rule; no checkpoint is kept."""
+    """Repeat least squares with the weights of a rule; no checkpoint is kept."""
     options = problem.block.options
     if parted:
         raise InputError.of("adjust.cycles", option="parts", value=options.loss, known=", ".join(losses()))
@@ -358,7 +358,7 @@ def _in_cycles(problem: Problem, callback: Callback | None, parted: bool) -> Est
 
 
 def _with_shared_weights(problem: Problem, end: Estimate, schur: Callable[[Problem], Any] | None) -> Estimate:
-    """Least squares with one weight for rivals (``best_rays.sharing``) after graduated non-convexity."""
+    """Adjust with one weight for rivals (``best_rays.sharing``) after graduated non-convexity."""
     options = problem.block.options
     if end.weights is None or not end.converged or not options.gnc:
         return end
@@ -375,7 +375,7 @@ def _with_shared_weights(problem: Problem, end: Estimate, schur: Callable[[Probl
 
 
 def _run_graph(job: _Job) -> Estimate:
-    """Build the graph of images, let GTSAM optimise, linearise at the end."""
+    """Build the graph of images, optimise with GTSAM, linearise at the end."""
     from fg_orient.adjustment.graph import GraphBackend
     from fg_orient.adjustment.optimisers import GTSAM_OPTIMIZERS
 
@@ -389,7 +389,7 @@ def _run_graph(job: _Job) -> Estimate:
 
 
 def _run_images(job: _Job) -> Estimate:
-    """Build the graph of points, whose factors hold the images, let GTSAM optimise, linearise at the end."""
+    """Build the graph of points with eliminated images, optimise with GTSAM, linearise at the end."""
     from fg_orient.adjustment.graph import ImagesGraph
     from fg_orient.adjustment.optimisers import GTSAM_OPTIMIZERS
 

@@ -1,10 +1,10 @@
 """Stages before a robust loss: least squares, then Huber's loss, resections or a schedule of surrogates.
 
-Metadata orientations have errors of many sigmas, where bounded losses have no gradient. The first stage is therefore
-least squares. A redescending loss has several minima. It starts at the only minimum of Huber's loss (Huber 1981,
-ch. 7.8), or at resections (:mod:`fg_orient.adjustment.resection`). Resections are accurate to a few sigmas: the width
-of the loss is first eight times its final value, then four times, twice and once. Huber's loss would move away from the
-resections to its only minimum.
+Metadata orientations have errors of many sigmas, for which bounded losses have no gradient. The first stage is
+therefore least squares. A redescending loss has several minima. It starts at the only minimum of Huber's loss (Huber
+1981, ch. 7.8), or at resections (:mod:`fg_orient.adjustment.resection`). Resections are accurate to a few sigmas.
+Therefore the width of the loss is first eight times its final value, then four times, twice and once. Huber's loss is
+not used then, because it would move away from the resections to its only minimum.
 
 The scale of the residuals (``robust_scale = "mad"``) is measured at the end of each stage and fixed during the next, so
 that every stage has a cost. Huber's stage is repeated until the scale has converged. The last stage keeps this scale
@@ -41,18 +41,18 @@ from fg_orient.model.options import Options
 Scale = tuple[float, float]
 S = TypeVar("S")
 
-#: Values of mu: least squares, surrogates (from 0), the loss itself.
+#: Values of mu: least squares, surrogates (from 0), and the loss itself.
 PLAIN: Final = -1.0
 EXACT: Final = math.inf
 #: Value of mu for the first stage with Huber's loss; it decreases by one for each further stage.
 START: Final = -2.0
-#: Maximum number of these stages, and the relative change of the scale that ends them.
+#: Maximum number of these stages, and relative change of the scale that ends them.
 START_STAGES: Final = 8
 SETTLED: Final = 0.01
-#: Values of mu after resections: for WIDE - k the width of the loss is multiplied by 2^k.
+#: Values of mu after resections: at WIDE - k the width of the loss is multiplied by 2^k.
 WIDE: Final = -100.0
 FROM_RESECTIONS: Final = WIDE - 3.0
-#: Scaled step that ends a stage before the last, and maximum numbers of iterations of these stages.
+#: Scaled step that ends a stage before the last, and maximum number of iterations of these stages.
 STAGE_STEP: Final = 1e-3
 PLAIN_ITERATIONS: Final = 5
 START_ITERATIONS: Final = 30
@@ -60,7 +60,7 @@ WIDE_ITERATIONS: Final = 10
 STAGE_ITERATIONS: Final = 5
 #: Ratio of steepness between two surrogates (Yang et al. 2020, remark 5).
 FACTOR: Final = 1.4
-#: Above this mu, truncated least squares and the surrogate differ only for residuals within 1e-4 of the limit.
+#: Value of mu above which truncated least squares and the surrogate differ only for residuals within 1e-4 of the limit.
 LARGEST_MU: Final = 1e4
 
 
@@ -72,7 +72,7 @@ class Direct:
     from_huber: bool
 
     def robust(self, mu: float, scale: Scale = A_PRIORI) -> Robust:
-        """Losses of a stage in units of these scales."""
+        """Return the losses of a stage in units of these scales."""
         if mu == PLAIN:
             return Robust(*(ScaledLoss(np.ones_like, half_square, s) for s in scale))
         if mu < WIDE:
@@ -81,13 +81,13 @@ class Direct:
         return scaled(self.loss if mu == EXACT else HUBER, scale)
 
     def iterations(self, mu: float) -> int:
-        """Maximum number of iterations of a stage before the last."""
+        """Return the maximum number of iterations of a stage before the last."""
         if mu < WIDE:
             return WIDE_ITERATIONS
         return PLAIN_ITERATIONS if mu == PLAIN else START_ITERATIONS
 
     def following(self, mu: float, squares: tuple[Array, Array], settled: bool = True) -> float:
-        """The mu after a stage, from the squared norms at its end and whether the scale has converged."""
+        """Return mu after a stage, from the squared norms at its end and whether the scale has converged."""
         if mu == PLAIN:
             return START if self.from_huber else EXACT
         if mu < WIDE:
@@ -96,16 +96,17 @@ class Direct:
 
 
 class Schedule(NamedTuple):
-    """Surrogates of a bounded loss, functions of u = residual / limit; ``excess`` (n,) are squares of u.
+    """Surrogates of a bounded loss as functions of u = residual / limit; ``excess`` (n,) are squares of u.
 
     Parameters
     ----------
     first : callable
-        First mu, from the largest excess; EXACT if no surrogate is required.
+        Function that returns the first mu, from the largest excess; EXACT if no surrogate is required.
     next : callable
-        The mu after a stage, from its mu and the excesses at its end; EXACT for the loss itself.
+        Function that returns mu after a stage, from its mu and the excesses at its end; EXACT for the loss itself.
     weight, cost : callable
-        Weight and cost, from mu and u. They are functions of this module, so that worker processes can receive them.
+        Weight and cost as functions of mu and u. They are functions of this module, so that worker processes can
+        receive them.
     """
 
     first: Callable[[float], float]
@@ -114,7 +115,7 @@ class Schedule(NamedTuple):
     cost: Callable[[float, Array], Array]
 
     def curves(self, mu: float) -> tuple[Curve, Curve]:
-        """Weight and cost of one surrogate."""
+        """Return the weight and cost of one surrogate."""
         return partial(self.weight, mu), partial(self.cost, mu)
 
 
@@ -123,17 +124,17 @@ def _geman_mcclure_weight(mu: float, u: Array) -> Array:
 
 
 def _geman_mcclure_cost(mu: float, u: Array) -> Array:
-    """Cost ``mu u^2 / (2 (mu + u^2))``, mu from twice the largest excess down to 1 (Yang et al. 2020, eq. 9)."""
+    """Return cost ``mu u^2 / (2 (mu + u^2))``, mu from twice the largest excess down to 1 (Yang et al. 2020, eq. 9)."""
     return mu * GEMAN_MCCLURE.cost(u / math.sqrt(mu))
 
 
 def _band(mu: float) -> tuple[float, float, float]:
-    """Ends of the band of decreasing weights, and the constant of its slope."""
+    """Return the ends of the band of decreasing weights, and the constant of its slope."""
     return math.sqrt(mu / (mu + 1.0)), math.sqrt((mu + 1.0) / mu), math.sqrt(mu * (mu + 1.0))
 
 
 def _truncated_weight(mu: float, u: Array) -> Array:
-    """Weights with a band of decreasing weights, narrower as mu grows (Yang et al. 2020, eqs. 11, 14)."""
+    """Return weights with a decreasing band that is narrower for larger mu (Yang et al. 2020, eqs. 11, 14)."""
     low, high, root = _band(mu)
     return np.asarray(np.where(u <= low, 1.0, np.where(u < high, root / np.maximum(u, low) - mu, 0.0)))
 
@@ -145,7 +146,7 @@ def _truncated_cost(mu: float, u: Array) -> Array:
 
 
 def _truncated_next(mu: float, excess: Array) -> float:
-    """Next mu; EXACT (the loss itself) if no residual lies between its quadratic and its constant part."""
+    """Return the next mu; EXACT (the loss itself) if no residual lies between its quadratic and its constant part."""
     inside = (excess > mu / (mu + 1.0)) & (excess < (mu + 1.0) / mu)
     return mu * FACTOR if inside.any() and mu < LARGEST_MU else EXACT
 
@@ -182,12 +183,12 @@ class Graduated:
 
     @classmethod
     def of(cls, options: Options) -> Graduated:
-        """Limits from the inlier probability of the options."""
+        """Return the limits from the inlier probability of the options."""
         limits = [inlier_limit(options.inlier_probability, d) for d in (IMAGE, CONTROL)]
         return cls(options.loss, *limits)
 
     def robust(self, mu: float, scale: Scale = A_PRIORI) -> Robust:
-        """Losses of a stage; the limits are in sigmas."""
+        """Return the losses of a stage; the limits are in sigmas."""
         if mu == EXACT:
             weight, cost = losses()[self.loss].weight, losses()[self.loss].cost
         elif mu == PLAIN:
@@ -208,12 +209,12 @@ class Graduated:
 
 
 def half_square(u: Array) -> Array:
-    """Cost of least squares."""
+    """Return the cost of least squares."""
     return np.asarray(0.5 * u**2)
 
 
 def stages_left(mus: Sequence[float]) -> int | None:
-    """Maximum number of stages after stages with these mus; None with less than two surrogates."""
+    """Return the maximum number of stages after stages with these mus; None with less than two surrogates."""
     different = list(dict.fromkeys(mu for mu in mus if mu >= 0.0))
     if len(different) < 2 or different[-1] == EXACT:
         return None
@@ -227,7 +228,7 @@ Plan = Direct | Graduated
 
 
 def plan_of(options: Options) -> Plan | None:
-    """Stages before the loss of the options; None for least squares."""
+    """Return the stages before the loss of the options; None for least squares."""
     if options.loss == NONE:
         return None
     if options.gnc:
@@ -267,7 +268,7 @@ class RobustBackend(Backend[S], Protocol[S]):
     robust: Robust | None
 
     def squares(self, state: S) -> tuple[Array, Array]:
-        """Squared whitened norms of image points (n,) and control points (m,), in any order."""
+        """Return the squared whitened norms of image points (n,) and control points (m,), in any order."""
         ...
 
 
@@ -281,20 +282,20 @@ def run_stages(
     measure: Callable[[S], Scale],
     begin: Callable[[S, Scale], S],
 ) -> tuple[LoopResult[S], Scale]:
-    """Run the stages from ``carried.mu`` on.
+    """Run the stages, starting at ``carried.mu``.
 
     Parameters
     ----------
     optimise : callable
-        Optimiser of the loop; receives its input, maximum number of iterations and step that ends it.
+        Optimiser of the loop; it receives its input, the maximum number of iterations, and the step that ends it.
     max_iterations : int
-        Maximum of the last stage.
+        Maximum number of iterations of the last stage.
     keep : callable
-        Receives the input of each further stage.
+        Function that receives the input of each further stage.
     measure : callable
-        Scale of the residuals at a state.
+        Function that returns the scale of the residuals at a state.
     begin : callable
-        Start of the last stage, from the end of the stage before and the scale.
+        Function that returns the start of the last stage, from the end of the stage before and the scale.
 
     Returns
     -------

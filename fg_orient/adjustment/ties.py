@@ -1,9 +1,9 @@
 """Unknowns shared by several images, such as the interior orientation of a camera or the drift of a strip.
 
 Each image has a complete vector (the *wide* unknowns x, one image after the other), so that equations, rows and
-cofactors do not depend on ties. The *free* unknowns z are solved for: first those of single images, then those of each
-shared id. ``x = T z`` with a 0-1 matrix T. Hence J becomes J T, the reduced camera system S becomes T^T S T, and
-cofactors of x are ``T Q T^T``: block-invariant self-calibration without further equations.
+cofactors do not depend on ties. The *free* unknowns z are the unknowns of the equations: first those of single images,
+then those of each shared id. ``x = T z`` with a 0-1 matrix T. Hence J becomes J T, the reduced camera system S becomes
+T^T S T, and cofactors of x are ``T Q T^T``: block-invariant self-calibration without further equations.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Ties:
     of : (w,) int array
         Free unknown of each wide unknown.
     part : (M + G + 1,) int array
-        First free unknown of each image and of each of the G shared ids; number of free unknowns.
+        First free unknown of each image and of each of the G shared ids, and the number of free unknowns.
     ids : tuple of str
         The G shared ids.
     """
@@ -66,25 +66,25 @@ class Ties:
         return np.asarray(self.of < self.part[len(self.part) - 1 - len(self.ids)])
 
     def vectors(self, wide: slice) -> Index:
-        """Number of the image or, after the images, of the shared id that has each of some wide unknowns."""
+        """Return the number of the image or, after the images, of the shared id, for each of some wide unknowns."""
         return np.asarray(np.searchsorted(self.part, self.of[wide], side="right") - 1)
 
     def summed(self, wide: Array) -> Array:
-        """``T^T x`` of a gradient (w,)."""
+        """Return ``T^T x`` of a gradient (w,)."""
         return np.bincount(self.of, weights=wide, minlength=len(self)).astype(np.float64, copy=False)
 
     def columns(self, wide: Array) -> Array:
-        """``J T`` of rows (n, w + p); the last p columns are unchanged."""
+        """Return ``J T`` of rows (n, w + p); the last p columns are unchanged."""
         w = len(self.of)
         return np.hstack([np.asarray(wide[:, :w] @ self.matrix), wide[:, w:]])
 
     def widened(self, free: Array) -> Array:
-        """``T z`` of a vector or columns (z + p, ...); the last p rows are unchanged."""
+        """Return ``T z`` of a vector or columns (z + p, ...); the last p rows are unchanged."""
         return np.concatenate([free[self.of], free[len(self) :]])
 
 
 def ties_of(parameters: Sequence[ImageParameters], names: Sequence[str]) -> Ties | None:
-    """Ties of images with these ids; None if images share no unknowns.
+    """Return the ties of images with these ids; None if images share no unknowns.
 
     InputError if a shared unknown has different prior sigmas.
     """

@@ -1,1 +1,1 @@
-"""Linear solvers of the publications and of today, Tikhonov regularisation, conditioning; numpy and scipy only."""
+"""Published and modern linear solvers, Tikhonov regularisation, conditioning; numpy and scipy only."""

@@ -27,7 +27,7 @@ def eliminate(matrix: Array, rhs: Array, *, pivoting: bool) -> tuple[Array, tupl
     u = len(rhs)
     method = "gauss_partial_pivot_elimination" if pivoting else "gauss_elimination"
     work = np.column_stack([matrix, rhs]).astype(np.float64)
-    with np.errstate(all="ignore"):  # overflow shows as a pivot or a result that is not finite
+    with np.errstate(all="ignore"):  # overflow appears as a pivot or a result that is not finite
         for k in range(u):
             if pivoting:
                 largest = k + int(np.abs(work[k:, k]).argmax())
@@ -95,9 +95,9 @@ def checked_cholesky(
 
 
 def _violated(table: Array, factor: Numbers, off: Numbers) -> tuple[int, ...]:
-    """Rows whose own part of the check-sum difference exceeds rounding.
+    """Return the rows whose own contribution to the check-sum difference exceeds rounding.
 
-    The differences e of the rows above enter row i as -sum_k c_ki e_k/c_ii (the same recursion that reduces s). The
+    The differences e of the rows above enter row i as -sum_k c_ki e_k/c_ii (by the same recursion that reduces s). The
     remainder c_ii e_i + sum_k c_ki e_k arises in row i. It is a sum of at most (u + 2)(i + 2) products. To first order
     their rounding is (u + i + 4) eps times the sum of their absolute values.
     """
@@ -114,20 +114,20 @@ def _violated(table: Array, factor: Numbers, off: Numbers) -> tuple[int, ...]:
 
 @_published("gauss_elimination", "Gauss elimination", "T(3.40)-(3.44)")
 def gauss_elimination(system: LinearSystem, as_run: bool) -> LinearSolution:
-    """Elimination without pivoting."""
+    """Solve by elimination without pivoting."""
     x, notes = eliminate(system.normal, system.rhs, pivoting=False)
     return LinearSolution(x, notes=notes)
 
 
 @_published("gauss_partial_pivot_elimination", "Gauss elimination, partial pivoting", "section 3.6.2.2")
 def gauss_partial_pivot_elimination(system: LinearSystem, as_run: bool) -> LinearSolution:
-    """Elimination with exchange of rows."""
+    """Solve by elimination with exchange of rows."""
     x, notes = eliminate(system.normal, system.rhs, pivoting=True)
     return LinearSolution(x, notes=notes)
 
 
 @_published("cholesky_elimination", "Cholesky elimination", "Table 3.1, T(3.45)-(3.50)")
 def cholesky_elimination(system: LinearSystem, as_run: bool) -> LinearSolution:
-    """Cholesky with check sums; with ``as_run`` the real part of x."""
+    """Solve by Cholesky elimination with check sums; with ``as_run`` take the real part of x."""
     solved = checked_cholesky(system.normal, system.rhs, as_run=as_run)
     return LinearSolution(np.ascontiguousarray(solved.x.real), notes=solved.notes)

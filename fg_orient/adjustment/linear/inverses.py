@@ -44,10 +44,10 @@ def _finite(inverse: Array, method: str) -> Array:
 
 
 def _inflation(system: LinearSystem, inverse: Array) -> tuple[str, ...]:
-    """Remark if digits are lost.
+    """Return a remark if digits are lost.
 
     n_ii (N^-1)_ii has no unit. Its reciprocal is the share of n_ii that remains after the elimination of all other
-    unknowns: the same measure as a lost pivot. (N N^-1 is close to the identity even for a singular N.)
+    unknowns, the same measure as for a lost pivot. (N N^-1 is close to the identity even for a singular N.)
     """
     inflation = float(np.abs(system.normal.diagonal() * inverse.diagonal()).max())
     if inflation <= 1.0 / LOST:
@@ -70,7 +70,7 @@ def invert_cramer(normal: Array) -> Array:
     others = np.array([np.delete(np.arange(u), i) for i in range(u)])  # (u, u - 1): every index but i
     checkerboard = 1.0 - 2.0 * (np.arange(u) % 2)
     with np.errstate(all="ignore"):
-        for i in range(u):  # minors without row i: they give column i of the inverse
+        for i in range(u):  # minors without row i give column i of the inverse
             minors = normal[others[i]][:, others].transpose(1, 0, 2)
             signs, logs = np.linalg.slogdet(minors)
             inverse[:, i] = checkerboard * checkerboard[i] * signs * sign * np.exp(logs - log_det)
@@ -85,7 +85,7 @@ def invert_pivot(matrix: Array) -> Array:
     """
     u = len(matrix)
     work = np.array(matrix, dtype=np.float64)
-    rows, columns = np.arange(u), np.arange(u)  # not yet used
+    rows, columns = np.arange(u), np.arange(u)  # rows and columns that are not used yet
     pairs = np.empty((u, 2), dtype=np.intp)
     with np.errstate(all="ignore"):
         for step in range(u):
@@ -118,10 +118,10 @@ def invert_gauss(matrix: Array) -> Array:
 
 
 def pseudo_inverse(matrix: Array) -> tuple[Array, int]:
-    """Moore-Penrose inverse N^+ = V D^-1 U^T of the singular values kept, and their number; T(3.30)-(3.33).
+    """Return the Moore-Penrose inverse N^+ = V D^-1 U^T of the singular values kept, and their number; T(3.30)-(3.33).
 
-    Singular values above max(u, v) times the spacing of doubles at the largest one are kept (the rule of MATLAB's pinv
-    and rank).
+    Singular values are kept if they exceed max(u, v) times the spacing of doubles at the largest one (the rule of
+    MATLAB's pinv and rank).
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def pseudo_inverse(matrix: Array) -> tuple[Array, int]:
 
 @_published("moore_penrose_inverse", "Moore-Penrose", "T(3.30)-(3.33)")
 def moore_penrose_inverse(system: LinearSystem, as_run: bool) -> LinearSolution:
-    """Pseudo-inverse of N."""
+    """Return the pseudo-inverse of N."""
     inverse, rank = pseudo_inverse(system.normal)
     notes = (f"{len(system) - rank} of {len(system)} singular values set to zero",) if rank < len(system) else ()
     return LinearSolution(inverse @ system.rhs, inverse=inverse, rank=rank, notes=notes)
@@ -150,7 +150,7 @@ def moore_penrose_inverse(system: LinearSystem, as_run: bool) -> LinearSolution:
 
 @_published("cholesky_inverse", "Cholesky inverse", "T(3.34)-(3.39)")
 def cholesky_inverse(system: LinearSystem, as_run: bool) -> LinearSolution:
-    """Cholesky N = C^T C, N^-1 = C^-1 C^-T; Breakdown if a radicand is not positive.
+    """Invert by Cholesky: N = C^T C, N^-1 = C^-1 C^-T; raise Breakdown if a radicand is not positive.
 
     With ``as_run`` negative radicands have complex roots, as in MATLAB, and x is the real part of the product with b.
     """

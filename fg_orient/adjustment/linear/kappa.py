@@ -1,7 +1,7 @@
-"""The registry of rules for the regularisation parameter kappa, and the algebraic rules HKB, LW, Bayes, OD.
+"""Registry of rules for the regularisation parameter kappa, and the algebraic rules HKB, LW, Bayes, OD.
 
-A rule is ``function(system: LinearSystem, given: Given) -> KappaChoice``. All rules are for the penalty |x|, so
-kappa has the unit of a squared observation over a squared unknown and depends on the units. A file that calls
+A rule is ``function(system: LinearSystem, given: Given) -> KappaChoice``. All rules are for the penalty |x|. So kappa
+has the unit of a squared observation over a squared unknown, and depends on the units. A file that calls
 :func:`register_kappa_rule` adds a rule; docs/extending.md. Rules that use a curve:
 :mod:`fg_orient.adjustment.linear.kappa_graph`.
 """
@@ -22,13 +22,13 @@ from fg_orient.model.errors import InputError
 
 #: Modules of this package that register rules when imported.
 _MODULES: Final = ("kappa", "kappa_graph")
-#: Rules that use the trace of the hat matrix and the residuals only: further priors are then a part of the penalty.
+#: Rules that use only the trace of the hat matrix and the residuals: for them priors are a part of the penalty.
 BESIDE_PRIORS: Final = ("gcv", "discrepancy")
 
 
 @dataclass(frozen=True)
 class Given:
-    """Further inputs of a rule.
+    """Additional inputs of a rule.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ RuleFunction = Callable[[LinearSystem, Given], KappaChoice]
 class KappaRule:
     """A registered rule; ``needs`` are the fields of :class:`Given` that must be set.
 
-    ``published`` rules are those of Terlemezoğlu 2019, ``source`` is author, year and equation.
+    ``published``: the rule is in Terlemezoğlu 2019. ``source``: author, year and equation.
     """
 
     name: str
@@ -124,14 +124,14 @@ def register_kappa_rule(
 
 
 def kappa_rules() -> dict[str, KappaRule]:
-    """All rules by name."""
+    """Return all rules by name."""
     for module in _MODULES:
         import_module(f"fg_orient.adjustment.linear.{module}")
     return dict(_REGISTRY)
 
 
 def clamped(choice: KappaChoice) -> KappaChoice:
-    """Clamp to [0, 1] as published, with a remark: above 1 gives 1, below 0 or nan (rounding) gives 0.
+    """Clamp kappa to [0, 1] as published, with a remark: above 1 gives 1, below 0 or nan (rounding) gives 0.
 
     The bound depends on the units: with kilometres instead of metres kappa changes by 1e6.
     """
@@ -162,7 +162,7 @@ def choose_kappa(name: str, system: LinearSystem, given: Given | None = None, *,
     for field in known[name].needs:
         if getattr(facts, field) is None:
             raise InputError.of("linear.kappa_needs", place=f"kappa rule {name}", needed=field)
-    with np.errstate(all="ignore"):  # what is not finite is clamped or refused here
+    with np.errstate(all="ignore"):  # values that are not finite are clamped or refused here
         choice = known[name].function(system, facts)
     if clamp:
         return clamped(choice)
@@ -172,7 +172,7 @@ def choose_kappa(name: str, system: LinearSystem, given: Given | None = None, *,
 
 
 def unit_variance(system: LinearSystem, x: Array) -> float:
-    """Variance of unit weight s0^2 = |A x - l|^2/f.
+    """Return the variance of unit weight s0^2 = |A x - l|^2/f.
 
     InputError: A is not known, or the redundancy is not positive.
     """
@@ -184,14 +184,14 @@ def unit_variance(system: LinearSystem, x: Array) -> float:
 
 @register_kappa_rule("hkb", "HKB", source="Hoerl, Kennard, Baldwin 1975; T(3.5)", published=True)
 def hkb(system: LinearSystem, given: Given) -> KappaChoice:
-    """Kappa = u s0^2/(x^T x) of the least-squares solution; meaningless if that solution is very inaccurate."""
+    """Return kappa = u s0^2/(x^T x) of the least-squares solution; meaningless if that solution is very inaccurate."""
     x = solve(given.start_solver, system).x
     return KappaChoice(float(np.float64(len(x) * unit_variance(system, x)) / (x @ x)), "hkb")
 
 
 @register_kappa_rule("lw", "LW", source="Lawless, Wang 1976; T(3.6) with canonical coefficients", published=True)
 def lw(system: LinearSystem, given: Given) -> KappaChoice:
-    """Kappa = u s0^2/sum(lambda_i alpha_i^2), alpha = V^T x; the denominator is |A x|^2."""
+    """Return kappa = u s0^2/sum(lambda_i alpha_i^2), alpha = V^T x; the denominator is |A x|^2."""
     x = solve(given.start_solver, system).x
     eigenvalues, vectors = np.linalg.eigh(system.normal)
     return KappaChoice(float(len(x) * unit_variance(system, x) / np.sum(eigenvalues * (vectors.T @ x) ** 2)), "lw")
@@ -205,7 +205,7 @@ def lw(system: LinearSystem, given: Given) -> KappaChoice:
     needs=("sigma_observed", "sigma_unknown"),
 )
 def bayes(system: LinearSystem, given: Given) -> KappaChoice:
-    """Kappa = sigma_l^2/sigma_x^2: the posterior mean under independent priors of equal variance."""
+    """Return kappa = sigma_l^2/sigma_x^2: the posterior mean under independent priors of equal variance."""
     sigmas = given.sigma_observed or 0.0, given.sigma_unknown or 0.0
     if not all(np.isfinite(sigma) and sigma > 0.0 for sigma in sigmas):
         raise InputError.of("linear.sigmas", place="kappa rule bayes", value="{:g}, {:g}".format(*sigmas))
@@ -214,7 +214,10 @@ def bayes(system: LinearSystem, given: Given) -> KappaChoice:
 
 @register_kappa_rule("od", "OD (eigenvalue)", source="Terlemezoğlu 2019, T(3.8)", published=True)
 def od(system: LinearSystem, given: Given) -> KappaChoice:
-    """Kappa = the eigenvalue of N in [0, 1] nearest to 1; 0 if there is none. It depends on the units."""
+    """Return kappa = the eigenvalue of N in [0, 1] nearest to 1; 0 if there is no such eigenvalue.
+
+    It depends on the units.
+    """
     eigenvalues = np.linalg.eigvalsh(system.normal)
     inside = eigenvalues[(eigenvalues >= 0.0) & (eigenvalues <= 1.0)]
     return KappaChoice(float(inside.max()) if len(inside) else 0.0, "od")

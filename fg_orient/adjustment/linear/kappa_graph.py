@@ -31,7 +31,7 @@ def on_curves(name: str, curves: RidgeCurves, given: Given) -> KappaChoice:
 
 
 def _lowest(ridge: RidgeCurves, function: Curve, *, sign: float = 1.0) -> KappaChoice:
-    """Minimum of a curve (maximum for ``sign`` -1): on the grid, then between its neighbours."""
+    """Find the minimum of a curve (maximum for ``sign`` -1): on the grid, then between its neighbours."""
     grid, curve = ridge.grid, _along(function, ridge.grid)
     usable = np.where(np.isfinite(curve), sign * curve, np.inf)
     best = int(usable.argmin())
@@ -48,7 +48,7 @@ def _lowest(ridge: RidgeCurves, function: Curve, *, sign: float = 1.0) -> KappaC
 def _crossings(
     ridge: RidgeCurves, function: Curve, missing: str, *, upward: bool, grid: Array | None = None
 ) -> list[float]:
-    """Kappas where a function changes sign in this direction, ascending; Breakdown with the text if there is none."""
+    """Return kappas where a function changes sign in this direction, ascending; Breakdown with the text without any."""
     logs = np.log(ridge.grid if grid is None else grid)
 
     def at_log(t: float) -> float:
@@ -68,7 +68,7 @@ def _along(function: Curve, grid: Array) -> Array:
 def _curve_rule(
     name: str, label: str, source: str, *, needs: tuple[str, ...] = ()
 ) -> Callable[[Callable[[Ridge, Given], KappaChoice]], RuleFunction]:
-    """Register a rule of the singular value decomposition of a system."""
+    """Register a rule that uses the singular value decomposition of a system."""
 
     def add(function: Callable[[Any, Given], KappaChoice]) -> RuleFunction:
         _CURVES[name] = function
@@ -80,21 +80,21 @@ def _curve_rule(
 
 @_curve_rule("l_curve", "L-curve", "Hansen, O'Leary 1993")
 def l_curve(ridge: RidgeCurves, given: Given) -> KappaChoice:
-    """Largest curvature of log|x| over log|A x - l|."""
+    """Maximise the curvature of log|x| over log|A x - l|."""
     return _lowest(ridge, ridge.curvature, sign=-1.0)
 
 
 @_curve_rule("gcv", "Generalised cross-validation", "Golub, Heath, Wahba 1979")
 def gcv(ridge: RidgeCurves, given: Given) -> KappaChoice:
-    """Least n |(I - H) l|^2/(tr(I - H))^2."""
+    """Minimise n |(I - H) l|^2/(tr(I - H))^2."""
     return _lowest(ridge, ridge.gcv)
 
 
 @_curve_rule("creso", "CRESO", "Colli-Franzone et al. 1985")
 def creso(ridge: Ridge, given: Given) -> KappaChoice:
-    """First local maximum of |x|^2 + 2 kappa d|x|^2/dkappa, from small kappa up.
+    """Find the first local maximum of |x|^2 + 2 kappa d|x|^2/dkappa, from small kappa up.
 
-    If the solution for small kappa is noise only, this maximum belongs to the smallest singular values, and the kappa
+    If the solution for small kappa contains only noise, this maximum belongs to the smallest singular values, and kappa
     is far too small.
     """
     kappas = _crossings(ridge, ridge.creso_slope, "no local maximum", upward=False)
@@ -103,13 +103,13 @@ def creso(ridge: Ridge, given: Given) -> KappaChoice:
 
 @_curve_rule("maximum", "Maximum likelihood", "Wahba 1985; the published work names 'maximum' only")
 def maximum(ridge: Ridge, given: Given) -> KappaChoice:
-    """Largest likelihood of l under l = A x + e, x normal with variance sigma^2/kappa: our reading of "maximum"."""
+    """Maximise the likelihood of l = A x + e, x normal with variance sigma^2/kappa: our interpretation of "maximum"."""
     return _lowest(ridge, ridge.likelihood, sign=-1.0)
 
 
 @_curve_rule("zero_crossing", "Zero crossing", "Johnston, Gulrajani 1997")
 def zero_crossing(ridge: RidgeCurves, given: Given) -> KappaChoice:
-    """Smallest kappa with kappa |x|^2 = |A x - l|^2."""
+    """Find the smallest kappa with kappa |x|^2 = |A x - l|^2."""
 
     def balance(kappa: float) -> float:
         return kappa * ridge.norm2(kappa) - ridge.residual2(kappa)
@@ -120,7 +120,7 @@ def zero_crossing(ridge: RidgeCurves, given: Given) -> KappaChoice:
 
 @_curve_rule("quasi_optimality", "Quasi-optimality", "Tikhonov, Glasko 1965")
 def quasi_optimality(ridge: RidgeCurves, given: Given) -> KappaChoice:
-    """Lowest local minimum of |kappa dx/dkappa|."""
+    """Find the lowest local minimum of |kappa dx/dkappa|."""
     kappas = _crossings(ridge, ridge.change2_slope, "no local minimum", upward=True)
     curve = np.sqrt(_along(ridge.change2, ridge.grid))
     return KappaChoice(min(kappas, key=ridge.change2), "quasi_optimality", (), ridge.grid, curve)
@@ -128,7 +128,7 @@ def quasi_optimality(ridge: RidgeCurves, given: Given) -> KappaChoice:
 
 @_curve_rule("discrepancy", "Discrepancy principle", "Morozov 1966", needs=("noise_norm",))
 def discrepancy(ridge: RidgeCurves, given: Given) -> KappaChoice:
-    """Kappa with |A x - l| = the norm of the noise; the residual grows with kappa, so there is at most one."""
+    """Find kappa with |A x - l| = the norm of the noise; the residual grows with kappa, so there is at most one."""
     target, wide = float(given.noise_norm or 0.0), ridge.wide
 
     def excess(kappa: float) -> float:
@@ -142,7 +142,7 @@ def discrepancy(ridge: RidgeCurves, given: Given) -> KappaChoice:
 
 @_curve_rule("cc", "CC", "named only in Terlemezoğlu 2019", needs=("truth",))
 def cc(ridge: Ridge, given: Given) -> KappaChoice:
-    """Largest correlation x^T t/(|x||t|) with the true solution t, which only simulations provide."""
+    """Maximise the correlation x^T t/(|x||t|) with the true solution t, which is known only in simulations."""
     truth, u = np.asarray(given.truth, dtype=np.float64), ridge.right.shape[1]
     if truth.shape != (u,) or not np.isfinite(truth).all():
         raise InputError.of("linear.truth", place="kappa rule cc", value=f"shape {truth.shape}", unknowns=u)

@@ -1,7 +1,7 @@
-"""The L-curve of a system, and the kappas of all rules as points on it.
+"""L-curve of a system, with the kappas of all rules as points on it.
 
-The curve consists of |A x - l| and |x| of the Tikhonov solutions for all kappa (Hansen, O'Leary 1993). The kappa of
-any rule, also of a rule without this curve, is a point on it.
+The curve consists of |A x - l| and |x| of the Tikhonov solutions for all kappa (Hansen, O'Leary 1993). The kappa of any
+rule, also of a rule that does not use this curve, is a point on it.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from fg_orient.adjustment.linear.ridge import Ridge
 from fg_orient.adjustment.linear.system import LinearSystem
 from fg_orient.model.errors import FgOrientError
 
-#: Kappas of a recorded curve, in equal ratios.
+#: Number of kappas of a recorded curve, in equal ratios.
 CURVE_POINTS: Final = 121
 
 
 @dataclass(frozen=True)
 class Choice:
-    """The kappa of one rule and its point on the curve: |A x - l| and |x|.
+    """Kappa of one rule, and its point on the curve: |A x - l| and |x|.
 
     The numbers are nan if the rule fails, for the reason in ``failure``. ``notes`` are remarks: clamping, kappa at the
     end of the range.
@@ -61,7 +61,7 @@ class LCurve:
     choices: tuple[Choice, ...]
 
     def place(self, kappa: float) -> tuple[float, float]:
-        """Norms of residuals and solution at a kappa: those of a rule with this kappa, else interpolated.
+        """Return the norms of residuals and solution at a kappa: exact for the kappa of a rule, else interpolated.
 
         They are nan outside the range of the curve.
         """
@@ -76,19 +76,19 @@ class LCurve:
 
 
 def l_curve_of(system: LinearSystem, given: Given | None = None) -> LCurve:
-    """L-curve of a system with the kappas of all rules whose inputs are known.
+    """Return the L-curve of a system with the kappas of all rules whose inputs are known.
 
     Parameters
     ----------
     system : LinearSystem
         Its design matrix is required.
     given : Given, optional
-        Further inputs. Without them kappas of published rules are clamped, as in their solvers.
+        Additional inputs. Without them kappas of published rules are clamped, as in their solvers.
 
     Returns
     -------
     LCurve
-        Its range contains every positive kappa that a rule chose.
+        L-curve; its range contains every positive kappa that a rule chose.
 
     Raises
     ------

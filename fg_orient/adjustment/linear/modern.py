@@ -19,15 +19,15 @@ from fg_orient.adjustment.linear.ridge import MODERN_SOLVER, tikhonov
 from fg_orient.adjustment.linear.system import Breakdown, LinearSolution, LinearSystem, scaled
 from fg_orient.adjustment.linear.triangular import back_substitution
 
-#: Singular values of A below this share of the largest are truncated. In the column-scaled SPOT-5 designs, 1e-9
-#: separates the directions that observations determine from the directions that contain only rounding.
+#: Singular values of A below this share of the largest are truncated. In the column-scaled SPOT-5 designs 1e-9
+#: separates the directions that observations determine from directions that contain only rounding.
 TRUNCATION = 1e-9
 
 Solve = Callable[[LinearSystem], LinearSolution]
 
 
 def _scaled(function: Solve) -> Solve:
-    """Solve in unknowns of unit-length columns and transform back."""
+    """Solve for unknowns with columns of unit length, and transform back."""
 
     def solve_scaled(system: LinearSystem) -> LinearSolution:
         inner, lengths = scaled(system)
@@ -39,9 +39,9 @@ def _scaled(function: Solve) -> Solve:
 
 
 def _qr(system: LinearSystem) -> LinearSolution:
-    """Householder QR of A without pivoting.
+    """Solve by Householder QR of A without pivoting.
 
-    Breakdown if a column depends on the columns before it within rounding: |r_ii| <= max(r, u) eps |a_i|.
+    Breakdown if, within rounding, a column depends on the columns before it: |r_ii| <= max(r, u) eps |a_i|.
     """
     design, observed = system.require_design("qr")
     rows, u = design.shape
@@ -58,7 +58,7 @@ def _qr(system: LinearSystem) -> LinearSolution:
 
 
 def _svd(system: LinearSystem, relative: float | None = None) -> LinearSolution:
-    """Minimum-norm solution x = V D^-1 U^T l with the singular values above a share (default max(r, u) eps)."""
+    """Solve with minimum norm, x = V D^-1 U^T l, from singular values above a share of the largest (max(r, u) eps)."""
     design, observed = system.require_design("svd")
     left, values, right = np.linalg.svd(design, full_matrices=False)
     share = max(design.shape) * np.finfo(np.float64).eps if relative is None else relative
@@ -88,7 +88,7 @@ def _moore_penrose(system: LinearSystem) -> LinearSolution:
     return moore_penrose_inverse(system, False)
 
 
-#: Name, label, source and function. Units change the result of QR by rounding only.
+#: Name, label, source and function. Units change the result of QR only by rounding.
 _SOLVERS: Final[tuple[tuple[str, str, str, Solve], ...]] = (
     ("qr", "QR", "Householder 1958; Golub 1965", _qr),
     ("qr_scaled", "QR, scaled columns", "van der Sluis 1969", _scaled(_qr)),
@@ -116,10 +116,13 @@ PUBLISHED_SOLVER = "gauss_partial_pivot_elimination"
 
 #: Rule, label and source of the solvers ``tikhonov_...``; the published ones clamp kappa.
 _RULES: Final = (
-    ("hkb", "HKB", "T(3.5)", True), ("lw", "LW", "T(3.6)", True), ("od", "OD", "T(3.8)", True),
-    ("l_curve", "L-curve", "Hansen, O'Leary 1993", False), ("gcv", "GCV", "Golub, Heath, Wahba 1979", False),
+    ("hkb", "HKB", "T(3.5)", True),
+    ("lw", "LW", "T(3.6)", True),
+    ("od", "OD", "T(3.8)", True),
+    ("l_curve", "L-curve", "Hansen, O'Leary 1993", False),
+    ("gcv", "GCV", "Golub, Heath, Wahba 1979", False),
     ("creso", "CRESO", "Colli-Franzone 1985", False),
-)  # fmt: skip
+)
 
 
 def _tikhonov(rule: str, published: bool) -> Function:

@@ -1,4 +1,4 @@
-"""The registry of linear solvers: one function per solver, with a unique name.
+"""Registry of linear solvers: one function per solver, with a unique name.
 
 A solver is ``function(system: LinearSystem, as_run: bool) -> LinearSolution``. If it fails, it raises
 :class:`fg_orient.adjustment.linear.system.Breakdown`; it never returns nan or inf. ``as_run`` selects the behaviour of
@@ -82,7 +82,7 @@ def register_published(family: Family, name: str, label: str, equations: str) ->
 
 
 def solvers() -> dict[str, Solver]:
-    """All solvers by name: the published ones in the order of the publication, then the others."""
+    """Return all solvers by name: the published ones in the order of the publication, then the others."""
     for module in _MODULES:
         import_module(f"fg_orient.adjustment.linear.{module}")
     entries = sorted(_REGISTRY.values(), key=lambda s: (not s.published, get_args(Family).index(s.family)))
@@ -110,7 +110,7 @@ def solve(name: str, system: LinearSystem, *, as_run: bool = False) -> LinearSol
     InputError
         There is no solver of this name; A is required but not known; the result is not a real array (u,).
     """
-    with np.errstate(all="ignore"):  # values that are not finite are refused below, with the solver's name
+    with np.errstate(all="ignore"):  # values that are not finite are refused below, with the name of the solver
         try:
             solution = solver(name).function(system, as_run)
         except np.linalg.LinAlgError as error:

@@ -1,8 +1,8 @@
 """Tikhonov solutions of a system: for one kappa with any penalty, and for all kappa with the penalty |x|.
 
-One singular value decomposition gives those for all kappa. With A = U S V^T and beta = U^T l, x = V (s beta/(s^2 +
-kappa)); |x|^2 = X and |A x - l|^2 = R are sums over the singular values. Curves and their derivatives are therefore
-exact.
+One singular value decomposition gives the solutions for all kappa. With A = U S V^T and beta = U^T l, x = V (s
+beta/(s^2 + kappa)); |x|^2 = X and |A x - l|^2 = R are sums over the singular values. Curves and their derivatives are
+therefore exact, without differences.
 """
 
 from __future__ import annotations
@@ -32,39 +32,39 @@ class RidgeCurves(ABC):
     @property
     @abstractmethod
     def grid(self) -> Array:
-        """Kappas at which a rule looks first, ascending, in equal ratios."""
+        """Kappas at which a rule searches first, ascending, in equal ratios."""
 
     @property
     @abstractmethod
     def wide(self) -> Array:
-        """Kappas beyond which the residual changes within rounding, or cannot be computed."""
+        """Kappas over a range beyond which the residual changes only within rounding, or cannot be computed."""
 
     @abstractmethod
     def norm2(self, kappa: float) -> float:
-        """X = |x|^2."""
+        """Return X = |x|^2."""
 
     @abstractmethod
     def norm2_slopes(self, kappa: float) -> tuple[float, float]:
-        """First and second derivative of X by kappa."""
+        """Return the first and second derivative of X by kappa."""
 
     @abstractmethod
     def residual2(self, kappa: float) -> float:
-        """R = |A x - l|^2; dR/dkappa = -kappa dX/dkappa."""
+        """Return R = |A x - l|^2; dR/dkappa = -kappa dX/dkappa."""
 
     @abstractmethod
     def trace(self, kappa: float) -> float:
-        """Trace of the hat matrix."""
+        """Return the trace of the hat matrix."""
 
     @abstractmethod
     def change2(self, kappa: float) -> float:
-        """|kappa dx/dkappa|^2, the quasi-optimality function (Tikhonov, Glasko 1965)."""
+        """Return |kappa dx/dkappa|^2, the quasi-optimality function (Tikhonov, Glasko 1965)."""
 
     @abstractmethod
     def change2_slope(self, kappa: float) -> float:
-        """Half the derivative of :meth:`change2` by log kappa."""
+        """Return half the derivative of :meth:`change2` by log kappa."""
 
     def curvature(self, kappa: float) -> float:
-        """Curvature of (log|A x - l|, log|x|) by log kappa (Hansen, O'Leary 1993)."""
+        """Return the curvature of (log|A x - l|, log|x|) by log kappa (Hansen, O'Leary 1993)."""
         norm, residual = self.norm2(kappa), self.residual2(kappa)
         slope, second = self.norm2_slopes(kappa)
         eta = 0.5 * kappa * slope / norm
@@ -74,7 +74,7 @@ class RidgeCurves(ABC):
         return float((rho * eta2 - rho2 * eta) / (rho**2 + eta**2) ** 1.5)
 
     def gcv(self, kappa: float) -> float:
-        """GCV function n |(I - H) l|^2/(tr(I - H))^2 (Golub, Heath, Wahba 1979)."""
+        """Return the GCV function n |(I - H) l|^2/(tr(I - H))^2 (Golub, Heath, Wahba 1979)."""
         return self.rows * self.residual2(kappa) / (self.rows - self.trace(kappa)) ** 2
 
 
@@ -82,8 +82,8 @@ class RidgeCurves(ABC):
 class Ridge(RidgeCurves):
     """Tikhonov solutions of a system for all kappa.
 
-    Singular values (p,) of A, descending, beta = U^T l (p,), V^T (p, u), squared length of the part of l outside the
-    range of A, number of rows of A, and the name of the rule for messages.
+    Fields: singular values (p,) of A, descending; beta = U^T l (p,); V^T (p, u); squared length of the part of l
+    outside the range of A; number of rows of A; name of the rule for messages.
     """
 
     values: Array
@@ -116,17 +116,17 @@ class Ridge(RidgeCurves):
     def grid(self) -> Array:
         """Kappas between the squares of the smallest and the largest singular value, in equal ratios."""
         least = max(self.values[-1], ROUNDINGS * np.finfo(np.float64).eps * self.values[0], np.finfo(np.float64).tiny)
-        least = min(least, 0.1 * self.values[0])  # two decades of kappa at least
+        least = min(least, 0.1 * self.values[0])  # at least two decades of kappa
         return np.geomspace(least**2, self.values[0] ** 2, GRID_POINTS)
 
     @property
     def wide(self) -> Array:
-        """See :class:`RidgeCurves`: at the ends the residual is that of kappa = 0 and of x = 0 within rounding."""
+        """See :class:`RidgeCurves`; the ends have the residual of kappa = 0 and of x = 0 within rounding."""
         eps = np.finfo(np.float64).eps
         return np.geomspace(self.values[0] ** 2 * eps**3, self.values[0] ** 2 / eps, GRID_POINTS)
 
     def solution(self, kappa: float) -> Array:
-        """Solution (u,) of a kappa."""
+        """Return the solution (u,) for a kappa."""
         x: Array = self.right.T @ (self.values * self.beta / (self.values**2 + kappa))
         return x
 
@@ -148,16 +148,16 @@ class Ridge(RidgeCurves):
         return float(np.sum(self.values**2 / (self.values**2 + kappa)))
 
     def creso(self, kappa: float) -> float:
-        """X + 2 kappa dX/dkappa = d(kappa X - R)/dkappa (Colli-Franzone et al. 1985)."""
+        """Return X + 2 kappa dX/dkappa = d(kappa X - R)/dkappa (Colli-Franzone et al. 1985)."""
         return self.norm2(kappa) + 2.0 * kappa * self.norm2_slopes(kappa)[0]
 
     def creso_slope(self, kappa: float) -> float:
-        """Derivative of the CRESO function, free of cancellation where the function is flat."""
+        """Return the derivative of the CRESO function, free of cancellation where the function is flat."""
         weight, squares = (self.values * self.beta) ** 2, self.values**2
         return float(6.0 * np.sum(weight * (kappa - squares) / (squares + kappa) ** 4))
 
     def likelihood(self, kappa: float) -> float:
-        """Logarithm of the marginal likelihood but for a constant, sigma estimated (Wahba 1985)."""
+        """Return the logarithm of marginal likelihood without its constant term, with estimated sigma (Wahba 1985)."""
         shares = kappa / (self.values**2 + kappa)  # eigenvalues of I - H
         quadratic = float(np.sum(shares * self.beta**2)) + self.outside
         return 0.5 * float(np.sum(np.log(shares))) - 0.5 * self.rows * float(np.log(quadratic))
@@ -175,12 +175,13 @@ class Ridge(RidgeCurves):
 
 # --- for one kappa --------------------------------------------------------------------------------
 
-#: Default solver. It uses [A; sqrt(kappa) L], whose condition number is the root of that of the normal matrix.
+#: Default solver. It uses [A; sqrt(kappa) L], whose condition number is the root of the condition number of the normal
+#: matrix.
 MODERN_SOLVER = "svd"
 
 
 def regularised_system(system: LinearSystem, kappa: float, penalty: Array | None = None) -> LinearSystem:
-    """System N + kappa L^T L, and [A; sqrt(kappa) L], [l; 0] where A is known.
+    """Return the system N + kappa L^T L; also [A; sqrt(kappa) L] and [l; 0] if A is known.
 
     Parameters
     ----------
@@ -212,7 +213,7 @@ def regularised_system(system: LinearSystem, kappa: float, penalty: Array | None
 def regularised(
     system: LinearSystem, kappa: float, penalty: Array | None = None, *, solver: str = MODERN_SOLVER
 ) -> LinearSolution:
-    """Tikhonov solution: the x that minimises |A x - l|^2 + kappa |L x|^2.
+    """Return the Tikhonov solution: the x that minimises |A x - l|^2 + kappa |L x|^2.
 
     ``solver`` solves the :func:`regularised_system`; kappa 0 gives least squares. Breakdown if the solver fails.
     """
@@ -223,14 +224,14 @@ def regularised(
 def tikhonov(
     system: LinearSystem, rule: str, given: Given | None = None, *, clamp: bool = False, solver: str = MODERN_SOLVER
 ) -> LinearSolution:
-    """Tikhonov solution with the kappa of a rule.
+    """Return the Tikhonov solution with the kappa of a rule.
 
     ``rule``, ``given`` and ``clamp``: see :func:`choose_kappa`; ``solver`` solves the :func:`regularised_system`.
 
     Returns
     -------
     LinearSolution
-        With ``kappa`` and ``rule``.
+        Solution with ``kappa`` and ``rule``.
 
     Raises
     ------

@@ -1,9 +1,9 @@
 """Tikhonov solutions for all kappa of a system that is too large for a decomposition, with sampled traces.
 
 The normal matrix N is factored for each kappa. The trace of ``(N + kappa I)^-1`` is the mean of
-``v^T (N + kappa I)^-1 v`` over probes v of independent signs (Hutchinson 1990), the same for all kappa, so that the
-curves of a rule are smooth. The standard error of the mean follows from the probes, and an interval of kappa from
-drawing them again (Efron 1979).
+``v^T (N + kappa I)^-1 v`` over probes v of independent signs (Hutchinson 1990). The probes are the same for all kappa,
+so that the curves of a rule are smooth. The standard error of the mean follows from the scatter of the probes; an
+interval of kappa follows from drawing them again (Efron 1979).
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from fg_orient.adjustment.linear.ridge import RidgeCurves
 #: Number of probes and their seed.
 PROBES: Final = 32
 SEED: Final = 0
-#: Kappas at which a rule looks first, and their range as a share of the largest eigenvalue: normal equations lose
-#: smaller eigenvalues.
+#: Number of kappas at which a rule searches first, and their range relative to the largest eigenvalue: normal equations
+#: lose smaller eigenvalues.
 GRID_POINTS: Final = 33
 LEAST, MOST = 1e-12, 1e3
-#: Resamples of the probes, and probability of the interval.
+#: Number of resamples of the probes, and probability of the interval.
 RESAMPLES: Final = 400
 LEVEL: Final = 0.95
 
-#: Gives the solver of ``N + kappa I`` for columns (z, k).
+#: Function that returns the solver of ``N + kappa I`` for columns (z, k).
 Factor = Callable[[float], Callable[[Array], Array]]
 
 
 class _At(NamedTuple):
-    """For one kappa with M = N + kappa I: x = M^-1 b, y = M^-1 x, z = M^-1 y, and the trace of M^-1 by each probe."""
+    """Results for one kappa with M = N + kappa I: x = M^-1 b, y = M^-1 x, z = M^-1 y, traces of M^-1 by probe."""
 
     x: Array
     y: Array
@@ -61,9 +61,15 @@ class SampledRidge(RidgeCurves):
     """
 
     def __init__(
-        self, factor: Factor, rhs: Array, squares: float, rows: int, largest: float, rule: str,
+        self,
+        factor: Factor,
+        rhs: Array,
+        squares: float,
+        rows: int,
+        largest: float,
+        rule: str,
         probes: Array | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._factor, self._rhs, self._squares, self.rows, self.rule = factor, rhs, squares, rows, rule
         self._largest = largest
         self.probes = signs(len(rhs), PROBES, SEED) if probes is None else probes
@@ -104,7 +110,7 @@ class SampledRidge(RidgeCurves):
         return self._squares - float(self._rhs @ x) - kappa * float(x @ x)
 
     def traces(self, kappa: float) -> Array:
-        """Trace of the hat matrix (k,) by each probe."""
+        """Return the trace of the hat matrix (k,) by each probe."""
         return len(self._rhs) - kappa * self._at(kappa).traces
 
     def trace(self, kappa: float) -> float:
@@ -112,7 +118,7 @@ class SampledRidge(RidgeCurves):
         return float(np.mean(self.traces(kappa)))
 
     def trace_error(self, kappa: float) -> float:
-        """Standard error of :meth:`trace`."""
+        """Return the standard error of :meth:`trace`."""
         traces = self.traces(kappa)
         return float(np.std(traces, ddof=1) / np.sqrt(len(traces)))
 
@@ -127,7 +133,7 @@ class SampledRidge(RidgeCurves):
         return kappa**2 * float(at.y @ at.y) - 2.0 * kappa**3 * float(at.y @ at.z)
 
     def gcv_interval(self, kappa: float) -> tuple[float, float]:
-        """Interval about the kappa of GCV by the error of the traces: probes are drawn again, on the grid of kappas."""
+        """Return an interval of kappa of GCV by error of the traces: probes are drawn again, on the grid of kappas."""
         grid, rng = self.grid, np.random.default_rng(SEED)
         residuals = np.log([self.residual2(k) for k in grid])
         traces = np.array([self.traces(k) for k in grid])
@@ -142,12 +148,12 @@ class SampledRidge(RidgeCurves):
 
 
 def signs(unknowns: int, probes: int, seed: int) -> Array:
-    """Independent signs (unknowns, probes): Rademacher variables."""
+    """Return independent signs (unknowns, probes): Rademacher variables."""
     return np.random.default_rng(seed).choice([-1.0, 1.0], (unknowns, probes))
 
 
 def _least(x: Array, y: Array) -> float:
-    """Place of the minimum of a sampled function, by a parabola through the least value and its neighbours."""
+    """Locate the minimum of a sampled function, by a parabola through the least value and its neighbours."""
     k = int(np.argmin(y))
     if k in (0, len(y) - 1):
         return float(x[k])

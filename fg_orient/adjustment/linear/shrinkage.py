@@ -1,16 +1,18 @@
-"""Shrinkage estimators: generalised ridge, Stein, and both combined; as penalties of the canonical components.
+"""Shrinkage estimators: generalised ridge, Stein, and both combined, as penalties on the canonical components.
 
 With ``A = U S V^T``, ``beta = U^T l`` and the variance s0^2 of unit weight, least squares are ``V (beta / s)``. Each
 estimator is ``V (s beta / (s^2 + r))`` with its own penalty r of each component:
 
 - *generalised ridge* (Hoerl & Kennard 1970): ``r = s0^2 / alpha^2`` with the estimate alpha itself. The fixed
   point is ``alpha = (beta / s) (1/2 + sqrt(1/4 - s0^2 / beta^2))``, and 0 for ``beta^2 < 4 s0^2`` (Hemmerle 1975);
-- *Stein* (James & Stein 1961; for regressions Judge & Bock 1978): all components are multiplied by
-  ``c = 1 - (u - 2) / (f + 2) |A x - l|^2 / |A x|^2``, its positive part; ``r = s^2 (1 / c - 1)``;
+- *Stein* (James & Stein 1961; for regressions Judge & Bock 1978): all components are multiplied by the positive part of
+  ``c = 1 - (u - 2) / (f + 2) |A x - l|^2 / |A x|^2``; ``r = s^2 (1 / c - 1)``;
 - *combined* (Gui & Li 2002; Tao et al. 2004): ridge of the components with small singular values, ``s^2 < k``, with k
-  of Hoerl, Kennard & Baldwin (1975), then Stein's factor on all. These papers print no numbers; "small" is our reading.
+  of Hoerl, Kennard & Baldwin (1975); then Stein's factor for all components. These papers print no numbers; "small" is
+  our interpretation.
 
-The estimators minimise ``|A x - l|^2 + sum r_i (v_i^T x)^2``: a penalty of the total deviation, for every backend.
+The estimators minimise ``|A x - l|^2 + sum r_i (v_i^T x)^2``, a penalty of the total deviation, so every backend can
+compute them.
 """
 
 from __future__ import annotations
@@ -25,34 +27,35 @@ from fg_orient.adjustment.linear.kappa import unit_variance
 from fg_orient.adjustment.linear.registry import register_solver
 from fg_orient.adjustment.linear.system import LinearSolution, LinearSystem
 
-#: Smallest factor of Stein: the positive part 0 would be an infinite penalty.
+#: Smallest factor of Stein; the factor 0 would be an infinite penalty.
 LEAST_FACTOR: Final = 1e-6
 
-#: Singular values, beta (p,), variance of unit weight, degrees of freedom -> penalties (p,); inf holds a component.
+#: Function from singular values, beta (p,), variance of unit weight and degrees of freedom to penalties (p,); inf holds
+#: a component fixed.
 Penalties = Callable[[Array, Array, float, int], Array]
 
 
 def generalised_ridge(values: Array, beta: Array, variance: float, freedom: int) -> Array:
-    """Penalties of the generalised ridge at its fixed point; inf for components that it sets to zero."""
+    """Return the penalties of the generalised ridge at its fixed point; inf for components that it sets to zero."""
     ratio = variance / np.maximum(beta**2, np.finfo(float).tiny)
     kept = 0.5 + np.sqrt(np.maximum(0.25 - ratio, 0.0))
     return np.where(ratio <= 0.25, values**2 * (1.0 / kept - 1.0), np.inf)
 
 
 def stein_factor(squares: float, unknowns: int, variance: float, freedom: int) -> float:
-    """Factor c of Stein's estimator; ``squares`` are |A x|^2."""
+    """Return the factor c of Stein's estimator; ``squares`` are |A x|^2."""
     shrunk = (unknowns - 2) / (freedom + 2) * freedom * variance / squares if squares > 0.0 else 1.0
     return float(np.clip(1.0 - shrunk, LEAST_FACTOR, 1.0))
 
 
 def stein(values: Array, beta: Array, variance: float, freedom: int) -> Array:
-    """Penalties of Stein's estimator."""
+    """Return the penalties of Stein's estimator."""
     c = stein_factor(float(beta @ beta), len(values), variance, freedom)
     return np.asarray(values**2 * (1.0 / c - 1.0))
 
 
 def ridge_stein(values: Array, beta: Array, variance: float, freedom: int) -> Array:
-    """Penalties of the combined estimator."""
+    """Return the penalties of the combined estimator."""
     kappa = len(values) * variance / float(np.sum((beta / values) ** 2))
     ridge = np.where(values**2 < kappa, kappa, 0.0)
     fitted = values**2 * beta / (values**2 + ridge)
@@ -72,7 +75,7 @@ _LABELS: Final = {
 
 
 def shrinkage_penalties(name: str, system: LinearSystem) -> tuple[Array, Array, Array]:
-    """Penalties (p,) of an estimator, with beta (p,) and V^T (p, u), of a system of full rank.
+    """Return the penalties (p,) of an estimator, with beta (p,) and V^T (p, u), of a system of full rank.
 
     InputError: A is not known, or the redundancy is not positive.
     """

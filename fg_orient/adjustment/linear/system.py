@@ -1,4 +1,4 @@
-"""A linear system ``N x = b``, its solution, its conditioning, and the exception of a solver that fails.
+"""Linear system ``N x = b``, its solution, its conditioning, and the exception of a solver that fails.
 
 If the design matrix is known, ``N = A^T A`` and ``b = A^T l``: A (r, u) and l (r,) are whitened, so that a
 Gauss-Helmert adjustment gives ``A = M^-1/2 A'`` and ``l = -M^-1/2 w``. QR and SVD require A; the published methods use
@@ -20,18 +20,18 @@ import numpy.typing as npt
 from factors.arrays import Array
 from fg_orient.model.errors import InputError, NoSolutionError
 
-#: Dense matrices with more unknowns are refused by default: the graph backend is made for them.
+#: Maximum number of unknowns of dense matrices by default; the graph backend is made for larger systems.
 MAX_UNKNOWNS = 2000
 #: |N - N^T| above this share of the largest element is more than rounding.
 SYMMETRY_TOLERANCE = 1e-10
 
 
 class Breakdown(NoSolutionError):
-    """A solver failed (pivot 0, radicand not positive ...); ``problems[0]`` contains place and reason."""
+    """Error: a solver failed (pivot 0, radicand not positive ...); ``problems[0]`` contains place and reason."""
 
 
 class Rest(NamedTuple):
-    """Rows of a system that are zero in A after an elimination: their number and the squares of their l."""
+    """Rows of a system that are zero in A after an elimination: their number, and the sum of squares of their l."""
 
     rows: int = 0
     squares: float = 0.0
@@ -55,16 +55,16 @@ class LinearSystem:
     observed : (r,) array, optional
         Whitened l with ``b = A^T l``.
     rest : Rest
-        Further rows, without unknowns: A is the square root of a reduced system.
+        Further rows, without unknowns; A is then the square root of a reduced system.
     limit : int
-        Largest number of unknowns.
+        Maximum number of unknowns.
 
     Integers are converted to float64.
 
     Raises
     ------
     InputError
-        A matrix that is not square, symmetric, real or finite, sizes that do not agree, too many unknowns.
+        A matrix is not square, symmetric, real or finite; sizes do not agree; there are too many unknowns.
     """
 
     normal: Array
@@ -78,7 +78,7 @@ class LinearSystem:
         for name, place in (("normal", "N"), ("rhs", "b"), ("design", "A"), ("observed", "l")):
             values = getattr(self, name)
             if values is not None:
-                object.__setattr__(self, name, real_numbers(values, place))  # a frozen dataclass
+                object.__setattr__(self, name, real_numbers(values, place))  # this is a frozen dataclass
         check_normal(self.normal, self.limit)
         u = len(self.normal)
         if self.rhs.shape != (u,) or not np.isfinite(self.rhs).all():
@@ -90,7 +90,10 @@ class LinearSystem:
     def from_design(
         cls, design: Array, observed: Array, rest: Rest = NO_REST, limit: int = MAX_UNKNOWNS
     ) -> LinearSystem:
-        """Normal equations of ``A x = l`` with unit weights; unusable matrices are refused before N is formed."""
+        """Return normal equations of ``A x = l`` with unit weights.
+
+        Unusable matrices are refused before N is formed.
+        """
         design, observed = real_numbers(design, "A"), real_numbers(observed, "l")
         if design.ndim == 2 and design.shape[1] > limit:
             raise InputError.of("linear.too_large", place="N", value=design.shape[1], limit=limit)
@@ -108,7 +111,7 @@ class LinearSystem:
         return len(self.require_design("redundancy")[0]) + self.rest.rows - len(self)
 
     def require_design(self, what: str) -> tuple[Array, Array]:
-        """A and l; InputError if only N and b are known, with ``what`` as place."""
+        """Return A and l; InputError if only N and b are known, with ``what`` as place."""
         if self.design is None or self.observed is None:
             raise InputError.of("linear.no_design", place=what)
         return self.design, self.observed
@@ -125,7 +128,7 @@ class LinearSystem:
 
 
 def real_numbers(values: npt.ArrayLike, place: str) -> Array:
-    """Array of float64; InputError for complex numbers and words."""
+    """Return the array of float64; InputError for complex numbers and words."""
     given = np.asarray(values)
     if given.dtype.kind not in "fiu":
         raise InputError.of("linear.not_real", place=place, value=given.dtype)
@@ -169,7 +172,7 @@ class LinearSolution:
     x : (u,) array
         Unknowns; nan if the solver failed.
     inverse : (u, u) array, optional
-        Inverse of N, of solvers that form it.
+        Inverse of N, if the solver forms it.
     rank : int, optional
         Number of singular values used.
     kappa : float, optional
@@ -192,7 +195,7 @@ class LinearSolution:
 
 
 def column_lengths(system: LinearSystem) -> Array:
-    """Lengths (u,) of the columns of A, or sqrt(n_ii) if A is not known; 1 for a column of zeros."""
+    """Return the lengths (u,) of the columns of A, or sqrt(n_ii) if A is not known; 1 for a column of zeros."""
     if system.design is not None:
         return _lengths(system.design)
     lengths = np.sqrt(np.abs(system.normal.diagonal()))
@@ -207,12 +210,12 @@ def _lengths(design: Array) -> Array:
 
 
 def unit_columns(design: Array) -> Array:
-    """Matrix (r, u) with columns of length 1; a column of zeros is not changed."""
+    """Return the matrix (r, u) with columns of length 1; a column of zeros is not changed."""
     return np.asarray(design / _lengths(design))
 
 
 def scaled(system: LinearSystem) -> tuple[LinearSystem, Array]:
-    """System in unknowns z_i = d_i x_i, whose columns have length 1, and the lengths d (u,)."""
+    """Return the system in unknowns z_i = d_i x_i, whose columns have length 1, and the lengths d (u,)."""
     lengths = column_lengths(system)
     if system.design is not None and system.observed is not None:
         design = system.design / lengths
@@ -221,14 +224,14 @@ def scaled(system: LinearSystem) -> tuple[LinearSystem, Array]:
     return LinearSystem(normal, system.rhs / lengths, limit=system.limit), lengths
 
 
-#: Limits of the publication. A system is unstable if the number is above, above, below its limit.
+#: Limits of the publication. A system is unstable if the first two numbers are above, or the third is below, its limit.
 NORM_LIMIT: Final = 1e16
 SPECTRAL_LIMIT: Final = 1e3
 HADAMARD_LIMIT: Final = 1e-2
 
 
 def singular_values(matrix: Array) -> Array:
-    """Singular values (u,) of a matrix (r, u), descending; u - r zeros are appended if r < u.
+    """Return the singular values (u,) of a matrix (r, u), descending; u - r zeros are appended if r < u.
 
     These zeros are singular values of N = A^T A. Without them a system with too few observations looks regular.
     """
@@ -237,7 +240,7 @@ def singular_values(matrix: Array) -> Array:
 
 
 def numerical_rank(values: Array, size: int) -> int:
-    """Number of singular values above size * eps(largest), eps(x) the spacing of doubles at x (MATLAB's rank).
+    """Count the singular values above size * eps(largest), eps(x) the spacing of doubles at x (MATLAB's rank).
 
     Parameters
     ----------
@@ -314,12 +317,17 @@ def diagnose(subject: LinearSystem | Array) -> Conditioning:
         rows = np.log(np.linalg.norm(normal, axis=1)).sum()
         hadamard = np.float64(10.0) ** (float(log_det - rows) / ten) if sign else 0.0
         return Conditioning(
-            u, numerical_rank(values, u), numerical_rank(singular_values(columns), max(columns.shape)),
-            float(sign), float(log_det / ten), _ratio(values[0], values[-1]),
-            _ratio(eigenvalues[-1], eigenvalues[0]), float(hadamard),
-        )  # fmt: skip
+            u,
+            numerical_rank(values, u),
+            numerical_rank(singular_values(columns), max(columns.shape)),
+            float(sign),
+            float(log_det / ten),
+            _ratio(values[0], values[-1]),
+            _ratio(eigenvalues[-1], eigenvalues[0]),
+            float(hadamard),
+        )
 
 
 def _ratio(largest: float, least: float) -> float:
-    """Quotient; inf for a divisor of zero."""
+    """Return the quotient; inf for a divisor of zero."""
     return float(largest / least) if least else float("inf")

@@ -16,7 +16,7 @@ from fg_orient.adjustment.linear.system import Breakdown
 # Real, or complex after a negative radicand. (No '#:': autodoc cannot format this alias.)
 Numbers = npt.NDArray[Any]
 
-#: A pivot below this share of its matrix element has lost 12 of 16 digits: the matrix is singular for the method.
+#: Share of its matrix element below which a pivot has lost 12 of 16 digits: the matrix is singular for the method.
 LOST = 1e-12
 
 
@@ -27,9 +27,9 @@ def check_pivot(pivot: Any, method: str, step: int, of: int) -> None:
 
 
 def lost_digits(pivots: Numbers, elements: Numbers) -> tuple[str, ...]:
-    """Remark on the pivot with the largest cancellation against its matrix element.
+    """Return a remark on the pivot with the largest cancellation against its matrix element.
 
-    It is only an indication: with several small pivots, rounding can lift a pivot that should vanish above the limit.
+    It is only an indication: with several small pivots, rounding can lift a pivot that should be zero above the limit.
     """
     with np.errstate(divide="ignore"):  # an element 0 cannot lose digits
         share = np.abs(pivots) / np.abs(elements)
@@ -55,7 +55,7 @@ def lu_factors(matrix: Array) -> tuple[Array, Array]:
 
 
 def cholesky_rows(matrix: Array, method: str, *, as_run: bool = False) -> tuple[Numbers, tuple[str, ...]]:
-    """Factor N = C^T C row by row, C upper, and reduce columns appended to N alike; T(3.34)-(3.36).
+    """Factor N = C^T C row by row, C upper, and reduce the columns appended to N in the same way; T(3.34)-(3.36).
 
     c_ii = sqrt(a_ii - sum_k c_ki^2), c_ij = (a_ij - sum_k c_ki c_kj)/c_ii, k < i. No element is conjugated,
     so C^T C = N holds for complex C too.
@@ -67,7 +67,7 @@ def cholesky_rows(matrix: Array, method: str, *, as_run: bool = False) -> tuple[
     method : str
         Name of the solver, for messages.
     as_run : bool
-        The square root of a negative radicand is complex, as in MATLAB; from that row on C is complex.
+        The square root of a negative radicand is complex, as in MATLAB; C is then complex from that row on.
 
     Returns
     -------

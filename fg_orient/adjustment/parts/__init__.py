@@ -1,1 +1,1 @@
-"""Work on many processors: a block in parts, studies of many cases; dask takes both to processes and machines."""
+"""Work on many processors: a block in parts, or studies of many cases, with dask for processes and machines."""

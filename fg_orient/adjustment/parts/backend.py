@@ -1,9 +1,9 @@
 """Backend that adjusts a block in parts: Helmert blocking of the reduced normal equations.
 
-Each part eliminates its ground points and returns its contribution to the reduced system of the images. The sum,
-with the priors, is solved in this process, or, for large systems, in fronts by the workers
-(:mod:`fg_orient.adjustment.parts.multifrontal`); then each part moves its points by the step of the images. The loop
-and its optimisers are the same as for all backends.
+Each part eliminates its ground points and returns its contribution to the reduced system of the images. The sum, with
+the priors, is solved in this process, or, for large systems, in fronts by the workers
+(:mod:`fg_orient.adjustment.parts.multifrontal`). Then each part moves its points according to the step of the images.
+The loop and its optimisers are the same as for all backends.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from fg_orient.adjustment.schur_stages import ImageExtras, half_extras
 
 
 class PartedBackend:
-    """The problem in parts, driven by ``fg_orient.adjustment.loop``.
+    """Problem in parts, driven by ``fg_orient.adjustment.loop``.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class PartedBackend:
     Raises
     ------
     InputError
-        More parts than ground points; a block that the Schur backend refuses; a folder that cannot be written.
+        There are more parts than ground points; the Schur backend refuses the block; the folder cannot be written.
     """
 
     name: Final = "schur"
@@ -80,7 +80,7 @@ class PartedBackend:
         self._losses += 1
 
     def initial(self) -> PartedState:
-        """Start values."""
+        """Return the start values."""
         return PartedState(self.problem.start.image, START, self._gathered)
 
     def linearise(self, state: State) -> PartedSystem:
@@ -92,14 +92,14 @@ class PartedBackend:
         return PartedSystem(self, here)
 
     def error(self, state: State) -> float:
-        """Half the weighted sum of squares."""
+        """Return half the weighted sum of squares."""
         here = self._parted(state)
         error = float(self.total(tasks.error, here)) + self.image_error(here)
         self._last_error = here.name, error
         return error
 
     def known_error(self, state: PartedState) -> float | None:
-        """The error of a state if it was computed last; else None."""
+        """Return the error of a state if it was computed last; else None."""
         return self._last_error[1] if self._last_error and self._last_error[0] == state.name else None
 
     def squares(self, state: State) -> tuple[Array, Array]:
@@ -108,17 +108,17 @@ class PartedBackend:
         return np.concatenate(image), np.concatenate(control)
 
     def retract(self, state: State, step: PartedStep) -> PartedState:
-        """State after a step from this state."""
+        """Return the state after a step from this state."""
         if step.base != self._parted(state).name:
             raise ValueError("the step belongs to another state")
         return PartedState(state.image + self.problem.image_matrix(step.image), step.target, self._gathered)
 
     def total(self, task: Callable[..., Any], state: PartedState, *arguments: Any) -> Any:
-        """Sum of a task over the parts."""
+        """Return the sum of a task over the parts."""
         return self._pool.total(task, [(at, *arguments) for at in self._at(state)])
 
     def _at(self, state: PartedState) -> list[At]:
-        """State of each part."""
+        """Return the state of each part."""
         folder, threads = str(self.folder), self._pool.threads
         return [
             At(folder, number, state.name, state.image, threads, self._open, self._robust, self._losses)
@@ -126,27 +126,27 @@ class PartedBackend:
         ]
 
     def prior_error(self, image: Array) -> float:
-        """Half the squares of the priors."""
+        """Return half the squares of the priors."""
         return 0.5 * self.prior * float(np.sum(image**2))
 
     def image_error(self, state: State) -> float:
-        """Half the squares of priors and extra observations of the images."""
+        """Return half the squares of priors and extra observations of the images."""
         return self.prior_error(state.image) + half_extras(self.problem, state)
 
     def new_name(self) -> str:
-        """Name of a further state."""
+        """Return the name of a further state."""
         self._names += 1
         return f"{self._names:06d}"
 
     def reduced(self, partial: Partial, damping: float, added: Array | None = None) -> Reduced:
-        """The reduced system of a sum, with a matrix (z, z) of observations of several images."""
+        """Return the reduced system of a sum, with a matrix (z, z) of observations of several images."""
         pattern = Pattern(np.diff(self.problem.first).astype(np.int64), partial.row, partial.column)
         if self._systems is None or not all(map(np.array_equal, self._systems.pattern.blocks, pattern.blocks)):
             self._systems = ReducedSystems(pattern, self.problem.first)
         return self._systems(partial.blocks, self.prior + damping, added)
 
     def multifrontal(self, state: PartedState, damping: float, extras: ImageExtras, gradient: Array) -> Multifrontal:
-        """Factor in fronts, with the gradient (u,) of priors and extra observations of the images."""
+        """Return the factor in fronts, with the gradient (u,) of priors and extra observations of the images."""
         blocks, m = None, self.problem.n_images
         if self.problem.block.extra:
             blocks = np.zeros((m, *[int(np.diff(self.problem.first).max())] * 2))
@@ -157,7 +157,7 @@ class PartedBackend:
 
     @property
     def in_fronts(self) -> bool:
-        """Whether the reduced system is solved in fronts."""
+        """True if the reduced system is solved in fronts."""
         return bool(self._dissection.levels)
 
     @property
@@ -168,7 +168,7 @@ class PartedBackend:
         return None if self._systems is None else self._systems.choice
 
     def _parted(self, state: State) -> PartedState:
-        """The state with its points in files; the points of another kind of state are written."""
+        """Return the state with its points in files; points of a state in memory are written first."""
         if isinstance(state, PartedState):
             return state
         if state is self.problem.start:

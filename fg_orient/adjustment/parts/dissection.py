@@ -17,10 +17,10 @@ from fg_orient.adjustment.parts.parts import divide, rays_of_points, rows_of
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.reduced_choice import Choice, choose, narrowest, pattern_of
 
-#: Bytes of the whole reduced system up to which one process solves it; statistics form its inverse up to 0.29 GB.
+#: Largest size in bytes of the whole reduced system that one process solves; statistics form its inverse up to 0.29 GB.
 HELD: Final = 0.3e9
-#: The largest front must be smaller than the whole reduced system by this factor: eliminating it takes up to three
-#: times its memory.
+#: Least factor by which the largest front must be smaller than the whole reduced system: its elimination takes up to
+#: three times its memory.
 SMALLER: Final = 4.0
 
 
@@ -34,7 +34,8 @@ class Front:
     images : (m,) int array
         Images that the node eliminates.
     unknowns : (n,) int array
-        Unknowns of the front among those of all images; first the ``own`` ones of these images, then the border.
+        Unknowns of the front, numbered among those of all images; first the ``own`` ones of these images, then the
+        border.
     own : int
     above : (n - own,) int array
         Places of the border in the front of the parent.
@@ -49,7 +50,7 @@ class Front:
 
     @property
     def is_part(self) -> bool:
-        """Whether the node is a single part."""
+        """True if the node is a single part."""
         return self.hi - self.lo == 1
 
 
@@ -73,10 +74,12 @@ class Dissection:
 
 
 def dissected(problem: Problem, parts: int, *, joined: bool) -> Dissection:
-    """Parts with fronts if the whole reduced system is large and all fronts are small; else parts without fronts.
+    """Return parts with fronts if the whole reduced system is large and all fronts are small.
 
-    The memory of the whole system includes a factor, which conjugate gradients need for the covariance.
-    ``joined``: observations of several images link images of different nodes; there are no fronts. Errors as
+    Else parts without fronts.
+
+    The memory of the whole system includes a factor, which conjugate gradients need for the covariance. ``joined``:
+    observations of several images connect images of different nodes, so there are no fronts. Errors as in
     :func:`fg_orient.adjustment.parts.parts.divide`.
     """
     whole = Dissection(divide(problem, parts))
@@ -93,10 +96,10 @@ def dissected(problem: Problem, parts: int, *, joined: bool) -> Dissection:
 
 
 def nested(problem: Problem, parts: int) -> Dissection:
-    """Divide the points into halves again and again, so that few images are observed in both; the fronts of this tree.
+    """Divide the points into halves repeatedly, so that both halves share few images; return the fronts of this tree.
 
-    At each node the images that are not on a border already are ordered along the longest extent of their ground
-    points; points follow the first of their images. Halves have about the same work: pairs of rays.
+    At each node the images that are not yet on a border are ordered along the longest extent of their ground points.
+    Each point belongs to the first of its images. Halves have about the same work: pairs of rays.
     """
     seen, rays, image = rays_of_points(problem, parts)
     begin, work = np.cumsum(rays) - rays, rays * (rays + 1) // 2
@@ -130,7 +133,7 @@ def _mask(images: Index, n: int) -> Mask:
 
 
 def _centres(problem: Problem) -> Array:
-    """Means (M, 3) of the approximate ground points of each image, m."""
+    """Return the means (M, 3) of the approximate ground points of each image, m."""
     o, ground = problem.observations, problem.start.ground
     known = np.isfinite(ground[o.point]).all(axis=1)
     count = np.maximum(np.bincount(o.image[known], minlength=problem.n_images), 1)
@@ -140,7 +143,7 @@ def _centres(problem: Problem) -> Array:
 
 
 def _order(centres: Array, chosen: Mask) -> Index:
-    """Places (M,) of the chosen images along the longest extent of their centres; 0 for the others."""
+    """Return the places (M,) of the chosen images along the longest extent of their centres; 0 for the others."""
     place, at = np.zeros(len(centres), np.int64), centres[chosen]
     if len(at):
         at = at - at.mean(axis=0)
@@ -150,7 +153,7 @@ def _order(centres: Array, chosen: Mask) -> Index:
 
 
 def fronts_of(problem: Problem, points: list[Index]) -> tuple[tuple[Front, ...], ...]:
-    """Fronts of the tree over these parts, level by level; images without image points belong to the first part."""
+    """Return the fronts of the tree over these parts by level; images without image points belong to the first part."""
     seen = np.zeros((len(points), problem.n_images), bool)
     for part, rows in zip(seen, rows_of(problem, points), strict=True):
         part[problem.observations.image[rows]] = True
@@ -184,6 +187,6 @@ def fronts_of(problem: Problem, points: list[Index]) -> tuple[tuple[Front, ...],
 
 
 def _unknowns(problem: Problem, images: Index) -> Index:
-    """Unknowns of some images, one image after the other."""
+    """Return the unknowns of some images, one image after the other."""
     first = problem.first
     return np.concatenate([np.zeros(0, np.int64), *(np.arange(first[k], first[k + 1]) for k in images.tolist())])

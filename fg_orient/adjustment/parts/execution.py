@@ -1,4 +1,4 @@
-"""Parts and workers of a block or study; its processes and its work folder."""
+"""Parts and workers of a block or study, with its processes and its work folder."""
 
 from __future__ import annotations
 
@@ -30,16 +30,17 @@ class Execution:
     Parameters
     ----------
     parts : int or None
-        Parts of the ground points; None: by the size of the block.
+        Number of parts of the ground points; None: chosen by the size of the block.
     workers : int
-        Processes on this machine; 0 or 1: only this process.
+        Number of processes on this machine; 0 or 1: only this process.
     cluster : str, dask.distributed.Client or None
         Address of the scheduler of a running cluster, or a client of it; replaces ``workers``.
     work_dir : path or None
-        Folder accessible to all workers; a temporary folder is made in it. Default: the system's folder for temporary
+        Folder that all workers can access; a temporary folder is made in it. Default: the system's folder for temporary
         files, to which other machines have no access.
     kept : int or None
-        Parts that stay open in a process; None: all. The program chooses it by the memory (``adjustment.memory``).
+        Number of parts that stay open in a process; None: all. The program chooses it by the memory
+        (``adjustment.memory``).
 
     Raises
     ------
@@ -73,7 +74,7 @@ def _require_kind(option: str, value: Any, *kinds: type) -> None:
 
 @contextmanager
 def opened(execution: Execution) -> Iterator[Pool]:
-    """Pool of an execution; processes started here end with it.
+    """Open the pool of an execution; processes started here end with it.
 
     InputError: dask is missing, or the scheduler does not answer.
     """
@@ -90,26 +91,30 @@ def opened(execution: Execution) -> Iterator[Pool]:
 
 
 def _connected(address: str) -> Any:
-    """Client of a running scheduler; InputError if it does not answer."""
+    """Return the client of a running scheduler; InputError if it does not answer."""
     try:
         return import_module("distributed").Client(address, timeout=CONNECT_S, set_as_default=False)
-    except TypeError as error:  # dask, of a certificate that its configuration does not name
-        raise InputError(finding(
-            "parallel.certificate (failure): dask's configuration names no certificate for this scheduler -> set "
-            "distributed.comm.tls (ca-file, client.cert, client.key), see docs/parallel.md",
-            option="scheduler", value=address,
-        )) from error  # fmt: skip
+    except TypeError as error:  # dask raises this for a certificate that its configuration does not name
+        raise InputError(
+            finding(
+                "parallel.certificate (failure): dask's configuration names no certificate for this scheduler -> set "
+                "distributed.comm.tls (ca-file, client.cert, client.key), see docs/parallel.md",
+                option="scheduler",
+                value=address,
+            )
+        ) from error
     except (OSError, ValueError, TimeoutError) as error:
         raise InputError.of("parallel.unreachable", option="scheduler", value=address) from error
 
 
 @contextmanager
 def _local(workers: int) -> Iterator[Any]:
-    """Client of processes on this machine, one thread each.
+    """Open a client of processes on this machine with one thread each.
 
-    They listen on the loopback address, and only this client and its workers have the key and the certificate, made for
-    this run and kept in memory: dask runs the code that it is sent, and every user of a machine can reach its ports.
-    dask does not limit their memory: the need of a block is estimated before, and a paused worker would never continue.
+    They listen on the loopback address. Only this client and its workers have the key and the certificate, which are
+    made for this run and kept in memory: dask runs the code that it receives, and every user of a machine can reach its
+    ports. dask does not limit their memory, because the need of a block is estimated before, and a paused worker would
+    never continue.
     """
     import dask.config
 
@@ -119,19 +124,27 @@ def _local(workers: int) -> Iterator[Any]:
         tempfile.TemporaryDirectory(prefix="fg-orient-", ignore_cleanup_errors=True) as scratch,
         dask.config.set({"distributed.scheduler.work-stealing": False}),
         distributed.LocalCluster(
-            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
-            host="127.0.0.1", protocol="tls://", security=distributed.Security.temporary(),
-            scheduler_kwargs={"dashboard": False}, memory_limit=0, env=one,
-            silence_logs=logging.CRITICAL, local_directory=scratch,
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address="127.0.0.1:0",
+            host="127.0.0.1",
+            protocol="tls://",
+            security=distributed.Security.temporary(),
+            scheduler_kwargs={"dashboard": False},
+            memory_limit=0,
+            env=one,
+            silence_logs=logging.CRITICAL,
+            local_directory=scratch,
         ) as cluster,
         distributed.Client(cluster, set_as_default=False) as client,
-    ):  # fmt: skip
+    ):
         yield client
 
 
 @contextmanager
 def work_folder(execution: Execution, pool: Pool) -> Iterator[Path]:
-    """New folder inside the work folder, removed at the end; InputError if it cannot be made."""
+    """Make a new folder inside the work folder and remove it at the end; InputError if it cannot be made."""
     try:
         folder = Path(tempfile.mkdtemp(prefix="fg-orient-", dir=execution.work_dir)).absolute()
     except OSError as error:

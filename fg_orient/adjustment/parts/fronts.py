@@ -5,7 +5,7 @@ With S the normal equations of a front, own unknowns I and border B, the file of
 W`` and ``g_B - W^T R^-T g_I``. The file of the inverse contains the cofactors of all unknowns of the front: with ``G =
 R^-1 W`` and Q_BB from the parent, ``Q_IB = -G Q_BB`` and ``Q_II = (R^T R)^-1 + G Q_BB G^T`` (Takahashi et al. 1973).
 
-Tasks are functions of files and small arguments. Files are written whole or not at all.
+Tasks are functions of files and small arguments. Files are written completely or not at all.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Added:
 
 
 def front_of_part(node: Front, first: Index, partial: Partial) -> Array:
-    """Matrix (n + 1, n) of the front of a part; the gradient is its last row."""
+    """Return the matrix (n + 1, n) of the front of a part; the gradient is its last row."""
     n, of, size = len(node.unknowns), np.full(int(first[-1]), -1), np.diff(first)
     of[node.unknowns] = np.arange(n)
     own = of[first[:-1]] >= 0
@@ -110,14 +110,14 @@ def front_of_children(folder: str, name: str, node: Front, children: list[Front]
 
 
 def _factor(folder: str, name: str, node: Front) -> tuple[Array, Array, Array]:
-    """R (own, own), W (own, n - own) and ``R^-T g`` (own, 1) for the gradient g."""
+    """Return R (own, own), W (own, n - own) and ``R^-T g`` (own, 1) for the gradient g."""
     n, own = len(node.unknowns), node.own
     f = read_array(front_file(folder, name, node)) if own else np.zeros((0, n + 1))
     return f[:, :own], f[:, own:n], f[:, n:]
 
 
 def forward(folder: str, name: str, node: Front, right: Array) -> tuple[Array, Array]:
-    """``y = R^-T b`` (own, c) of right sides b of the own unknowns, and ``W^T y`` (n - own, c)."""
+    """Return ``y = R^-T b`` (own, c) of right sides b of the own unknowns, and ``W^T y`` (n - own, c)."""
     root, w, _ = _factor(folder, name, node)
     with one_blas_thread():
         y = solve_triangular(root, right, trans=1, check_finite=False)
@@ -125,7 +125,7 @@ def forward(folder: str, name: str, node: Front, right: Array) -> tuple[Array, A
 
 
 def backward(folder: str, name: str, node: Front, y: Array | None, border: Array) -> Array:
-    """Solve ``R^-1 (y - W x)`` (own, c) for solutions x (n - own, c) of the border; y by default of the gradient."""
+    """Solve ``R^-1 (y - W x)`` (own, c) for solutions x (n - own, c) of the border; default of y: of the gradient."""
     root, w, of_gradient = _factor(folder, name, node)
     with one_blas_thread():
         right = (-of_gradient if y is None else y) - w @ border
@@ -133,7 +133,10 @@ def backward(folder: str, name: str, node: Front, y: Array | None, border: Array
 
 
 def product(folder: str, name: str, node: Front, x: Array | None) -> Array:
-    """Contribution (n,) of a front to the product of S with a vector; without a vector to the diagonal of S."""
+    """Return the contribution (n,) of a front to the product of S with a vector.
+
+    Without a vector to the diagonal of S.
+    """
     f = np.hstack(_factor(folder, name, node)[:2])
     with one_blas_thread():
         return np.asarray(np.einsum("ij,ij->j", f, f) if x is None else f.T @ (f @ x))
@@ -155,15 +158,15 @@ def inverse(folder: str, name: str, node: Front, parent: Front | None) -> None:
 
 
 def rest_file(folder: str | Path, name: str, node: Front) -> Path:
-    """File of the normal equations that a front leaves to its parent."""
+    """Return the file of the normal equations that a front leaves to its parent."""
     return Path(folder) / f"rest-{node.lo:04d}-{node.hi:04d}-{name}.npy"
 
 
 def front_file(folder: str | Path, name: str, node: Front) -> Path:
-    """File of the factor of a front."""
+    """Return the file of the factor of a front."""
     return Path(folder) / f"front-{node.lo:04d}-{node.hi:04d}-{name}.npy"
 
 
 def inverse_file(folder: str | Path, name: str, node: Front) -> Path:
-    """File of the cofactors of a front."""
+    """Return the file of the cofactors of a front."""
     return Path(folder) / f"inverse-{node.lo:04d}-{node.hi:04d}-{name}.npy"

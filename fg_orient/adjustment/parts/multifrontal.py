@@ -1,7 +1,7 @@
 """Multifrontal solution of the reduced system of a dissected block; this process holds vectors only.
 
-The tree is eliminated from the parts to the root. Solutions go back from the root: each front gives the unknowns of its
-images from the unknowns of its border. The matrices are in the files of the fronts.
+The tree is eliminated from the parts to the root. Then solutions are computed from the root down: each front computes
+the unknowns of its images from the unknowns of its border. The matrices are in the files of the fronts.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Multifrontal:
     ----------
     problem : Problem
     dissection : Dissection
-        With fronts.
+        Dissection with fronts.
     pool : Pool
     folder : Path
         Work folder.
@@ -68,14 +68,14 @@ class Multifrontal:
         point_damping, diagonal : float
             Damping of the ground points; priors and damping of the images.
         gradient : (u,) array
-            Of priors and extra observations of the images.
+            Gradient of priors and extra observations of the images.
         blocks : (M, k, k) array or None
             Normal equations of the extra observations of each image.
 
         Raises
         ------
         Singular
-            A ground point, or an image, is not determined.
+            Singular :: A ground point, or an image, is not determined.
         """
         size = np.diff(self._problem.first).tolist()
 
@@ -84,9 +84,12 @@ class Multifrontal:
             return Added(diagonal, gradient[node.unknowns[: node.own]], own)
 
         parts = sorted((node for level in self._levels for node in level if node.is_part), key=lambda node: node.lo)
-        self.error = float(self._pool.total(tasks.front, [
-            (one, point_damping, node, added(node), self._name) for one, node in zip(at, parts, strict=True)
-        ]))  # fmt: skip
+        self.error = float(
+            self._pool.total(
+                tasks.front,
+                [(one, point_damping, node, added(node), self._name) for one, node in zip(at, parts, strict=True)],
+            )
+        )
         for depth in range(len(self._levels) - 2, -1, -1):
             sums = [
                 (node, [c for c in self._levels[depth + 1] if node.lo <= c.lo and c.hi <= node.hi], added(node))
@@ -97,7 +100,7 @@ class Multifrontal:
             _unlink(rest_file(self._folder, self._name, child) for _, children, _ in sums for child in children)
 
     def _each(self, task: Callable[..., Any], arguments: list[tuple[Any, ...]]) -> list[Any]:
-        """Results of a task of some fronts, in their order."""
+        """Run a task for some fronts; return the results in their order."""
         folder, out = str(self._folder), dict[int, Any]()
         out.update(self._pool.each(task, [(folder, self._name, *one) for one in arguments]))
         return [out[k] for k in range(len(arguments))]
@@ -107,7 +110,10 @@ class Multifrontal:
         return self._backward(np.empty((int(self._problem.first[-1]), 1)), given=False)[:, 0]
 
     def _backward(self, x: Array, *, given: bool = True) -> Array:
-        """Replace forward-substituted right sides (u, c) by solutions, from the root; by default of the gradient."""
+        """Replace forward-substituted right sides (u, c) by solutions, from the root.
+
+        Default: those of the gradient.
+        """
         for level in self._levels:
             places = [(node.unknowns[: node.own], node.unknowns[node.own :]) for node in level]
             arguments = [
@@ -118,7 +124,7 @@ class Multifrontal:
         return x
 
     def solved(self, right: Array) -> Array:
-        """Solutions (u, c) of S for right sides."""
+        """Return the solutions (u, c) of S for right sides."""
         x = right.copy()
         for level in reversed(self._levels):
             done = self._each(fronts.forward, [(node, x[node.unknowns[: node.own]]) for node in level])
@@ -128,7 +134,7 @@ class Multifrontal:
         return self._backward(x)
 
     def _product(self, x: Array | None) -> Array:
-        """Product of S with a vector (u,); without a vector the diagonal of S."""
+        """Return the product of S with a vector (u,); without a vector the diagonal of S."""
         out = np.zeros(int(self._problem.first[-1]))
         nodes = [node for level in self._levels for node in level]
         of_nodes = self._each(fronts.product, [(node, None if x is None else x[node.unknowns]) for node in nodes])
@@ -137,7 +143,7 @@ class Multifrontal:
         return out
 
     def condition(self) -> float:
-        """Estimated condition number in the 1-norm of S, scaled to a unit diagonal."""
+        """Return the estimated condition number in the 1-norm of S, scaled to a unit diagonal."""
         return self._condition
 
     @cached_property
@@ -147,7 +153,7 @@ class Multifrontal:
         return norm * inverse_norm(lambda x: self.solved((x / scale)[:, None])[:, 0] / scale, len(scale))
 
     def covariance(self, images: tuple[int, ...]) -> Array:
-        """Joint cofactors of images: from the front that contains all of them, else from unit columns.
+        """Return the joint cofactors of images: from the front that contains all of them, else from unit columns.
 
         RuntimeError: S is too close to singular.
         """
@@ -182,7 +188,7 @@ class Multifrontal:
         return out
 
     def _cofactors(self, node: Front) -> Array:
-        """Cofactors of a front; the fronts on the path from the root are computed first."""
+        """Return the cofactors of a front; the fronts on the path from the root are computed first."""
         if self._read is None or self._read[0] is not node:
             path = [f for level in self._levels for f in level if f.lo <= node.lo and node.hi <= f.hi]
             for parent, one in zip([None, *path], path, strict=False):
@@ -192,7 +198,7 @@ class Multifrontal:
         return self._read[1]
 
     def keep(self, parent: Path) -> Multifrontal:
-        """Move the files to a folder that exists as long as this object; then only this process works on them."""
+        """Move the files to a folder that exists as long as this object; afterwards only this process uses them."""
         own = Path(mkdtemp(prefix="fg-orient-", dir=parent))
         weakref.finalize(self, shutil.rmtree, own, ignore_errors=True)
         for file in self._files():
@@ -215,6 +221,6 @@ def _unlink(files: Iterable[Path]) -> None:
 
 
 def _places(node: Front, unknowns: Index) -> Index:
-    """Places of unknowns in a front."""
+    """Return the places of unknowns in a front."""
     order = np.argsort(node.unknowns)
     return np.asarray(order[np.searchsorted(node.unknowns, unknowns, sorter=order)])

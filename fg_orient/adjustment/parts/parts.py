@@ -35,9 +35,9 @@ START: Final = "start"
 
 
 def rays_of_points(problem: Problem, parts: int) -> tuple[Index, Index, Index]:
-    """Observed ground points (P,), number of rays (P,) of each, and images of all rays in this order, ascending.
+    """Return observed ground points (P,), number of rays (P,) of each, and images of all rays in this order, ascending.
 
-    InputError: more parts than ground points, or less than one; a block that the Schur backend refuses.
+    InputError: there are more parts than ground points, or less than one part; the Schur backend refuses the block.
     """
     if not no_point_is_named(problem.block):
         raise InputError.of("adjust.schur", option="parts", value="extra observations name ground points")
@@ -49,10 +49,10 @@ def rays_of_points(problem: Problem, parts: int) -> tuple[Index, Index, Index]:
 
 
 def divide(problem: Problem, parts: int) -> list[Index]:
-    """Ground points of each part, ascending.
+    """Return the ground points of each part, ascending.
 
-    Points that the same images see are in one part, which then contributes to few blocks of the reduced system. Parts
-    have about the same work: pairs of rays of their points. Errors as :func:`rays_of_points`.
+    Points that the same images see are in one part, so each part contributes to few blocks of the reduced system. Parts
+    have about the same work: pairs of rays of their points. Errors as in :func:`rays_of_points`.
     """
     seen, rays, image = rays_of_points(problem, parts)
     ends = np.cumsum(rays)
@@ -74,7 +74,7 @@ class PartModel:
 
 
 def rows_of(problem: Problem, points: list[Index]) -> list[Index]:
-    """Rows of ``problem.observations`` of each part."""
+    """Return the rows of ``problem.observations`` of each part."""
     owner = np.full(len(problem.active), len(points), dtype=np.intp)
     for number, members in enumerate(points):
         owner[members] = number
@@ -84,7 +84,7 @@ def rows_of(problem: Problem, points: list[Index]) -> list[Index]:
 
 
 def part_of(problem: Problem, points: Index, rows: Index) -> dict[str, npt.NDArray[Any]]:
-    """Arrays of the file of a part: of some ground points (ascending) and their rows."""
+    """Return the arrays of the file of a part: of some ground points (ascending) and their rows."""
     o = problem.observations
     setups = [model.parameters.setup for model in problem.models]
     return {
@@ -102,7 +102,10 @@ def part_of(problem: Problem, points: Index, rows: Index) -> dict[str, npt.NDArr
 
 
 def part_problem(name: str, arrays: dict[str, npt.NDArray[Any]]) -> Problem:
-    """Problem of a part; its images have no priors, which are added once, to the sum of all parts."""
+    """Return the problem of a part.
+
+    Its images have no priors, because priors are added once, to the sum of all parts.
+    """
     first, setups, images = arrays["first"], arrays["setups"], [i.decode() for i in arrays["image_ids"].tolist()]
     models = []
     for k, equation in enumerate(arrays["equations"].tolist()):
@@ -116,23 +119,34 @@ def part_problem(name: str, arrays: dict[str, npt.NDArray[Any]]) -> Problem:
     observations = ImagePoints(arrays["image"], arrays["point"], nothing, nothing, one, one)
     options = Options(**(json.loads(arrays["options"].tobytes()) | {"priors": False}))
     block = Block(
-        name, tuple(Image(i, cast(Sensor, None)) for i in images),
-        GroundPoints(ids, (Role.TIE,) * len(ids), unknown), observations, WithheldCoordinates(), options,
-    )  # fmt: skip
+        name,
+        tuple(Image(i, cast(Sensor, None)) for i in images),
+        GroundPoints(ids, (Role.TIE,) * len(ids), unknown),
+        observations,
+        WithheldCoordinates(),
+        options,
+    )
     start = State(np.zeros((len(models), int(np.diff(first).max()))), arrays["start"])
     return Problem(
-        block, tuple(models), observations, arrays["records"], arrays["origin_m"], start, arrays["active"],
-        arrays["observed"], arrays["control_records"],
-    )  # fmt: skip
+        block,
+        tuple(models),
+        observations,
+        arrays["records"],
+        arrays["origin_m"],
+        start,
+        arrays["active"],
+        arrays["observed"],
+        arrays["control_records"],
+    )
 
 
 def part_file(folder: str | Path, number: int) -> Path:
-    """File of a part."""
+    """Return the file of a part."""
     return Path(folder) / f"part-{number:04d}.npz"
 
 
 def write_part(problem: Problem, points: Index, rows: Index, folder: Path, number: int) -> None:
-    """Write the file of a part, whole or not at all; InputError if it cannot be written."""
+    """Write the file of a part completely or not at all; InputError if it cannot be written."""
     stream = io.BytesIO()
     np.savez(stream, allow_pickle=False, **part_of(problem, points, rows))
     # not durable: after a crash the work begins again
@@ -161,7 +175,7 @@ def _ground_file(folder: str | Path, part: int, name: str) -> Path:
 
 
 def write_ground(folder: str | Path, part: int, name: str, ground: Array) -> None:
-    """Write the ground points (P, 3) of a part at a state, whole or not at all."""
+    """Write the ground points (P, 3) of a part at a state, completely or not at all."""
     write_array(_ground_file(folder, part, name), ground)
 
 
@@ -171,7 +185,7 @@ def read_ground(folder: str | Path, part: int, name: str) -> Array:
 
 
 def write_array(path: Path, array: Array) -> None:
-    """Write an array to a file, whole or not at all."""
+    """Write an array to a file completely or not at all."""
     stream = io.BytesIO()
     np.save(stream, array)
     write_bytes(path, stream.getvalue(), durable=False)

@@ -1,7 +1,7 @@
-"""Pools that run tasks: in this process, or on the workers of a dask cluster, with the same results bit by bit.
+"""Pools that run tasks in this process, or on the workers of a dask cluster, with identical results to the last bit.
 
-A pool runs one function over many arguments. Sums follow a binary tree of the numbers of the parts: neither the number
-of workers nor the order in which tasks end changes the last bit.
+A pool runs one function over many arguments. Sums follow a binary tree of the numbers of the parts. So neither the
+number of workers nor the order in which tasks end changes the last bit.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ T = TypeVar("T")
 
 
 def tree(arguments: Sequence[Any], depth: float, leaf: Callable[[Sequence[Any]], Any]) -> Any:
-    """Sum of ``leaf(branch)`` over the branches of a binary tree at a depth; a branch of one is not divided."""
+    """Sum ``leaf(branch)`` over the branches of a binary tree at a depth; a branch of one element is not divided."""
     if depth == 0 or len(arguments) == 1:
         return leaf(arguments)
     half = len(arguments) // 2
@@ -28,7 +28,7 @@ def tree(arguments: Sequence[Any], depth: float, leaf: Callable[[Sequence[Any]],
 
 
 def branches(arguments: Sequence[Any], depth: int) -> list[Sequence[Any]]:
-    """Branches of this tree at a depth, in order."""
+    """Return the branches of this tree at a depth, in order."""
     return list(tree(arguments, depth, lambda branch: [branch]))
 
 
@@ -38,22 +38,22 @@ def summed(task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> An
 
 
 def _summed_on_worker(task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Any:
-    """Sum in another process, whose BLAS may use more threads, which would change last bits."""
+    """Return the sum in another process; more BLAS threads in it would change the last bits."""
     with one_blas_thread():
         return summed(task, arguments)
 
 
 class Pool:
-    """Runs tasks in this process, one after another; ``threads`` is for the kernels of a task."""
+    """Pool that runs tasks in this process, one after another; ``threads`` is for the kernels of a task."""
 
     threads: int | None = None
 
     def total(self, task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Any:
-        """Sum of ``task(*a)`` over the arguments, in a tree by their number."""
+        """Return the sum of ``task(*a)`` over the arguments, in a tree by their number."""
         return summed(task, arguments)
 
     def each(self, task: Callable[..., T], arguments: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, T]]:
-        """Number and result of each task when it has ended."""
+        """Yield number and result of each task when it has ended."""
         for k, argument in enumerate(arguments):
             yield k, task(*argument)
 
@@ -63,7 +63,7 @@ class Pool:
 
 
 class Cluster(Pool):
-    """Runs tasks on the workers of a dask cluster.
+    """Pool that runs tasks on the workers of a dask cluster.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ class Cluster(Pool):
         self.client = client
 
     def workers(self) -> list[str]:
-        """Addresses of the running workers, sorted."""
+        """Return the addresses of the running workers, sorted."""
         return sorted(self.client.nthreads())
 
     def _submit(self, task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> list[Any]:
@@ -103,7 +103,7 @@ class Cluster(Pool):
             return tree(arguments, depth, lambda branch: next(sums))
 
     def each(self, task: Callable[..., T], arguments: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, T]]:
-        """See :class:`Pool`; raises as :meth:`total`."""
+        """See :class:`Pool`; errors as in :meth:`total`."""
         with _failures():
             futures = [self.client.submit(task, *argument, pure=False) for argument in arguments]
             number = {future.key: k for k, future in enumerate(futures)}
@@ -121,7 +121,7 @@ class Cluster(Pool):
 
 
 def _distributed() -> Any:
-    """The optional package ``distributed``, without types."""
+    """Return the optional package ``distributed``, without types."""
     return import_module("distributed")
 
 

@@ -29,7 +29,7 @@ REHEARSED: Final = 2
 
 
 def rehearse(problem: Problem) -> None:
-    """Eliminate a few ground points in this process: kernels are compiled once and not by each worker."""
+    """Eliminate a few ground points in this process, so that kernels are compiled once and not by each worker."""
     points = np.flatnonzero(problem.active)[:REHEARSED]
     part = part_problem("rehearsal", part_of(problem, points, rows_of(problem, [points])[0]))
     backend = SchurBackend(part, threads=1, reduced="blocks")
@@ -40,9 +40,12 @@ def rehearse(problem: Problem) -> None:
 
 
 def solve_in_parts(
-    problem: Problem, execution: Execution, callback: Callback | None = None, checkpoint: Checkpoint | None = None,
+    problem: Problem,
+    execution: Execution,
+    callback: Callback | None = None,
+    checkpoint: Checkpoint | None = None,
     start: State | None = None,
-) -> Estimate:  # fmt: skip
+) -> Estimate:
     """Adjust a problem in parts; processes started for it end with the adjustment.
 
     Parameters
@@ -50,7 +53,7 @@ def solve_in_parts(
     problem : Problem
     execution : Execution
     callback : callable, optional
-        Called with an ``IterationRecord`` after each iteration.
+        Function that receives an ``IterationRecord`` after each iteration.
     checkpoint, start : optional
         See ``fg_orient.adjustment.solve.solve``.
 

@@ -23,9 +23,9 @@ from fg_orient.formats.atomic import write_bytes
 from fg_orient.model.errors import InputError
 
 __all__ = ["study"]
-#: Called after each case with the number of completed cases, the number of all cases, and the case.
+#: Function that receives the number of completed cases, the number of all cases, and the case, after each case.
 Progress = Callable[[int, int, Any], None]
-#: From a case to nested dicts and lists of numbers, strings and arrays.
+#: Function from a case to nested dicts and lists of numbers, strings and arrays.
 Task = Callable[[Any], Any]
 
 _ARRAY: Final = "\0array"
@@ -49,7 +49,7 @@ def study(
         ``task(case)`` depends only on its case. It returns nested dicts and lists of numbers, strings and arrays;
         tuples become lists. With workers it is pickled: a function of a module, or a ``functools.partial``.
     cases : sequence
-        Values of JSON.
+        Cases, values that JSON can represent.
     workers : int
         Processes on this machine; 0 or 1: only this process.
     cluster : str or dask.distributed.Client, optional
@@ -57,10 +57,10 @@ def study(
     folder : path, optional
         Folder for the results; it is made if it is missing. Cases with a result are not run again.
     key : str
-        Further inputs of the results, such as a hash of a file: results with another key, or of another version of this
+        Further inputs of the results, such as a hash of a file. Results with another key, or of another version of this
         package, are not used.
     callback : callable, optional
-        Called with (done, of, case), first for cases with a kept result.
+        Function that receives (done, of, case), first for cases with a kept result.
 
     Returns
     -------
@@ -124,7 +124,7 @@ def _kept(path: Path) -> Any:
 
 
 def dumps(result: Any) -> bytes:
-    """Bytes of a result: JSON and arrays without pickle; numbers keep their last bit."""
+    """Return the bytes of a result: JSON and arrays without pickle; numbers keep their last bit."""
     arrays: list[npt.NDArray[Any]] = []
 
     def keep(value: object) -> object:
@@ -142,7 +142,7 @@ def dumps(result: Any) -> bytes:
 
 
 def loads(data: bytes) -> Any:
-    """Inverse of :func:`dumps`."""
+    """Read a result from the bytes of :func:`dumps`."""
     with np.load(io.BytesIO(data), allow_pickle=False) as content:
         arrays = dict(content)
 

@@ -1,7 +1,7 @@
 """States, steps and linearisations of a block in parts.
 
-The sum of the reduced systems of all parts, with the priors, is solved in this process or in fronts; then each part
-moves its points by the step of the images.
+The sum of the reduced systems of all parts, with the priors, is solved in this process or in fronts. Then each part
+moves its points according to the step of the images.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class PartedState(State):
-    """A state with ground points in the files of the parts; ``ground`` reads those of this name with ``gather``."""
+    """State with ground points in the files of the parts; ``gather`` reads the points with this name."""
 
     name: str
     _gather: Callable[[str], Array]
@@ -71,12 +71,12 @@ class PartedSystem:
     def error(self) -> float:
         """Half the weighted sum of squares, or the cost under a loss."""
         if self._known is None:
-            self._eliminated(self._least)  # the next Gauss-Newton step requires it
+            self._eliminated(self._least)  # the next Gauss-Newton step requires the elimination
         assert self._known is not None
         return self._known
 
     def _eliminated(self, damping: float) -> Partial | Multifrontal:
-        """Sum of all parts, or their factor in fronts."""
+        """Return the sum of all parts, or their factor in fronts."""
         if damping == self._least and self._partial is not None:
             return self._partial
         partial = self._factor(damping) if self._backend.in_fronts else self._sum(damping)
@@ -114,7 +114,7 @@ class PartedSystem:
         return step
 
     def dogleg(self, radius: float) -> PartedStep:
-        """Blend of the steepest-descent and the Gauss-Newton step."""
+        """Return a blend of the steepest-descent and the Gauss-Newton step."""
         newton, backend = self.solve(0.0), self._backend
         if newton.norm <= radius:
             return newton
@@ -134,7 +134,7 @@ class PartedSystem:
         target = backend.new_name()
         moved = backend.total(
             tasks.blend, self.state, self._least, image, newton.image, (along_slope, along_newton), target
-        )  # fmt: skip
+        )
         return self._step(along_slope * image + along_newton * newton.image, target, moved)
 
     def _step(self, image: Array, target: str, moved: Sums) -> PartedStep:
@@ -145,7 +145,10 @@ class PartedSystem:
         return PartedStep(image, self.state.name, target, length, error, norm)
 
     def summed(self) -> SummedSystem:
-        """Reduced system for the covariance, without the parts; a singular system raises its error when it is used."""
+        """Return the reduced system for the covariance, without the parts.
+
+        a singular system raises its error at its use.
+        """
         partial: Partial | Multifrontal | RuntimeError
         try:
             partial = self._eliminated(0.0)

@@ -1,6 +1,6 @@
 """Tasks of a worker on a part of a block: functions of the part's file, the state and small arguments.
 
-A task repeated by another worker gives the same bits: results that a process keeps are computed again where they are
+A task that another worker repeats gives identical bits. Results that a process keeps are computed again if they are
 missing. Ground points are never sent: a step writes the points of its part to a file of the work folder, named by the
 state.
 """
@@ -32,8 +32,8 @@ T = TypeVar("T")
 class At:
     """A state of a part: image unknowns (M, k) in prior sigmas, and ground points in a file with the name of the state.
 
-    ``threads`` is the number of threads of the kernels; ``robust`` are losses, ``loss`` their number, which changes
-    with them. At most ``kept`` parts stay open in a process (None: all).
+    ``threads`` is the number of threads of the kernels. ``robust`` contains the losses; ``loss`` is their number, which
+    changes with them. At most ``kept`` parts stay open in a process (None: all).
     """
 
     folder: str
@@ -54,14 +54,14 @@ class Sums(tuple[Any, ...]):
 
 
 class Largest(float):
-    """A number whose sum with another one is the larger of both."""
+    """Number whose sum with another one is the larger of both."""
 
     def __add__(self, other: float) -> Largest:
         return Largest(max(self, other))
 
 
 class _Part:
-    """A part in this process: its backend, the last linearisation, and ground points of the last states."""
+    """A part in this process: its backend, its last linearisation, and the ground points of the last states."""
 
     def __init__(self, at: At) -> None:
         problem = read_part(at.folder, at.part)
@@ -70,14 +70,14 @@ class _Part:
         self._system: tuple[str, int, SchurSystem] | None = None
 
     def state(self, at: At) -> State:
-        """The state, its ground points from memory or from their file."""
+        """Return the state, its ground points from memory or from their file."""
         self.backend.robust = at.robust
         if at.name not in self._ground:
             self._ground = {START: self._ground[START], at.name: read_ground(at.folder, at.part, at.name)}
         return State(at.image, self._ground[at.name])
 
     def system(self, at: At) -> SchurSystem:
-        """The linearisation at a state."""
+        """Return the linearisation at a state."""
         self.backend.robust = at.robust
         if self._system is None or self._system[:2] != (at.name, at.loss):
             self._system = at.name, at.loss, self.backend.linearise(self.state(at))
@@ -97,7 +97,10 @@ _OPENING: Final = threading.Lock()
 
 
 def _task(function: Callable[Concatenate[_Part, At, P], T]) -> Callable[Concatenate[At, P], T]:
-    """Make a task of a part. Only one runs at a time, although workers may have threads or run abandoned tasks."""
+    """Convert a function to a task of a part.
+
+    Only one runs at a time, although workers may have threads or run abandoned tasks.
+    """
 
     @functools.wraps(function)
     def run(at: At, /, *arguments: P.args, **named: P.kwargs) -> T:
@@ -105,9 +108,10 @@ def _task(function: Callable[Concatenate[_Part, At, P], T]) -> Callable[Concaten
         with _OPENING:
             if key not in _PARTS:
                 for other in {folder for folder, _ in _PARTS if not Path(folder).is_dir()}:
-                    forget(other)  # its client has ended
+                    forget(other)  # the client of this folder has ended
                 opened = [known for known in _PARTS if known[0] == at.folder]
-                if len(opened) >= (at.kept or len(opened) + 1):  # parts follow each other: the last one is due last
+                # parts follow each other, so the last one is needed last
+                if len(opened) >= (at.kept or len(opened) + 1):
                     del _PARTS[opened[-1]]
                 _PARTS[key] = _Part(at)
             part = _PARTS[key]
@@ -125,13 +129,13 @@ def forget(folder: str) -> None:
 
 @_task
 def error(part: _Part, at: At) -> float:
-    """Half the weighted sum of squares of a part, without priors of the images."""
+    """Return half the weighted sum of squares of a part, without priors of the images."""
     return part.backend.error(part.state(at))
 
 
 @_task
 def squares(part: _Part, at: At) -> Sums:
-    """Squared whitened norms of image points and of control points, unweighted: two lists, one array per part."""
+    """Return squared whitened norms of image points and control points, unweighted: two lists, one array per part."""
     return Sums([values] for values in part.backend.squares(part.state(at)))
 
 
@@ -171,14 +175,14 @@ def substitute(part: _Part, at: At, damping: float, image: Array, target: str) -
 
 @_task
 def gradient(part: _Part, at: At) -> Sums:
-    """Gradient of the images (u,), and squares of the gradient of the ground points."""
+    """Return the gradient of the images (u,), and squares of the gradient of the ground points."""
     image, ground = part.system(at).gradient()
     return Sums((image, float(np.sum(ground**2))))
 
 
 @_task
 def bend(part: _Part, at: At, damping: float, slope: Array, newton: Array) -> Sums:
-    """Squares of the Jacobian times the gradient; product of gradient and Newton step of the ground points.
+    """Return squares of the Jacobian times the gradient, and gradient times Newton step of the ground points.
 
     ``slope`` and ``newton`` (u,) are gradient and Newton step of the images, the latter with this damping.
     """
