@@ -24,20 +24,20 @@ from fg_orient.quality.variance_components import VarianceComponents
 
 @dataclass(frozen=True, kw_only=True)
 class AdjustmentResult:
-    """End of an adjustment: fit, cofactors and tests, as required by a round of a search for gross errors.
+    """Result of an adjustment: fit, cofactors and tests, as a round of a search for gross errors requires them.
 
     Parameters
     ----------
     problem : Problem
-        The problem that was solved: block, parameters, weights, start.
+        Problem that was solved: block, parameters, weights, start.
     status : Status
     state : State
-        Unknowns: prior sigmas and local metres.
+        Unknowns in prior sigmas and local metres.
     chi2 : float
         Weighted sum of squares of all residuals; under a loss with the weights at the solution.
     cofactors : Cofactors or None
-        None if the covariance cannot be computed, for the reason in ``unavailable``. Under a loss these are the
-        cofactors of least squares with the weights at the solution.
+        Cofactors; None if the covariance cannot be computed, for the reason in ``unavailable``. Under a loss these are
+        the cofactors of least squares with the weights at the solution.
     weights : Weights or None
         Weights of image points (n,) and ground points (N,) under a loss.
     components : VarianceComponents or None
@@ -45,7 +45,7 @@ class AdjustmentResult:
     residuals : ResidualCofactors or None
         Cofactors of the residuals, if the assessment of this solution has computed them.
     tests : OutlierTests or None
-        Tests of all observations by the options, if the assessment of this solution has computed them.
+        Tests of all observations according to the options, if the assessment of this solution has computed them.
     """
 
     problem: Problem
@@ -61,7 +61,7 @@ class AdjustmentResult:
 
     @property
     def block(self) -> Block:
-        """The block that was adjusted."""
+        """Block that was adjusted."""
         return self.problem.block
 
     @property
@@ -75,7 +75,10 @@ class AdjustmentResult:
         return float(np.sqrt(self.chi2 / self.redundancy)) if self.redundancy > 0 else float("nan")
 
     def required_cofactors(self, *, unweighted: str = "") -> Cofactors:
-        """Cofactors; raise NoSolutionError without them, and with ``unweighted`` (a message's code) under a loss."""
+        """Return the cofactors.
+
+        Raise NoSolutionError without them, and with ``unweighted`` (a message's code) under a loss.
+        """
         if self.cofactors is None:
             raise NoSolutionError.of("covariance.unavailable", value="; ".join(map(str, self.unavailable)))
         self._require_unweighted(unweighted)
@@ -87,7 +90,7 @@ class AdjustmentResult:
 
     @cached_property
     def weighted(self) -> Problem:
-        """The problem of the cofactors: under a loss with the weights at the solution."""
+        """Problem to which the cofactors belong: under a loss with the weights at the solution."""
         return self.problem if self.weights is None else weighted_problem(self.problem, self.weights)
 
     @cached_property
@@ -101,7 +104,7 @@ class AdjustmentResult:
     def outlier_tests(
         self, *, level: float | None = None, test: str | None = None, control: str | None = None, kind: Kind = "groups"
     ) -> OutlierTests:
-        """Test of every observation for a gross error, most suspicious first; see ``fg_orient.quality.outliers``.
+        """Test every observation for a gross error, most suspicious first; see ``fg_orient.quality.outliers``.
 
         Parameters
         ----------
@@ -125,12 +128,19 @@ class AdjustmentResult:
         if known is not None and known.problem is self.problem and self.components is None and kind == "groups":
             if (known.level, known.test, known.control) == (level, test, control):
                 return known
-        return outlier_tests(self.residual_cofactors, self.chi2, kind=kind, components=self.components, level=level,
-                             test=test, control=control)  # fmt: skip
+        return outlier_tests(
+            self.residual_cofactors,
+            self.chi2,
+            kind=kind,
+            components=self.components,
+            level=level,
+            test=test,
+            control=control,
+        )
 
     @cached_property
     def unseen_shifts(self) -> Array:
-        """Shift (N, 3) m of points to East, North, Up by an unseen error of one pixel, nan without such an error.
+        """Shift (N, 3) m of points East, North, Up by an unseen error of one pixel; nan without such an error.
 
         See ``fg_orient.quality.reliability``.
         """

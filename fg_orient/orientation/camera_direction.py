@@ -1,10 +1,10 @@
-"""Whether the other direction of the distortion polynomial fits better with the same terms.
+"""Test whether the other direction of the distortion polynomial fits better with the same terms.
 
-Brown's polynomial converts measured to ideal coordinates or ideal to measured coordinates. Its terms do not describe
-the same lenses in both directions: the inverse of a polynomial has infinitely many terms. If sigma0 is larger than
-chance allows, the block is adjusted once more with the other direction, and both are compared by Vuong's test (1989)
-of models of which none contains the other: the differences of the squared residuals of each image point have a mean
-that is far from 0.
+Brown's polynomial converts measured to ideal coordinates or ideal to measured coordinates. The same terms do not
+describe the same lenses in both directions: the inverse of a polynomial has infinitely many terms. If sigma0 is larger
+than chance allows, the block is adjusted once more with the other direction. Vuong's test (1989) compares the two
+models, of which neither contains the other: is the mean of the differences of the squared residuals of the image points
+far from 0?
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ from fg_orient.sensors.frame_unknowns import FURTHER, NAMES
 
 #: Level of the tests.
 LEVEL: Final = 0.001
-#: Terms of the polynomial, and their powers of the unit of length of the coordinates.
+#: Terms of the polynomial, with their powers of the unit of length of the coordinates.
 POWERS: Final = {"k1": 2, "k2": 4, "k3": 6, "p1": 1, "p2": 1}
 _WORDS: Final = {MEASURED_TO_IDEAL: "measured to ideal", IDEAL_TO_MEASURED: "ideal to measured"}
 
 
 def with_direction(solution: Solution, block: Block, run: Callable[[Block], Solution]) -> Solution:
-    """The solution of a block with a note on a direction of the polynomials that fits significantly better.
+    """Add a note to a solution if the other direction of the polynomials fits significantly better.
 
     Parameters
     ----------
     solution : Solution
     block : Block
-        Before the adjustment; observations and sigmas are those of the solution.
+        Block before the adjustment; observations and sigmas are those of the solution.
     run : callable
-        Adjusts a block once.
+        Function that adjusts a block once.
     """
     begin = working_clock()
     own = replace(block, observations=solution.block.observations, points=solution.block.points)
@@ -84,11 +84,11 @@ def _better_direction(solution: Solution, block: Block, run: Callable[[Block], S
 
 
 def is_better(one: Solution, other: Solution) -> bool:
-    """Whether the other of two solutions with the same observations and number of unknowns fits significantly better.
+    """Return whether the other of two solutions fits significantly better; both have equally many unknowns.
 
-    The likelihood must grow more than that of one more unknown without effect would, and by more than chance makes of
-    the image points (Vuong 1989). Residuals refer to measured coordinates: residuals of corrected coordinates have the
-    scale of the correction.
+    The likelihood must grow by more than one additional unknown without effect would cause, and by more than chance
+    allows for the image points (Vuong 1989). Residuals refer to measured coordinates, because residuals of corrected
+    coordinates have the scale of the correction.
     """
     squares, others = _squares(one), _squares(other)
     scale = float(others.sum()) / max(other.redundancy, 1)
@@ -100,7 +100,7 @@ def is_better(one: Solution, other: Solution) -> bool:
 
 
 def _squares(solution: Solution) -> Array:
-    """Squared residuals (n,) of the image points, of measured coordinates; nan behind a camera."""
+    """Return the squared residuals (n,) of the image points in measured coordinates; nan behind a camera."""
     o, out = solution.problem.observations, np.zeros(len(solution.problem.observations))
     for k, image in enumerate(solution.block.images):
         rows = np.flatnonzero(o.image == k)
@@ -111,7 +111,10 @@ def _squares(solution: Solution) -> Array:
 
 
 def turned_block(block: Block) -> Block | None:
-    """The block with the other direction of Brown's polynomial; None without unknown terms, or with other terms."""
+    """Return the block with the other direction of Brown's polynomial.
+
+    None without unknown terms, or with other terms.
+    """
     turned = {image.id for image in block.images if _is_turned(image)}
     if not turned:
         return None
@@ -128,14 +131,14 @@ def turned_block(block: Block) -> Block | None:
 
 
 def _is_of_pose(extra: ExtraObservation) -> bool:
-    """Whether an observation of an image does not depend on the terms of its polynomial."""
+    """Return whether an observation of an image does not depend on the terms of its polynomial."""
     if extra.equation is OBSERVED_ELEMENT:
         return NAMES[int(extra.record[ELEMENT.number])] not in POWERS
     return isinstance(extra, ConstraintObservation) or extra.equation in (ANTENNA_POSITION, INERTIAL_ATTITUDE)
 
 
 def _is_turned(image: Image) -> bool:
-    """Whether an image has unknown terms of Brown's polynomial, and no others."""
+    """Return whether an image has unknown terms of Brown's polynomial, and no others."""
     sensor = image.sensor
     if not isinstance(sensor, FrameSensor):
         return False
@@ -146,7 +149,7 @@ def _is_turned(image: Image) -> bool:
 
 
 def turned_camera(camera: FrameCamera) -> FrameCamera:
-    """Camera with the other direction of the polynomial: the same correction to the first order."""
+    """Return the camera with the other direction of the polynomial: the same correction to the first order."""
     unit = float(camera.unit_px or camera.focal_px)
     scale = camera.focal_px / unit if camera.corrects_measured else unit / camera.focal_px
     factor = {name: scale**power for name, power in POWERS.items()}

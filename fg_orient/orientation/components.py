@@ -35,11 +35,11 @@ from fg_orient.quality.verdict import NO_INTERVAL, SolutionAssessment, decided
 CONVERGED: Final = 1e-5
 #: Maximum number of rounds.
 MAX_ROUNDS: Final = 100
-#: Rounds before components are assessed: given sigmas may be wrong by orders of magnitude.
+#: Number of rounds before components are assessed: given sigmas may be wrong by orders of magnitude.
 FIRST_ROUNDS: Final = 2
-#: Rounds with a negative variance after which the component is refused.
+#: Number of rounds with a negative variance after which the component is refused.
 NEGATIVE_ROUNDS: Final = 8
-#: Factors of sigmas outside which a component diverges.
+#: Least and largest factor of sigmas; outside this range a component diverges.
 RANGE: Final = (1e-3, 1e4)
 
 
@@ -50,14 +50,14 @@ def adjust_with_components(
     *,
     method: Method = "helmert",
 ) -> Solution:
-    """Iterate adjustment and variance components.
+    """Iterate adjustment and estimation of variance components.
 
     Parameters
     ----------
     block : Block
-        Its options name the groups; default: image points, position and height.
+        Block whose options name the groups; default: image points, position and height.
     run : callable
-        Adjusts a block with its sigmas, from a state if given.
+        Function that adjusts a block with its sigmas, from a state if given.
     begin : State, optional
         Start of the first adjustment.
     method : str
@@ -98,31 +98,34 @@ def adjust_with_components(
 
 
 def _with_components(solution: Solution, components: VarianceComponents, groups: tuple[str, ...]) -> Solution:
-    """The last solution with its components; its sigma0 is not a test of the model.
+    """Return the last solution with its components; its sigma0 is not a test of the model.
 
     The tests of gross errors are repeated with the degrees of freedom of the components.
     """
     by_construction, block = finding("verdict.components"), solution.block
     block = replace(block, options=replace(block.options, variance_components=groups))
-    whole = replace(solution, components=components, sigma0_interval=NO_INTERVAL,
-                    problem=replace(solution.problem, block=block))  # fmt: skip
+    whole = replace(
+        solution, components=components, sigma0_interval=NO_INTERVAL, problem=replace(solution.problem, block=block)
+    )
     findings = [f for f in solution.findings if f.code != "verdict.gross_error"]
     if len(findings) < len(solution.findings):
         findings += gross_errors(whole.outlier_tests(), block.options.accept)
     converged = SolutionAssessment(Status.CONVERGED, by_construction, NO_INTERVAL)
     status, reason, ordered = decided(
         converged if solution.status is not Status.NOT_CONVERGED else replace(converged, status=solution.status),
-        by_construction, [*findings, by_construction, *components.findings], block.options.accept,
-    )  # fmt: skip
+        by_construction,
+        [*findings, by_construction, *components.findings],
+        block.options.accept,
+    )
     reason = solution.verdict if status is Status.NOT_CONVERGED else reason
     return replace(whole, status=status, verdict=reason, findings=ordered)
 
 
 class _Rounds:
-    """Factors of the variances, and components fixed at their given sigmas, from round to round.
+    """Factors of the variances from round to round, and components that are fixed at their given sigmas.
 
-    A component is assessed in each round, because weights change its redundancy. If an estimated component has too
-    little redundancy in a later round it stays fixed, so that the rounds end.
+    A component is assessed in each round, because weights change its redundancy. A component that was estimated and has
+    too little redundancy in a later round stays fixed, so that the rounds end.
     """
 
     def __init__(self, groups: Groups) -> None:
@@ -131,7 +134,7 @@ class _Rounds:
         self.negative, self.worst = np.zeros(size, int), 0
 
     def converged(self, estimated: Round) -> bool:
-        """Whether the variances have converged."""
+        """Return whether the variances have converged."""
         change = np.abs(estimated.variance - 1.0)
         self.worst = int(np.argmax(change))
         free = np.array([not text for text in estimated.held], bool)

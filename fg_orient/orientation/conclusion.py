@@ -38,7 +38,7 @@ def conclude(
     estimate: Estimate,
     structure_s: float,
 ) -> Solution:
-    """Statistics after convergence; only here the coordinates of check points are opened."""
+    """Return the statistics after convergence; only here the coordinates of check points are opened."""
     start = working_clock()
     weighted = compiled if estimate.weights is None else weighted_problem(compiled, estimate.weights)
     cofactors, unavailable = cofactors_at(weighted, estimate)
@@ -68,16 +68,35 @@ def conclude(
     whitened = None if examined.residuals is None else examined.residuals.v_image
     ordered, supposed = causes.added(ordered, compiled, estimate, on_earth, examined, accuracy.check)
     return Solution(
-        problem=compiled, status=status, verdict=reason, end=estimate.end, residuals=examined.residuals,
-        residuals_px=compiled.pixel_residuals(estimate.state, whitened), tests=examined.tests,
-        backend=estimate.backend, solver=estimate.solver, optimizer=compiled.block.options.optimizer,
-        state=estimate.state, ground_m=ground, chi2=estimate.chi2,
-        sigma0_interval=assessment.interval, log=estimate.log, iterations=estimate.iterations,
-        observability=observability, block_view=block_view,
-        accuracy=accuracy, cofactors=cofactors, sigmas=examined.sigmas, unavailable=unavailable, findings=ordered,
-        reduced_system=choice, weights=estimate.weights, resumed_at=estimate.resumed_at, supposed=supposed,
+        problem=compiled,
+        status=status,
+        verdict=reason,
+        end=estimate.end,
+        residuals=examined.residuals,
+        residuals_px=compiled.pixel_residuals(estimate.state, whitened),
+        tests=examined.tests,
+        backend=estimate.backend,
+        solver=estimate.solver,
+        optimizer=compiled.block.options.optimizer,
+        state=estimate.state,
+        ground_m=ground,
+        chi2=estimate.chi2,
+        sigma0_interval=assessment.interval,
+        log=estimate.log,
+        iterations=estimate.iterations,
+        observability=observability,
+        block_view=block_view,
+        accuracy=accuracy,
+        cofactors=cofactors,
+        sigmas=examined.sigmas,
+        unavailable=unavailable,
+        findings=ordered,
+        reduced_system=choice,
+        weights=estimate.weights,
+        resumed_at=estimate.resumed_at,
+        supposed=supposed,
         seconds=Seconds(0.0, structure_s + estimate.structure_s, 0.0, estimate.solve_s, working_clock() - start),
-    )  # fmt: skip
+    )
 
 
 def cofactors_at(compiled: Problem, estimate: Estimate) -> tuple[Cofactors | None, tuple[Finding, ...]]:
@@ -96,12 +115,12 @@ def cofactors_at(compiled: Problem, estimate: Estimate) -> tuple[Cofactors | Non
 
 
 def accuracy_at(compiled: Problem, state: State) -> Accuracy:
-    """Differences at control and check points of a state, without cofactors."""
+    """Return the differences at control and check points of a state, without cofactors."""
     return _assess(compiled, *_adjusted_ground(compiled, state), None)
 
 
 def _adjusted_ground(compiled: Problem, state: State) -> tuple[Array, LocatedPoints | None]:
-    """Ground points (N, 3) in ECEF, and the check points among them that were located afterwards."""
+    """Return the ground points (N, 3) in ECEF, and the check points among them that were located afterwards."""
     located = _located_afterwards(compiled, state)
     ground = state.ground + compiled.origin_m
     if located is not None:
@@ -110,7 +129,7 @@ def _adjusted_ground(compiled: Problem, state: State) -> tuple[Array, LocatedPoi
 
 
 def _located_afterwards(compiled: Problem, state: State) -> LocatedPoints | None:
-    """Excluded check points, located with the adjusted orientation; None without such points."""
+    """Return the excluded check points, located with the adjusted orientation; None without such points."""
     missing = initial.missing_rows(state.ground)
     o = compiled.block.observations
     rows = missing[o.point]
@@ -127,11 +146,11 @@ def _located_afterwards(compiled: Problem, state: State) -> LocatedPoints | None
 def _assess(
     compiled: Problem, ground: Array, located: LocatedPoints | None, cofactors: PointCofactors | None
 ) -> Accuracy:
-    """Differences at control points and, after opening their coordinates, at check points."""
+    """Return the differences at control points and, after opening their coordinates, at check points."""
     points = compiled.block.points
     used = ~initial.missing_rows(ground)
     control, check = (rows[used[rows]] for rows in (points.where(Role.CONTROL), points.where(Role.CHECK)))
-    adjusted = control[compiled.active[control]]  # a fixed point is a constant: it has no difference
+    adjusted = control[compiled.active[control]]  # a fixed point is a constant, so it has no difference
     opened = compiled.block.withheld.open() if len(check) else None
     place = {name: k for k, name in enumerate(compiled.block.withheld.ids)}
     order = [place[points.ids[j]] for j in check]
@@ -143,10 +162,15 @@ def _assess(
 
 
 def _differences(
-    compiled: Problem, ground: Array, index: Index, measured: Coordinates, rows: Index,
-    located: LocatedPoints | None, cofactors: PointCofactors | None,
-) -> PointDifferences:  # fmt: skip
-    """Differences of points ``index`` from measured coordinates, which are the ``rows`` of ``measured``."""
+    compiled: Problem,
+    ground: Array,
+    index: Index,
+    measured: Coordinates,
+    rows: Index,
+    located: LocatedPoints | None,
+    cofactors: PointCofactors | None,
+) -> PointDifferences:
+    """Return the differences of points ``index`` from the ``rows`` of the measured coordinates ``measured``."""
     ids = tuple(compiled.block.points.ids[j] for j in index)
     measured_m = measured.ecef_m[rows].reshape(-1, 3)
     q = np.full((len(index), 3, 3), np.nan)
@@ -157,7 +181,7 @@ def _differences(
             own = replace(located, index=index[after])
             q[after] = own.cofactors(cofactors.blocks)
     sigma = measured.sigma_enu_m[rows].reshape(-1, 3)
-    # East, North, Up of the adjusted point: no estimated sigma may depend on a check coordinate
+    # axes at the adjusted point: no estimated sigma may depend on a check coordinate
     axes = compiled.axes(ground[index].reshape(-1, 3))
     found = differences(ids, index, ground[index], measured_m, sigma, q, axes)
     if cofactors is None or not compiled.active[index].all():

@@ -1,8 +1,8 @@
 """Confirming adjustment: the block without its most likely mistake is adjusted once.
 
-The named cause stays if the weighted sums of squares of observations and check points decrease by as much as the test
-of the cause demands, and by more than half of what exceeds their expectation: else something else explains more, and
-the cause is withdrawn. The linearised test that found the cause is not used for this decision.
+The named cause is kept if the weighted sums of squares of observations and check points decrease by as much as the test
+of the cause demands, and by more than half of what exceeds their expectation. Otherwise something else explains more,
+and the cause is withdrawn. The linearised test that found the cause is not used for this decision.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from fg_orient.model.errors import DECISIVE, FgOrientError, Finding
 from fg_orient.model.names import Status
 from fg_orient.orientation.solution import Solution
 
-#: Findings that name a mistake.
+#: Codes of findings that name a mistake.
 CAUSES: Final = ("verdict.cause", "solution.mix_up", "solution.id_mix_up", "solution.id_copied")
-#: Doubts that must end with sigmas that are wrong by a factor.
+#: Doubts that must disappear if sigmas that are wrong by a factor are the cause.
 OF_SIGMAS: Final = ("verdict.sigma0", "verdict.gross_error")
 
 
@@ -31,11 +31,11 @@ def confirmed(solution: Solution, run: Callable[[Block], Solution]) -> Solution:
     ----------
     solution : Solution
     run : callable
-        Adjusts a block once.
+        Function that adjusts a block once.
     """
     supposed, solution = solution.supposed, replace(solution, supposed=None)
     doubted = any(f.severity in DECISIVE and f.code not in CAUSES for f in solution.findings)
-    if solution.status is Status.CONVERGED and not doubted:  # estimated sigmas, for instance, have removed the doubt
+    if solution.status is Status.CONVERGED and not doubted:  # for instance, estimated sigmas have removed the doubt
         return _without_causes(solution)
     if supposed is None:
         return solution
@@ -60,7 +60,7 @@ def confirmed(solution: Solution, run: Callable[[Block], Solution]) -> Solution:
 
 
 def _is_better(before: Solution, after: Solution, least: float | None) -> bool:
-    """Whether the decrease of the sums of squares confirms a mistake; ``least``: see ``Supposed``."""
+    """Return whether the decrease of the sums of squares confirms a mistake; ``least``: see ``Supposed``."""
     if least is None:
         return before.status is Status.NOT_CONVERGED or bool(after.sigma0 < before.sigma0)
     (first, freedom), (second, _) = _squares(before), _squares(after)
@@ -68,7 +68,7 @@ def _is_better(before: Solution, after: Solution, least: float | None) -> bool:
 
 
 def _squares(solution: Solution) -> tuple[float, float]:
-    """Weighted sum of squares of the observations and of the differences at check points, and its expectation."""
+    """Return the weighted sum of squares of observations and differences at check points, and its expectation."""
     check = solution.accuracy.check
     covariance = check.covariance_m2
     if covariance is None:

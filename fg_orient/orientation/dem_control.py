@@ -1,8 +1,9 @@
-"""An elevation model as control: observations of heights of points, with a sigma.
+"""Elevation model as control: observations of heights of points, with a sigma.
 
 The height of a point above the model is an observation. The model is replaced by a plane at the last position of the
 point (``factors.conditions.control``). The planes are read again at the adjusted positions until the points no longer
-move. This fixes the height of a block with tie points on open ground and little control; on slopes also the position.
+move. The observation fixes the height of a block with tie points on open ground and little control; on slopes it also
+fixes the position.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ from fg_orient.sensors.correction import HeightSurface
 __all__ = ["DemAdjustment", "adjust_with_dem"]
 
 
-#: Half the distance for slopes; maximum number of rounds; largest movement of a point in the last round.
+#: Half the distance over which slopes are computed; maximum number of rounds; largest movement of a point in the last
+#: round.
 SLOPE_M: Final = 1.0
 MAX_ROUNDS: Final = 10
 REST_M: Final = 1e-3
@@ -52,17 +54,24 @@ class DemAdjustment:
 
     @property
     def at_rest(self) -> bool:
-        """Whether the points no longer move."""
+        """True if the points no longer move."""
         return self.moved_m <= REST_M
 
     def as_dict(self) -> dict[str, Any]:
-        """Entry ``dem_control`` of ``result.json``."""
+        """Return the entry ``dem_control`` of ``result.json``."""
         h = self.height_m
         return {
-            "dem": self.dem, "sigma_m": self.sigma_m, "n": len(self.ids), "outside": list(self.outside),
-            "rounds": self.rounds, "at_rest": self.at_rest, "moved_m": self.moved_m,
-            "mean_m": float(h.mean()), "rms_m": float(np.sqrt(np.mean(h**2))), "max_m": float(np.abs(h).max()),
-        }  # fmt: skip
+            "dem": self.dem,
+            "sigma_m": self.sigma_m,
+            "n": len(self.ids),
+            "outside": list(self.outside),
+            "rounds": self.rounds,
+            "at_rest": self.at_rest,
+            "moved_m": self.moved_m,
+            "mean_m": float(h.mean()),
+            "rms_m": float(np.sqrt(np.mean(h**2))),
+            "max_m": float(np.abs(h).max()),
+        }
 
 
 def adjust_with_dem(
@@ -80,7 +89,7 @@ def adjust_with_dem(
     roles : sequence of Role
         Roles of the points; coordinates of check points stay sealed.
     **options
-        Of :func:`fg_orient.adjust`; the backends graph and dense accept these observations.
+        Options of :func:`fg_orient.adjust`; the backends graph and dense accept these observations.
 
     Returns
     -------
@@ -106,15 +115,21 @@ def adjust_with_dem(
     lon, lat, h = ecef_to_geodetic(solution.ground_m[used])
     names = block.points.ids
     return DemAdjustment(
-        solution, dem.path, tuple(names[j] for j in used), tuple(names[j] for j in np.setdiff1d(wanted, used)),
-        h - dem.height_m(lon, lat), float(sigma_m), rounds, moved,
-    )  # fmt: skip
+        solution,
+        dem.path,
+        tuple(names[j] for j in used),
+        tuple(names[j] for j in np.setdiff1d(wanted, used)),
+        h - dem.height_m(lon, lat),
+        float(sigma_m),
+        rounds,
+        moved,
+    )
 
 
 def height_observations(
     block: Block, dem: HeightSurface, sigma_m: float, ground_m: Array, points: Index, origin_m: Array
 ) -> tuple[Index, tuple[ExtraObservation, ...]]:
-    """Points (m,) with observed heights above the planes of an elevation model, and their observations.
+    """Return the points (m,) with observed heights above the planes of an elevation model, and their observations.
 
     Parameters
     ----------
@@ -143,10 +158,13 @@ def height_observations(
     foot = at - above[:, None] * up - origin_m
     extra = tuple(
         ExtraObservation(
-            HEIGHT_CONTROL, (f"point:{block.points.ids[placed[j]]}",),
-            HEIGHT.pack(normal=normal[j] / sigma_m, place=foot[j]), np.zeros((2, 0)), 1,
+            HEIGHT_CONTROL,
+            (f"point:{block.points.ids[placed[j]]}",),
+            HEIGHT.pack(normal=normal[j] / sigma_m, place=foot[j]),
+            np.zeros((2, 0)),
+            1,
             f"height of point {block.points.ids[placed[j]]} from the DEM",
         )
         for j in good
-    )  # fmt: skip
+    )
     return placed[good], extra

@@ -9,8 +9,8 @@ eigenvectors V of ``L^T P L`` follows the whitened residual ::
     W^T L^-1 (x - x_1) - c,    W = V sqrt(w),    c = V^T L^T P (x_1 - x_0) / sqrt(w)
 
 where x_0 are the observed values of P, and w in [0, 1] is the share of the earlier observations in the information. It
-has one row for each direction with w > 0. Linearisation at x_1 apart, a block adjusted in two steps is then equal to
-the block adjusted in one step (blocks of Helmert: normal equations of the first step, reduced to the common unknowns).
+has one row for each direction with w > 0. Apart from linearisation at x_1, a block adjusted in two steps equals the
+block adjusted in one step (Helmert blocking: normal equations of the first step, reduced to the common unknowns).
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ from fg_orient.result.joint import LIMIT, JointCofactors, joint_cofactors_of, po
 from fg_orient.result.record import COVARIANCE_FILE, Result, read_result
 from fg_orient.sensors import initial
 
-#: Share of the earlier observations in the information of a direction, below which the prior has no row for it.
+#: Least share of the earlier observations in the information of a direction; below it the prior has no row for this
+#: direction.
 LEAST_SHARE: Final = 1e-9
 _ARGUMENTS: Final = {"image": Argument("image", "prior sigma"), "point": Argument("point", "m", True)}
 
@@ -53,7 +54,7 @@ class EarlierResult:
         Result folder, or name of the block.
     result : Result
     joint : JointCofactors or None
-        None if the result has none.
+        Joint cofactors; None if the result has none.
     """
 
     place: str
@@ -62,7 +63,7 @@ class EarlierResult:
 
     @staticmethod
     def of(given: Solution | Result | str | Path, points: Collection[str]) -> EarlierResult:
-        """Read a result folder, or take a result from memory; errors as of :func:`read_result`.
+        """Read a result folder, or use a result from memory; errors as in :func:`read_result`.
 
         ``points``: ids of the points of a solution that its joint cofactors contain, if they are not too many.
         """
@@ -79,7 +80,7 @@ class EarlierResult:
         return EarlierResult(place, result, result.joint)
 
     def images(self) -> dict[str, dict[str, float]]:
-        """Unknowns of each image in physical units, by name."""
+        """Return the unknowns of each image in physical units, by name."""
         table, out = self.result.eop, {image: dict[str, float]() for image in self.result.images}
         words = (table.words[name] for name in ("image", "parameter"))
         for image, name, value in zip(*words, table.numbers("value_per_tau").ravel().tolist(), strict=True):
@@ -87,7 +88,7 @@ class EarlierResult:
         return out
 
     def ground_m(self) -> dict[str, Array]:
-        """ECEF coordinates (3,) of the adjusted points by id."""
+        """Return the ECEF coordinates (3,) of the adjusted points by id."""
         table = self.result.points
         ground = table.numbers("x_m", "y_m", "z_m")
         return {name: place for name, place in zip(table.words["id"], ground, strict=True) if np.isfinite(place).all()}
@@ -96,12 +97,12 @@ class EarlierResult:
 def continued(
     block: Block, given: Solution | Result | str | Path, *, with_prior: bool
 ) -> tuple[Block, Callable[[Problem], State]]:
-    """Block with an earlier result as prior, if requested, and the function that gives the start of its problem.
+    """Return block with an earlier result, as prior if requested, and function that returns the start of its problem.
 
     Parameters
     ----------
     block : Block
-        Its options choose the unknowns.
+        Block whose options choose the unknowns.
     given : Solution, Result or path of a result folder
     with_prior : bool
         Add the joint cofactors of the common unknowns as an observation.
@@ -130,7 +131,7 @@ def continued(
 def _faults(
     block: Block, parameters: tuple[ImageParameters, ...], earlier: EarlierResult, images: dict[str, dict[str, float]]
 ) -> Iterator[Finding]:
-    """Common images that are not the same image with the same unknowns."""
+    """Yield the common images that are not the same image, or do not have the same unknowns."""
     facts = {str(image["id"]): image for image in earlier.result.record["images"]}
     if not any(image.id in images for image in block.images):
         yield finding("earlier.no_image", file=earlier.place, place="images", value=", ".join(list(images)[:5]))
@@ -140,8 +141,14 @@ def _faults(
         place = f"image {image.id}"
         before, now = (facts[image.id]["n_lines"], facts[image.id]["n_samples"]), image.sensor
         if (now.n_lines, now.n_samples) != before:
-            yield finding("earlier.size", file=earlier.place, place=place, value=f"{before[0]} x {before[1]}",
-                          lines=now.n_lines, samples=now.n_samples)  # fmt: skip
+            yield finding(
+                "earlier.size",
+                file=earlier.place,
+                place=place,
+                value=f"{before[0]} x {before[1]}",
+                lines=now.n_lines,
+                samples=now.n_samples,
+            )
         other = sorted(set(own.names) ^ images[image.id].keys())
         if other:
             yield finding("earlier.unknowns", file=earlier.place, place=place, value=", ".join(other[:8]))
@@ -150,7 +157,10 @@ def _faults(
 
 
 def _changed(block: Block, name: str, result: Result) -> bool:
-    """Whether all metadata files of this name have other contents than in the earlier run; the project may change."""
+    """Return whether all metadata files of this name have other contents than in the earlier run.
+
+    The project may change.
+    """
     inputs = result.record["provenance"]["inputs"]
     before = {entry["sha256"] for entry in inputs[1:] if Path(entry["file"]).name == name}
     now = {source.sha256 for source in block.sources[1:] if Path(source.path).name == name}
@@ -158,7 +168,7 @@ def _changed(block: Block, name: str, result: Result) -> bool:
 
 
 def _start(problem: Problem, images: dict[str, dict[str, float]], ground: dict[str, Array]) -> State:
-    """Start with the earlier values; points that are new are intersected with the orientation of these values."""
+    """Return a start with the earlier values; new points are intersected with the orientation of these values."""
     block = problem.block
     image, place = problem.start.image.copy(), problem.start.ground.copy()
     for k, (one, own) in enumerate(zip(block.images, problem.parameters, strict=True)):
@@ -184,13 +194,14 @@ def _start(problem: Problem, images: dict[str, dict[str, float]], ground: dict[s
 def _with_prior(
     block: Block, parameters: tuple[ImageParameters, ...], earlier: EarlierResult, ground: dict[str, Array]
 ) -> Block:
-    """Block with the observation of the common unknowns."""
+    """Add the observation of the common unknowns to a block."""
     joint, points = earlier.joint, block.points
     if Status(earlier.result.record["status"]) is Status.NOT_CONVERGED:
         raise InputError.of("earlier.not_converged", file=earlier.place, option="start_prior")
     if joint is None:
-        raise InputError.of("earlier.no_covariance", file=earlier.place, option="start_prior", name=COVARIANCE_FILE,
-                            limit=LIMIT)  # fmt: skip
+        raise InputError.of(
+            "earlier.no_covariance", file=earlier.place, option="start_prior", name=COVARIANCE_FILE, limit=LIMIT
+        )
     if "priors" in block.options.variance_components:
         raise InputError.of("earlier.components", option="variance_components", value="priors")
     if block.options.datum == "inner":
@@ -200,7 +211,7 @@ def _with_prior(
         raise InputError.of("earlier.check", file=earlier.place, place="points", value=", ".join(sorted(checks)[:5]))
     seen = np.bincount(block.observations.point[participates(block)], minlength=len(points.ids))
     column = {name: n for n, name in enumerate(joint.names)}
-    names: list[str] = []  # of the vectors of the observation
+    names: list[str] = []  # names of the vectors of the observation
     at, unit, reference = list[int](), list[float](), list[float]()  # earlier unknown, its unit here, its origin here
     places: list[Index] = []  # rows of ``at`` of the unknowns of each vector; -1: a shared unknown counted before
     taken: dict[int, int] = {}
@@ -209,8 +220,9 @@ def _with_prior(
         if image.id not in earlier.result.images or not known:
             continue
         if -1 in known:
-            raise InputError.of("earlier.shared", file=earlier.place, place=f"image {image.id}",
-                                value=own.names[known.index(-1)])  # fmt: skip
+            raise InputError.of(
+                "earlier.shared", file=earlier.place, place=f"image {image.id}", value=own.names[known.index(-1)]
+            )
         rows = np.full(len(known), -1)
         for i, (n, sigma) in enumerate(zip(known, own.sigma.tolist(), strict=True)):
             if n not in taken:
@@ -240,7 +252,7 @@ def _with_prior(
 
 
 def _with_starts(block: Block, points: list[int], ground: dict[str, Array]) -> Any:
-    """Ground points, with start values of points with a single image point, which cannot be intersected."""
+    """Return the ground points with start values of points with a single image point, which cannot be intersected."""
     known = block.points.known
     ecef_m = known.ecef_m.copy()
     for j in points:
@@ -251,7 +263,7 @@ def _with_starts(block: Block, points: list[int], ground: dict[str, Array]) -> A
 def _observed_again(
     block: Block, joint: JointCofactors, index: Index, scale: Array, value: Array
 ) -> tuple[Array, Array]:
-    """Information P (n, n) of the earlier observations that this block has too, and ``P (x_1 - x_0)`` (n,)."""
+    """Return the information P (n, n) of earlier observations that this block also has, and ``P (x_1 - x_0)`` (n,)."""
     information, offset = np.zeros((len(index), len(index))), np.zeros(len(index))
     if block.options.priors:
         weight = np.nan_to_num(scale / joint.prior_sigma[index]) ** 2
@@ -269,7 +281,7 @@ def _observed_again(
 
 
 def reduced_rows(cofactors: Array, again: Array, offset: Array) -> tuple[Array, Array]:
-    """Rows R (r, n) and c (r,) of the module docstring: the residual is ``R (x - x_1) - c``.
+    """Return the rows R (r, n) and c (r,) of the module docstring: the residual is ``R (x - x_1) - c``.
 
     Parameters
     ----------
@@ -299,7 +311,7 @@ def reduced_rows(cofactors: Array, again: Array, offset: Array) -> tuple[Array, 
 def _observation(
     label: str, names: list[str], places: list[Index], rows: Array, value: Array, right: Array
 ) -> ExtraObservation:
-    """Linear observation of the vectors ``names``."""
+    """Return the linear observation of the vectors ``names``."""
     blocks = tuple(np.ascontiguousarray(np.where(place >= 0, rows[:, np.maximum(place, 0)], 0.0)) for place in places)
     centres = tuple(np.where(place >= 0, value[np.maximum(place, 0)], 0.0) for place in places)
 

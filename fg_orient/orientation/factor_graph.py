@@ -1,4 +1,4 @@
-"""The factor graph of a block for users of GTSAM: graph, values, keys and names, and the solution at any values."""
+"""Factor graph of a block for users of GTSAM: graph, values, keys and names, and the solution at any values."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Points = Literal["eliminated", "explicit"]
 
 @dataclass(frozen=True)
 class Prepared:
-    """A compiled block, the function that makes a solution of an estimate, and a start instead of the problem's."""
+    """Compiled block, function that makes a solution from an estimate, and start that replaces the start of problem."""
 
     problem: Problem
     conclude: Callable[[Estimate], Solution]
@@ -38,7 +38,8 @@ class FactorGraph:
     """Factor graph of a block, see :func:`fg_orient.factor_graph`.
 
     Vectors of images are corrections in units of their prior sigmas, zero at the metadata, in the order of
-    ``solution.problem.parameters``. Ground points are metres relative to ``origin_m`` (ECEF), axes parallel to ECEF.
+    ``solution.problem.parameters``. Ground points are in metres relative to ``origin_m`` (ECEF), with axes parallel to
+    ECEF.
 
     Parameters
     ----------
@@ -88,7 +89,7 @@ class FactorGraph:
         return self.prepared.problem.origin_m
 
     def key(self, name: str) -> int:
-        """GTSAM key of "image:ID", "point:ID" or "shared:ID" (unknowns that images share under an id).
+        """Return the GTSAM key of "image:ID", "point:ID" or "shared:ID" (unknowns that images share under an id).
 
         Raises
         ------
@@ -101,11 +102,13 @@ class FactorGraph:
         return key
 
     def name(self, key: int) -> str:
-        """Name of a GTSAM key; KeyError for a key of no variable."""
+        """Return the name of a GTSAM key; KeyError if no variable has this key."""
         return {key: name for name, key in self._names().items()}[key]
 
     def factors(self, name: str) -> list[Any]:
-        """Factors of an image, a shared id or a ground point; for an eliminated point, the factor with its rays.
+        """Return the factors of an image, a shared id or a ground point.
+
+        For an eliminated point the factor with its rays.
 
         Raises
         ------
@@ -120,7 +123,7 @@ class FactorGraph:
         return [f for f in (self.graph.at(n) for n in range(self.graph.size())) if key in f.keys()]
 
     def _names(self) -> dict[str, int]:
-        """Key of each variable by its name."""
+        """Return the key of each variable by its name."""
         from fg_orient.adjustment.explicit import key_names, point_key
 
         problem = self.prepared.problem
@@ -129,7 +132,7 @@ class FactorGraph:
         return out | {f"point:{problem.block.points.ids[j]}": point_key(j) for j in points.tolist()}
 
     def solution(self, values: gtsam.Values) -> Solution:
-        """Solution at values, with all statistics; it is converged where the whitened gradient is near zero.
+        """Return the solution at values, with all statistics; it is converged if the whitened gradient is near zero.
 
         Raises
         ------
@@ -153,11 +156,11 @@ class FactorGraph:
         ))  # fmt: skip
 
     def gradient(self, values: gtsam.Values) -> float:
-        """Whitened gradient ``sqrt(g^T N^-1 g)``: the length of the next Gauss-Newton step in standard deviations."""
+        """Return whitened gradient ``sqrt(g^T N^-1 g)``: length of next Gauss-Newton step in standard deviations."""
         return self._gradient(values)[0]
 
     def _gradient(self, values: gtsam.Values) -> tuple[float, float]:
-        """Whitened gradient, and the largest element of the next Gauss-Newton step."""
+        """Return the whitened gradient, and the largest element of the next Gauss-Newton step."""
         linear = self.graph.linearize(values)
         step = linear.optimize(self._backend.ordering)
         return math.sqrt(max(-float(linear.gradientAtZero().dot(step)), 0.0)), float(np.abs(step.vector()).max())

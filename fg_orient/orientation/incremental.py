@@ -1,7 +1,7 @@
-"""Adjustment of a block that grows: images and image points are added and removed, the solution follows.
+"""Adjustment of a block that grows: images and image points are added and removed, and the solution is updated.
 
-Ground points are kept in groups of a few images (:mod:`fg_orient.adjustment.optimisers`). A change replaces the groups
-of the points that it touches, and iSAM2 updates what depends on them. Images and points that are not determined yet
+Ground points are in groups of a few images (:mod:`fg_orient.adjustment.optimisers`). A change replaces the groups of
+the affected points, and iSAM2 updates everything that depends on them. Images and points that are not yet determined
 wait outside the equations: :attr:`Incremental.waiting` names them with the reason.
 """
 
@@ -35,9 +35,10 @@ if TYPE_CHECKING:
     from fg_orient.sensors.base import ImageModel
 
 
-#: Images of a group, unless a single point is seen by more. Large groups couple images that have no common point.
+#: Maximum number of images of a group, unless more images see a single point. Large groups couple images that have no
+#: common point.
 GROUP_IMAGES: Final = 6
-#: Waiting images and ground points that an error names.
+#: Maximum number of waiting images and ground points that an error names.
 WAITING_SHOWN: Final = 10
 
 
@@ -45,13 +46,13 @@ class Incremental:
     """Adjustment that follows a growing block.
 
     After each change, the unknowns of the tested blocks agree with the unknowns of :func:`fg_orient.adjust` to 1e-4 of
-    their standard deviations (thresholds and measured differences: docs/incremental.md). Only groups are evaluated that
-    changed, or whose images moved. :meth:`solution` removes the difference and computes all statistics.
+    their standard deviations (thresholds and measured differences: docs/incremental.md). Only groups that changed, or
+    whose images moved, are evaluated. :meth:`solution` removes the remaining difference and computes all statistics.
 
     Parameters
     ----------
     block : Block
-        The beginning, which may have no images. Its options apply to the end: unknowns, priors, datum "control" or
+        Initial block, which may have no images. Its options remain valid: unknowns, priors, datum "control" or
         "priors". Robust losses and extra observations are not supported.
 
     Raises
@@ -98,7 +99,7 @@ class Incremental:
         points : GroundPoints, optional
             New ground points; an id that the block has is an error.
         observations : ImagePoints, optional
-            Positions count the images and ground points of ``block`` after this call: earlier ones come first.
+            Positions refer to the images and ground points of ``block`` after this call: earlier ones come first.
 
         Raises
         ------
@@ -150,7 +151,7 @@ class Incremental:
         self._change(replace(block, observations=o.take(keep)), touched, removed=True)
 
     def unknowns(self, image: str) -> Array:
-        """Unknowns (k,) of an image in prior sigmas, in the order of ``solution().problem.parameters``.
+        """Return the unknowns (k,) of an image in prior sigmas, in the order of ``solution().problem.parameters``.
 
         InputError if the image is unknown, or if it waits.
         """
@@ -168,12 +169,12 @@ class Incremental:
         return out
 
     def correction(self, image: str) -> Any:
-        """Correction of an image in physical units; see ``Solution.correction``."""
+        """Return the correction of an image in physical units; see ``Solution.correction``."""
         k = [i.id for i in self._block.images].index(image)
         return self._models[k].correction(self.unknowns(image))
 
     def ground_m(self, point: str) -> Array:
-        """Ground point (3,), ECEF m. InputError if the point is unknown, or if it waits."""
+        """Return the ground point (3,), ECEF m. InputError if the point is unknown, or if it waits."""
         ids = self._block.points.ids
         self._require_known(point in ids and self._used_point[ids.index(point)], f"point {point}")
         j = ids.index(point)
@@ -184,14 +185,14 @@ class Incremental:
         return np.array(self._block.points.known.ecef_m[j])
 
     def solution(self) -> Solution:
-        """Solution with all statistics: the whole block is adjusted from the present unknowns.
+        """Adjust the whole block from the present unknowns; return the solution with all statistics.
 
         Its findings include :attr:`waiting`; waiting images and ground points are not part of the adjusted block.
 
         Raises
         ------
         InputError, RankDeficientError
-            As of :func:`fg_orient.adjust`.
+            InputError, RankDeficientError :: Errors of :func:`fg_orient.adjust`.
         """
         from fg_orient.orientation.orient import adjust_from
 
@@ -209,15 +210,17 @@ class Incremental:
         own = o.take(self._used_image[o.image] & (self._used_point | excluded_points(block))[o.point])
         images = tuple(image for image, used in zip(block.images, self._used_image, strict=True) if used)
         used = replace(
-            block, images=images, observations=ImagePoints(
+            block,
+            images=images,
+            observations=ImagePoints(
                 place[own.image], own.point, own.line, own.sample, own.sigma_line_px, own.sigma_sample_px
             ),
-        )  # fmt: skip
+        )
         solution = adjust_from(used, self._start)
         return replace(solution, findings=(*solution.findings, *self.waiting))
 
     def _start(self, problem: Problem) -> State:
-        """Present unknowns as the start of a problem."""
+        """Return the present unknowns as the start of a problem."""
         image, ground = problem.start.image.copy(), problem.start.ground.copy()
         for k, own in enumerate(problem.block.images):
             if len(problem.parameters[k]):
@@ -260,7 +263,7 @@ class Incremental:
             raise
 
     def _rebuild(self) -> None:
-        """Make graph and groups anew."""
+        """Make graph and groups again."""
         self._graph, self._groups = None, ()
         self._used_image, self._used_point = self._used_image & False, self._used_point & False
         self._changed(self._block, np.ones(len(self._block.points.ids), bool), removed=False)
@@ -303,7 +306,7 @@ class Incremental:
         self._waiting = waiting | reasons
 
     def _loose(self, block: Block, graph: IncrementalGraph, rows: Index, new: Mask) -> Mask:
-        """Images (M,) among the new ones with unknowns that image points do not determine without priors."""
+        """Return those of the new images (M,) with unknowns that image points do not determine without priors."""
         from fg_orient.adjustment.optimisers import LocalGroup
 
         small, images, points = local_block(block, rows)
@@ -319,19 +322,19 @@ class Incremental:
         return out
 
     def _names_of(self, block: Block, k: int) -> list[str]:
-        """Names of the vectors of an image."""
+        """Return the names of the vectors of an image."""
         parameters = self._models[k].parameters
         own = [f"image:{block.images[k].id}"] if parameters.own.any() else []
         return own + [f"shared:{parameters.shared[j]}" for j in np.flatnonzero(~parameters.own).tolist()]
 
     def _names(self, block: Block, images: Mask) -> list[str]:
-        """Names of the vectors of some images (M,)."""
+        """Return the names of the vectors of some images (M,)."""
         return [name for k in np.flatnonzero(images).tolist() for name in self._names_of(block, k)]
 
     def _regrouped(
         self, block: Block, touched: Mask, image: Mask, point: Mask
-    ) -> tuple[list[LocalGroup], list[LocalGroup]]:  # fmt: skip
-        """Groups with touched points, and the groups that replace them."""
+    ) -> tuple[list[LocalGroup], list[LocalGroup]]:
+        """Return the groups with touched points, and the groups that replace them."""
         from fg_orient.adjustment.optimisers import LocalGroup
 
         gone = [group for group in self._groups if touched[list(group.points)].any()]
@@ -352,7 +355,7 @@ class Incremental:
 
 
 def _clusters(images: dict[int, frozenset[int]]) -> list[list[int]]:
-    """Ground points, given with the images that see them, in groups of at most :data:`GROUP_IMAGES` images.
+    """Group ground points, given with the images that see them; a group has at most :data:`GROUP_IMAGES` images.
 
     A point joins the first group that sees one of its images and remains small enough.
     """
@@ -377,7 +380,7 @@ def _clusters(images: dict[int, frozenset[int]]) -> list[list[int]]:
 
 
 def _require_supported(block: Block) -> None:
-    """Raise InputError for options and observations that iSAM2 over groups cannot have."""
+    """Raise InputError for options and observations that iSAM2 over groups does not support."""
     options = block.options
     for option, value, good in (
         ("loss", options.loss, options.loss == "none"),
@@ -410,12 +413,14 @@ def _require_positions(rows: ImagePoints, n_images: int, n_points: int) -> None:
             raise InputError.of(
                 "incremental.position (failure): an image point names a position that does not exist; there are {n}"
                 " -> count the images and ground points of the block after the addition",
-                place=place, value=int(wrong[0]), n=n,
-            )  # fmt: skip
+                place=place,
+                value=int(wrong[0]),
+                n=n,
+            )
 
 
 def _joined(a: GroundPoints, b: GroundPoints) -> GroundPoints:
-    """Ground points one after the other."""
+    """Join two sets of ground points."""
     known = Coordinates(*(
         np.concatenate([getattr(a.known, name), getattr(b.known, name)]) for name in ("ecef_m", "sigma_enu_m", "fixed")
     ))  # fmt: skip
@@ -423,6 +428,6 @@ def _joined(a: GroundPoints, b: GroundPoints) -> GroundPoints:
 
 
 def _stacked(a: ImagePoints, b: ImagePoints) -> ImagePoints:
-    """Image points one after the other."""
+    """Join two sets of image points."""
     names = ("image", "point", "line", "sample", "sigma_line_px", "sigma_sample_px")
     return ImagePoints(*(np.concatenate([getattr(a, name), getattr(b, name)]) for name in names))

@@ -1,7 +1,7 @@
 """Adjustment of a block.
 
-``adjust`` compiles the problem, assesses observability **before** the solution, runs the backend, and opens the
-coordinates of the check points only after it.
+``adjust`` compiles the problem, assesses observability **before** the solution, and runs the backend. It opens the
+coordinates of the check points only after the solution.
 """
 
 from __future__ import annotations
@@ -47,11 +47,11 @@ if TYPE_CHECKING:
     from fg_orient.adjustment.parts.execution import Execution
     from fg_orient.orientation.factor_graph import FactorGraph
 
-#: Function of a graph and start values that gives the values of a solution.
+#: Function of a graph and start values that returns the values of a solution.
 Optimizer = Callable[["gtsam.NonlinearFactorGraph", "gtsam.Values"], "gtsam.Values"]
 # Observability of images and block.
 View = tuple[tuple[ImageObservability, ...], BlockObservability]
-#: Called at each stage of the work with its name and the number of image points.
+#: Function that is called at each stage of the work with its name and the number of image points.
 Stage = Callable[[str, int], None]
 
 
@@ -88,30 +88,30 @@ def adjust(
     priors, datum, backend, loss, snoop, variance_components : optional
         Frequent options, see :class:`fg_orient.Options`. None keeps the value of the block.
     optimizer : str or callable, optional
-        Name of an optimiser, or a function that takes the graph (``gtsam.NonlinearFactorGraph``) and the start values
-        (``gtsam.Values``) of :func:`fg_orient.factor_graph` and gives the values of the solution.
+        Name of an optimiser, or a function that receives the graph (``gtsam.NonlinearFactorGraph``) and the start
+        values (``gtsam.Values``) of :func:`fg_orient.factor_graph` and returns the values of the solution.
     options : Options, optional
         Options that replace those of the block.
     start : Solution, Result or path of a result folder, optional
         Earlier result: start values of common images (by id) and ground points.
     start_prior : bool
-        Take the joint cofactors of these images and points as an observation, too (``fg_orient.orientation.earlier``).
+        Also use the joint cofactors of these images and points as an observation (``fg_orient.orientation.earlier``).
     parts : int, optional
-        Number of parts of the ground points (docs/parallel.md); default with ``workers`` or ``cluster``: by the size of
-        the block. The results do not depend on the workers.
+        Number of parts of the ground points (docs/parallel.md). Default with ``workers`` or ``cluster``: chosen by the
+        size of the block. The results do not depend on the workers.
     workers : int, optional
-        Processes of this machine that adjust the parts; 1: only this process.
+        Number of processes of this machine that adjust the parts; 1: only this process.
     cluster : str or dask.distributed.Client, optional
         Scheduler of a running cluster; replaces ``workers``.
     work_dir : path, optional
         Folder for the files of the parts, accessible to all workers.
     callback : callable, optional
-        Called with an ``IterationRecord`` after each iteration, in every round of a search.
+        Function that receives an ``IterationRecord`` after each iteration, in every round of a search.
     stage : callable, optional
-        Called at the start of each stage with its name and the number of image points.
+        Function that is called at the start of each stage with its name and the number of image points.
     checkpoint : Checkpoint, optional
-        File for the state of the run, from which it can continue; the caller removes it in the end. A search writes its
-        first round only, an estimation of variance components nothing.
+        File for the state of the run, from which it can continue; the caller removes it in the end. A search writes
+        only its first round, an estimation of variance components writes nothing.
     **more
         Any other option of :class:`fg_orient.Options`; docs/options.md.
 
@@ -130,9 +130,17 @@ def adjust(
     """
     block = with_options(block, "adjust")
     block = with_options(
-        block if options is None else replace(block, options=options), "adjust", eop_set=eop_set, priors=priors,
-        datum=datum, backend=backend, loss=loss, snoop=snoop, variance_components=variance_components, **more,
-    )  # fmt: skip
+        block if options is None else replace(block, options=options),
+        "adjust",
+        eop_set=eop_set,
+        priors=priors,
+        datum=datum,
+        backend=backend,
+        loss=loss,
+        snoop=snoop,
+        variance_components=variance_components,
+        **more,
+    )
     block, begin = with_observations(block), None
     if start is not None:
         from fg_orient.orientation.earlier import continued
@@ -154,9 +162,14 @@ def adjust(
         block, rejected = without_rejected(block, block.options.median_rejection)
     if callable(optimizer):
         wanted = {
-            "snoop": block.options.snoop, "variance_components": block.options.variance_components, "parts": parts,
-            "workers": workers, "cluster": cluster, "checkpoint": checkpoint, "callback": callback,
-        }  # fmt: skip
+            "snoop": block.options.snoop,
+            "variance_components": block.options.variance_components,
+            "parts": parts,
+            "workers": workers,
+            "cluster": cluster,
+            "checkpoint": checkpoint,
+            "callback": callback,
+        }
         if ignored := [name for name, value in wanted.items() if value]:
             raise InputError.of("graph.own_optimizer", option=ignored[0])
         own = _factor_graph(block, "eliminated", begin)
@@ -212,7 +225,7 @@ def adjust(
 def _compiled(
     block: Block, *, at_once: bool = True
 ) -> tuple[Problem, tuple[ImageObservability, ...], BlockObservability, float]:
-    """Compiled block with the datum of its options, observability of images and block, and seconds.
+    """Return the compiled block with the datum of its options, observability of images and block, and seconds.
 
     ``at_once``: see :func:`fg_orient.quality.deficiency.compiled_problem`.
     """
@@ -228,22 +241,22 @@ def _compiled(
 
 
 def _view(compiled: Problem) -> View:
-    """Observability of images and block; RankDeficientError without it."""
+    """Return the observability of images and block; RankDeficientError if directions are undetermined."""
     observability = judge_observability(compiled)
     return observability, refuse_deficient(compiled, observability)
 
 
 def factor_graph(block: Block, points: Literal["eliminated", "explicit"] = "eliminated") -> FactorGraph:
-    """Give the factor graph of a block.
+    """Return the factor graph of a block.
 
     Parameters
     ----------
     block : Block
-        Its options choose unknowns, priors and datum. A robust loss is not part of the graph.
+        Block whose options choose unknowns, priors and datum. A robust loss is not part of the graph.
     points : str
-        "eliminated": variables are the images, and the ground points that extra observations name; each factor holds a
-        group of ground points with all their rays. "explicit": images and ground points are variables, with one factor
-        for each image point.
+        "eliminated": variables are the images, and the ground points that extra observations name; each factor contains
+        a group of ground points with all their rays. "explicit": images and ground points are variables, with one
+        factor for each image point.
 
     Returns
     -------
@@ -263,7 +276,7 @@ def factor_graph(block: Block, points: Literal["eliminated", "explicit"] = "elim
 def _factor_graph(
     block: Block, points: Literal["eliminated", "explicit"], begin: Callable[[Problem], State] | None = None
 ) -> FactorGraph:
-    """Factor graph of a block without native factors, with another start if given."""
+    """Return the factor graph of a block without native factors, with another start if given."""
     from fg_orient.orientation.factor_graph import FactorGraph, Prepared
 
     compiled, observability, block_view, structure = _compiled(block)
@@ -287,7 +300,7 @@ def adjust_from(block: Block, start: Callable[[Problem], State]) -> Solution:
 class _Run:
     """Adjustments with the same callbacks, in this process or in parts; see :func:`adjust`.
 
-    ``begin`` gives the start of the first adjustment, if it is not the start of the problem.
+    ``begin`` returns the start of the first adjustment, if it is not the start of the problem.
     """
 
     execution: Execution | None
@@ -316,7 +329,7 @@ class _Run:
         self._report("statistics", len(compiled.observations))
         solution = conclude(compiled, observability, block_view, estimate, structure)
         return_memory(len(compiled.observations))
-        if inner and not len(held_unknowns(compiled)):  # no datum defect
+        if inner and not len(held_unknowns(compiled)):  # there is no datum defect
             code = "solution.no_inner_datum_nor_priors" if block.options.priors else "solution.no_inner_datum"
             findings = doubts.with_accepted([finding(code), *solution.findings], block.options.accept)
             solution = replace(solution, findings=tuple(findings))
@@ -333,7 +346,7 @@ class _Run:
 
     @property
     def _at_once(self) -> bool:
-        """Whether the arrays of all image points may be in memory."""
+        """True if the arrays of all image points may be in memory."""
         return self.execution is None or self.execution.kept is None
 
     def within(self, memory: Need) -> _Run:
@@ -365,14 +378,19 @@ class _Run:
         return self._round(compiled, self._solved(compiled, None, begin), structure)
 
     def _round(self, compiled: Problem, estimate: Estimate, structure_s: float) -> SearchRound:
-        """Round of a search."""
+        """Return the round of a search."""
         self._report("statistics", len(compiled.observations))
         cofactors, unavailable = cofactors_at(compiled, estimate)
         return SearchRound(
-            problem=compiled, status=verdict.assess_solution(compiled, estimate, unavailable).status,
-            state=estimate.state, chi2=estimate.chi2, cofactors=cofactors, unavailable=unavailable, estimate=estimate,
+            problem=compiled,
+            status=verdict.assess_solution(compiled, estimate, unavailable).status,
+            state=estimate.state,
+            chi2=estimate.chi2,
+            cofactors=cofactors,
+            unavailable=unavailable,
+            estimate=estimate,
             structure_s=structure_s,
-        )  # fmt: skip
+        )
 
     def _report(self, name: str, count: int) -> None:
         """Report the start of a stage."""
@@ -394,7 +412,7 @@ class _Run:
 
 @dataclass(frozen=True, kw_only=True)
 class SearchRound(AdjustmentResult):
-    """A round of a search; ``whole`` completes the last round. ``view``: observability, if it is known."""
+    """Round of a search; ``whole`` completes the last round. ``view``: observability, if it is known."""
 
     estimate: Estimate
     structure_s: float

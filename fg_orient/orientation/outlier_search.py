@@ -1,7 +1,7 @@
-"""Data snooping in a block: observations of an adjustment for the loop of ``fg_orient.quality.rejection``.
+"""Data snooping in a block: connects an adjustment with the loop of ``fg_orient.quality.rejection``.
 
 After each adjustment every excluded observation is predicted from the others with its covariance. Observations that fit
-at the level at which they were excluded are readmitted, the most probable first, as long as each fits together with the
+at the level of their exclusion are included again, the most probable first, as long as each fits together with the
 earlier ones. The given block keeps all observations; the record names each excluded observation with its test.
 """
 
@@ -31,10 +31,10 @@ from fg_orient.quality.variance_components import VarianceComponents, least_free
 from fg_orient.sensors import initial
 from fg_orient.sensors.lines import on_features
 
-#: Adjusts a block from a state and the problem of the last round, which differs in some observations.
+#: Function that adjusts a block from a state and the problem of the last round, which differs in some observations.
 Run = Callable[[Block, State, Problem], AdjustmentResult]
 
-#: Largest number of observations that a round excludes or readmits.
+#: Maximum number of observations that a round excludes or includes again.
 ROUND: Final[int] = 1000
 #: Place of the finding that ended a search.
 GIVEN_UP: Final = "snooping was given up"
@@ -46,17 +46,17 @@ def search(block: Block, first: AdjustmentResult, run: Run) -> tuple[AdjustmentR
     Parameters
     ----------
     block : Block
-        Its options name the test and the kind of excluded observations. Only coordinates of control points are tested;
-        coordinates of check points stay sealed.
+        Block whose options name the test and the kind of excluded observations. Only coordinates of control points are
+        tested; coordinates of check points stay sealed.
     first : AdjustmentResult
         Adjustment of the whole block.
     run : callable
-        Adjusts the further rounds.
+        Function that adjusts the further rounds.
 
     Returns
     -------
     end : AdjustmentResult
-        The last round.
+        Adjustment of the last round.
     record : Search
 
     Raises
@@ -68,10 +68,13 @@ def search(block: Block, first: AdjustmentResult, run: Run) -> tuple[AdjustmentR
     """
     rounds = _Rounds(block, first)
     end = reject(
-        first, lambda out, last: run(*rounds.start(out, last.state), last.problem), rounds.worst,
-        max(1, int(MOST * len(first.problem.observations))), returning=rounds.returning,
+        first,
+        lambda out, last: run(*rounds.start(out, last.state), last.problem),
+        rounds.worst,
+        max(1, int(MOST * len(first.problem.observations))),
+        returning=rounds.returning,
         impossible=(InputError, NoSolutionError),
-    )  # fmt: skip
+    )
     return end.fit, rounds.concluded(end)
 
 
@@ -83,10 +86,12 @@ def require_possible_search(block: Block) -> None:
 
 @dataclass
 class _Removal:
-    """Observations excluded together: ``rows`` of the given block's image points; ``control``: the point's coordinates.
+    """Observations excluded together: ``rows`` of the given block's image points.
 
-    ``test``, ``with_it`` and ``fit``: see :class:`ExcludedObservation`; ``rivals``: excluded with it, because the data
-    do not show which of them is wrong.
+    ``control``: also the point's coordinates.
+
+    ``test``, ``with_it`` and ``fit``: see :class:`ExcludedObservation`. ``rivals`` are excluded with it, because the
+    data do not show which of them is wrong.
     """
 
     point: int
@@ -99,13 +104,13 @@ class _Removal:
 
     @property
     def probability(self) -> float:
-        """Probability of the test against the others, 0 if it does not fit."""
+        """Probability of its test against the other observations; 0 if it does not fit."""
         p = 0.0 if self.fit is None else self.fit.probability or 0.0
         return p if p > self.test.level else 0.0
 
 
 class _Rounds:
-    """Observations of a block for :func:`reject`; record of each round."""
+    """Observations of a block for :func:`reject`, with the record of each round."""
 
     def __init__(self, block: Block, first: AdjustmentResult) -> None:
         self._block, self._full = block, first.problem
@@ -120,13 +125,19 @@ class _Rounds:
     ) -> Sequence[_Removal]:
         """Test an adjustment; return the excluded observations that fit together."""
         self._tests = tests = solution.outlier_tests(kind=self._block.options.snoop_kind)
-        self._rounds.append(Round(
-            len(self._rounds) + 1, solution.sigma0, solution.redundancy, tests.n_tested, tests.n_suspicious,
-        ))  # fmt: skip
+        self._rounds.append(
+            Round(
+                len(self._rounds) + 1,
+                solution.sigma0,
+                solution.redundancy,
+                tests.n_tested,
+                tests.n_suspicious,
+            )
+        )
         if solution.status is Status.NOT_CONVERGED or solution.cofactors is None or not out:
             return ()
         known = self._predict(solution, solution.cofactors, out)
-        # of rivals one returns only where another one does not fit
+        # a rival returns only if no other rival fits
         fitting = [r for r in may if r.probability and not any(rival.probability for rival in r.rivals)]
         fitting.sort(key=lambda r: -r.probability)
         fitting = list({r.point: r for r in reversed(fitting)}.values())[::-1]  # one of each point
@@ -134,13 +145,17 @@ class _Rounds:
         if len(fitting) < 2:
             return fitting
         tests_of = consistency_in_turn(
-            [known[id(r)] for r in fitting], [r.test.level for r in fitting], solution.problem, solution.cofactors,
-            solution.chi2, self._block.options.outlier_test,
-        )  # fmt: skip
+            [known[id(r)] for r in fitting],
+            [r.test.level for r in fitting],
+            solution.problem,
+            solution.cofactors,
+            solution.chi2,
+            self._block.options.outlier_test,
+        )
         return [r for r, fit in zip(fitting, tests_of, strict=True) if (fit.probability or 0.0) > r.test.level]
 
     def worst(self, solution: AdjustmentResult, out: Sequence[_Removal]) -> list[_Removal]:
-        """Observations of the adjustment tested last that are to be excluded, the worst first."""
+        """Return the observations of the adjustment tested last that are to be excluded, the worst first."""
         if solution.status is Status.NOT_CONVERGED:
             return []
         found = [Exclusion(0, self._tests[0])] if self._tests.n_suspicious else []
@@ -178,7 +193,7 @@ class _Rounds:
         return f"point {self._block.points.ids[o.point[row]]} in image {self._block.images[o.image[row]].id}"
 
     def _pixel(self, one: _Removal) -> tuple[float, float]:
-        """Measured line and sample of an image point; nan for other observations."""
+        """Return the measured line and sample of an image point; nan for other observations."""
         if one.test.part != "image":
             return math.nan, math.nan
         o, row = self._block.observations, one.rows[0]
@@ -187,7 +202,7 @@ class _Rounds:
     def _predict(
         self, solution: AdjustmentResult, cofactors: Cofactors, out: Sequence[_Removal]
     ) -> dict[int, Misclosures]:
-        """Test all excluded observations against the others; misclosures of those that are tested, by their id."""
+        """Test all excluded observations against the others; return misclosures of the tested ones, by their id."""
         components, full, test = solution.components, self._full, self._block.options.outlier_test
         if components is not None:  # excluded observations have the present sigmas of their group
             full = compile_problem(rescaled(self._block, self._full, components))
@@ -197,7 +212,7 @@ class _Rounds:
             others = [r for r in of_point[j] if r is not removal]
             stay = self._staying(j, [removal, *others])
             back = [row for row in self._staying(j, others) if row not in stay]
-            if not back and not removal.control:  # its rivals are also left out, so no observation remains to test it
+            if not back and not removal.control:  # its rivals are also excluded, so no observation remains to test it
                 continue
             known = self._is_control(j, others) and self._full.observed[j] and not solution.problem.observed[j]
             part = removal.test.part
@@ -214,18 +229,18 @@ class _Rounds:
         return {id(removal): one for removal, one in zip(tested, of, strict=True) if one is not None}
 
     def _is_control(self, j: int, removals: Sequence[_Removal]) -> bool:
-        """Whether a point keeps its coordinates without these of its observations."""
+        """Return whether a point keeps its coordinates when these of its observations are excluded."""
         return self._block.points.roles[j] is Role.CONTROL and not any(r.control for r in removals)
 
     def _staying(self, j: int, removals: Sequence[_Removal]) -> list[int]:
-        """Remaining rows of the given block's image points of a point without these of its observations."""
+        """Return the remaining rows of the given block's image points of a point without these observations."""
         gone = {row for removal in removals for row in removal.rows}
         rows = [row for row in self._order[self._first[j] : self._first[j + 1]].tolist() if row not in gone]
         alone = len(rows) == 1 and not self._is_control(j, removals)
-        return [] if alone else rows  # a single ray determines no point
+        return [] if alone else rows  # a single ray does not determine a point
 
     def _kept(self, removals: Sequence[_Removal]) -> tuple[Index, Block]:
-        """Remaining rows of the given block's image points, and their block."""
+        """Return the remaining rows of the given block's image points, and their block."""
         o, points = self._block.observations, self._block.points
         keep = np.ones(len(o), bool)
         without = [removal.point for removal in removals if removal.control]
@@ -241,10 +256,10 @@ class _Rounds:
         return np.flatnonzero(keep), replace(self._block, points=points, observations=o.take(keep), extra=extra)
 
     def start(self, out: Sequence[_Removal], last: State) -> tuple[Block, State]:
-        """The block without excluded observations, and the start of its adjustment.
+        """Return the block without excluded observations, and the start of its adjustment.
 
-        It starts at the end of the last; further points start as in the first adjustment. Points outside the adjustment
-        have no coordinates.
+        The adjustment starts at the end of the last one; further points start as in the first adjustment. Points
+        outside the adjustment have no coordinates.
         """
         block = self._kept(out)[1]
         ground = np.where(initial.missing_rows(last.ground)[:, None], self._full.start.ground, last.ground)
@@ -252,7 +267,7 @@ class _Rounds:
         return block, State(last.image, np.where(part[:, None], ground, np.nan))
 
     def concluded(self, end: Rejection[AdjustmentResult, _Removal]) -> Search:
-        """Record of the search."""
+        """Return the record of the search."""
         kept, block = self._kept(end.out)
         o, points = self._block.observations, self._block.points
         out = np.concatenate([kept, *(np.array(removal.rows, np.intp) for removal in end.out)])
@@ -262,21 +277,27 @@ class _Rounds:
         readmitted = {id(one): r.number for r, change in changes for one in change.put_back}
         return Search(
             tuple(
-                replace(r, left_out="; ".join(one.test.name for one in c.left_out),
-                        put_back="; ".join(one.test.name for one in c.put_back))
+                replace(
+                    r,
+                    left_out="; ".join(one.test.name for one in c.left_out),
+                    put_back="; ".join(one.test.name for one in c.put_back),
+                )
                 for r, c in changes
             ),
             tuple(
                 ExcludedObservation(one.test, r.number, one.with_it, one.fit, readmitted.get(id(one)), self._pixel(one))
-                for r, change in changes for one in change.left_out
+                for r, change in changes
+                for one in change.left_out
             ),
-            _given_up(end), tuple(self._name(r) for r in single.tolist()), tuple(points.ids[j] for j in lost),
+            _given_up(end),
+            tuple(self._name(r) for r in single.tolist()),
+            tuple(points.ids[j] for j in lost),
             tuple(kept.tolist()),
-        )  # fmt: skip
+        )
 
 
 def _by_point(removals: Sequence[_Removal]) -> dict[int, list[_Removal]]:
-    """Excluded observations of each ground point."""
+    """Return the excluded observations of each ground point."""
     out = dict[int, list[_Removal]]()
     for removal in removals:
         out.setdefault(removal.point, []).append(removal)
@@ -284,7 +305,7 @@ def _by_point(removals: Sequence[_Removal]) -> dict[int, list[_Removal]]:
 
 
 def _given_up(end: Rejection[AdjustmentResult, _Removal]) -> Finding | None:
-    """Reason for an end of the search with remaining suspicious observations; None otherwise."""
+    """Return the reason why a search ended with suspicious observations; None if no observation is suspicious."""
     if end.fit.status is Status.NOT_CONVERGED:
         return finding("search.not_converged", place=GIVEN_UP)
     if end.worst is None:
@@ -296,7 +317,7 @@ def _given_up(end: Rejection[AdjustmentResult, _Removal]) -> Finding | None:
 
 
 def rescaled(block: Block, full: Problem, components: VarianceComponents) -> Block:
-    """The given block with its sigmas multiplied by variance components; ``full`` is its problem."""
+    """Return the given block with its sigmas multiplied by variance components; ``full`` is its problem."""
     groups = groups_of(full, full.block.options.variance_components)
     known = {c.group: c.factor for c in components.components}
     return scaled(block, groups, np.array([known.get(name, 1.0) for name in groups.names]))

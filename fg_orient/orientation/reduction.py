@@ -1,10 +1,10 @@
 """Stepwise reduction of a set of image unknowns, with criteria and cross-validation of each model.
 
-Backward: the least significant coefficient is dropped and the block adjusted again, as long as its probability is
-above the level. Forward: the first coefficient is the most significant one alone; then the most significant further
-coefficient is added, as long as it is significant. A coefficient belongs to all images; an F test covers all images
-that have it (``fg_orient.quality.significance``). A step tests many coefficients at Sidak's level. With camera
-parameters or without priors, poses of frame images stay in all models.
+Backward: the least significant coefficient is dropped and the block adjusted again, as long as its probability is above
+the level. Forward: the search starts with the most significant coefficient alone. Then it adds the most significant
+further coefficient, as long as it is significant. A coefficient belongs to all images; an F test covers all images that
+have it (``fg_orient.quality.significance``). A step tests many coefficients at Sidak's level. With camera parameters or
+without priors, all models contain the poses of frame images.
 
 Criteria for n observations and k unknowns, including the unit weight::
 
@@ -12,10 +12,10 @@ Criteria for n observations and k unknowns, including the unit weight::
     AIC = -2 ln L + 2k,  AICc = AIC + 2k(k + 1)/(n - k - 1),  BIC = -2 ln L + k ln n
 
 (Akaike 1974; Hurvich & Tsai 1989; Schwarz 1978). With priors an unknown counts by the share that the observations
-determine, 1 - q_jj, and v excludes residuals of priors.
+determine, 1 - q_jj, and v excludes the residuals of priors.
 
-Cross-validation excludes control points and their image points from the adjustment and predicts them: in the image by
-projection with the adjusted orientation, on the ground by intersection of their rays. Check points stay sealed.
+Cross-validation excludes control points and their image points from the adjustment and predicts them. In the image it
+projects them with the adjusted orientation; on the ground it intersects their rays. Check points stay sealed.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from fg_orient.quality.significance import GroupTest, group_test, places_of
 from fg_orient.sensors.frame_unknowns import INTERIOR, UNKNOWNS
 
 Direction = Literal["backward", "forward"]
-#: Ground points that are excluded together.
+#: Groups of ground points; each group is excluded together.
 Parts = Sequence[Sequence[int]]
 
 #: Probability of a false choice in one step, over all coefficients of the step.
@@ -52,8 +52,8 @@ SEED: Final = 1
 class CrossValidation:
     """Prediction errors, predicted minus measured.
 
-    ``image_px`` (n, 2) are line and sample; ``ground_m`` (p, 3) East, North, Up (X, Y, Z in a local system) of the
-    points ``ids``, which are in two images or more.
+    ``image_px`` (n, 2) are errors of line and sample. ``ground_m`` (p, 3) are errors East, North, Up (X, Y, Z in a
+    local system) of the points ``ids``, which are in two images or more.
     """
 
     n_folds: int
@@ -72,13 +72,19 @@ class CrossValidation:
         return _rms_length(self.ground_m)
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return plain values for JSON."""
         axes = {
             name: None if not len(values) else np.sqrt(np.mean(values**2, axis=0)).tolist()
             for name, values in (("image_line_sample_px", self.image_px), ("ground_east_north_up_m", self.ground_m))
         }
-        return {"folds": self.n_folds, "n_image_points": len(self.image_px), "n_points": len(self.ground_m),
-                "image_rms_px": self.image_rms, "ground_rms_m": self.ground_rms, **axes}  # fmt: skip
+        return {
+            "folds": self.n_folds,
+            "n_image_points": len(self.image_px),
+            "n_points": len(self.ground_m),
+            "image_rms_px": self.image_rms,
+            "ground_rms_m": self.ground_rms,
+            **axes,
+        }
 
 
 def _rms_length(errors: Array) -> float | None:
@@ -88,7 +94,7 @@ def _rms_length(errors: Array) -> float | None:
 def folds_of(block: Block, count: int = 0) -> Parts:
     """Divide the measured control points into parts of one point, or into ``count`` random parts of similar size.
 
-    InputError if there is one part only, or fewer control points than parts.
+    InputError if there is only one part, or if there are fewer control points than parts.
     """
     control = block.points.where(Role.CONTROL)
     control = control[np.isin(control, block.observations.point)]
@@ -103,7 +109,7 @@ def folds_of(block: Block, count: int = 0) -> Parts:
 def cross_validate(block: Block, folds: Parts, **options: Any) -> CrossValidation:
     """Exclude each part (:func:`folds_of`) once and predict it from the others.
 
-    ``options`` are the options of :func:`fg_orient.adjust`, which raises its errors if a part cannot be excluded.
+    ``options`` are those of :func:`fg_orient.adjust`, which raises its errors if a part cannot be excluded.
     """
     image, ground, ids = [np.zeros((0, 2))], [np.zeros((0, 3))], list[str]()
     check_points = options.pop("check_points", None) or block.options.check_points
@@ -122,28 +128,32 @@ def cross_validate(block: Block, folds: Parts, **options: Any) -> CrossValidatio
 
 
 def left_out(block: Block, fold: Sequence[int]) -> Block:
-    """Make check points of these control points, without image points that are alone."""
+    """Turn these control points into check points; single image points are removed."""
     points, o, known, chosen = block.points, block.observations, block.points.known, np.array(fold, np.intp)
     gone = np.isin(np.arange(len(points.ids)), chosen)
     sealed = Coordinates(known.ecef_m[chosen], known.sigma_enu_m[chosen], known.fixed[chosen])
     single = gone & (np.bincount(o.point, minlength=len(gone)) < 2)
     ids = tuple(points.ids[j] for j in chosen)
     return replace(
-        block, points=points.without_coordinates(gone, Role.CHECK), observations=o.take(~single[o.point]),
+        block,
+        points=points.without_coordinates(gone, Role.CHECK),
+        observations=o.take(~single[o.point]),
         withheld=WithheldCoordinates(ids, lambda: sealed),
-    )  # fmt: skip
+    )
 
 
 def _without_check_points(block: Block, *, keep_rays: bool) -> Block:
-    """Make tie points of check points, or remove their image points; their coordinates are not opened."""
+    """Turn check points into tie points, or remove their image points; their coordinates are not opened."""
     points, check = block.points, block.points.where(Role.CHECK)
     roles = tuple(Role.TIE if role is Role.CHECK else role for role in points.roles)
     keep = ~np.isin(block.observations.point, check) | keep_rays
     nothing = Coordinates(np.empty((0, 3)), np.empty((0, 3)), np.zeros(0, bool))
     return replace(
-        block, points=replace(points, roles=roles), observations=block.observations.take(keep),
+        block,
+        points=replace(points, roles=roles),
+        observations=block.observations.take(keep),
         withheld=WithheldCoordinates((), lambda: nothing),
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)
@@ -167,8 +177,8 @@ class Criteria:
 class Step:
     """One model of a reduction.
 
-    ``changed`` is the coefficient that was dropped or added ("" for the first model), ``test`` its test. ``tests`` of
-    all coefficients of the model begin with the least significant.
+    ``changed`` is the coefficient that was dropped or added ("" for the first model), and ``test`` is its test.
+    ``tests`` of all coefficients of the model begin with the least significant.
     """
 
     unknowns: tuple[str, ...]
@@ -183,7 +193,7 @@ class Step:
 class Reduction:
     """All models of a reduction in their order, the level of each step, and the solution of the last model.
 
-    ``kept``: unknowns that all models have.
+    ``kept``: unknowns of all models.
     """
 
     direction: Direction
@@ -194,7 +204,7 @@ class Reduction:
 
     @property
     def unknowns(self) -> tuple[str, ...]:
-        """Unknowns of the last model: all significant, or kept."""
+        """Unknowns of the last model: all significant or kept ones."""
         return self.steps[-1].unknowns
 
     @property
@@ -203,7 +213,7 @@ class Reduction:
         return closest_eop_set(self.unknowns)
 
     def best(self, criterion: str) -> Step:
-        """Step with the least "aic", "aicc", "bic", or prediction error "image" or "ground"."""
+        """Return the step with the least "aic", "aicc", "bic", or prediction error "image" or "ground"."""
 
         def value(step: Step) -> float:
             source = step.criteria if criterion in ("aic", "aicc", "bic") else step.validation
@@ -213,27 +223,39 @@ class Reduction:
         return min(self.steps, key=value)
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return plain values for JSON."""
         closest = self.closest_set
         named = ("aic", "aicc", "bic", *(("image", "ground") if self.steps[0].validation else ()))
         return {
-            "direction": self.direction, "level": self.level, "unknowns": list(self.unknowns), "kept": list(self.kept),
-            "closest_eop_set": None if closest is None else {
-                "number": closest[0], "name": EOP_SETS[closest[0]].name, "only_in_set": list(closest[1]),
+            "direction": self.direction,
+            "level": self.level,
+            "unknowns": list(self.unknowns),
+            "kept": list(self.kept),
+            "closest_eop_set": None
+            if closest is None
+            else {
+                "number": closest[0],
+                "name": EOP_SETS[closest[0]].name,
+                "only_in_set": list(closest[1]),
                 "not_in_set": list(closest[2]),
             },
             "best": {name: self.steps.index(self.best(name)) for name in named},
             "steps": [
-                {"unknowns": list(s.unknowns), "changed": s.changed or None,
-                 "test": None if s.test is None else dict(vars(s.test)), "tests": [dict(vars(t)) for t in s.tests],
-                 **vars(s.criteria), "validation": None if s.validation is None else s.validation.as_dict()}
+                {
+                    "unknowns": list(s.unknowns),
+                    "changed": s.changed or None,
+                    "test": None if s.test is None else dict(vars(s.test)),
+                    "tests": [dict(vars(t)) for t in s.tests],
+                    **vars(s.criteria),
+                    "validation": None if s.validation is None else s.validation.as_dict(),
+                }
                 for s in self.steps
             ],
-        }  # fmt: skip
+        }
 
 
 def closest_eop_set(unknowns: Iterable[str]) -> tuple[int, tuple[str, ...], tuple[str, ...]] | None:
-    """EOP set with the fewest differences: number, further and missing coefficients; None without EOP."""
+    """Return the EOP set with the fewest differences: number, further and missing coefficients; None without EOP."""
     eop = [parameter_name(code) for code in range(N_EOP)]
     mine = set(unknowns) & set(eop)
     if not mine:
@@ -248,26 +270,32 @@ def closest_eop_set(unknowns: Iterable[str]) -> tuple[int, tuple[str, ...], tupl
 
 
 def reduce_unknowns(
-    block: Block, *, direction: Direction = "backward", level: float = LEVEL, folds: int | None = None,
-    progress: Progress | None = None, **options: Any,
-) -> Reduction:  # fmt: skip
+    block: Block,
+    *,
+    direction: Direction = "backward",
+    level: float = LEVEL,
+    folds: int | None = None,
+    progress: Progress | None = None,
+    **options: Any,
+) -> Reduction:
     """Reduce the set of unknowns of a block's images.
 
     Parameters
     ----------
     block : Block
-        Its options name the whole set. Gross errors and variance components are determined with the whole set and kept
-        for all models.
+        Block whose options name the whole set. Gross errors and variance components are determined with the whole set
+        and kept for all models.
     direction : str
         "backward" or "forward".
     level : float
         Probability of a false choice in one step.
     folds : int, optional
-        Parts of the control points for the cross-validation of every model; 0: one point each. Default: none.
+        Number of parts of the control points for the cross-validation of every model; 0: one point in each part.
+        Default: no cross-validation.
     progress : callable, optional
-        Called before each adjustment.
+        Function that is called before each adjustment.
     **options
-        Of :func:`fg_orient.adjust`.
+        Options of :func:`fg_orient.adjust`.
 
     Raises
     ------
@@ -291,12 +319,12 @@ def reduce_unknowns(
 
 
 def _poses(names: Iterable[str]) -> tuple[str, ...]:
-    """Unknowns of the poses of frame images among these."""
+    """Select the unknowns of the poses of frame images from these names."""
     return tuple(name for name in names if name in UNKNOWNS and name not in INTERIOR)
 
 
 def _has_camera(names: Iterable[str]) -> bool:
-    """Whether there are parameters of cameras among these."""
+    """Return whether these names contain parameters of cameras."""
     return any(name in INTERIOR for name in names)
 
 
@@ -307,7 +335,7 @@ class _Runs:
         self._block, self._options, self._count = block, options, folds
         self._folds: Parts = () if folds is None else folds_of(block, folds)
         self._report, self._done, self.most = progress or (lambda done, most, text: None), 0, 1
-        #: Unknowns that all models have.
+        #: Unknowns of all models.
         self.kept: tuple[str, ...] = ()
 
     def adjust(self, unknowns: tuple[str, ...]) -> Solution:
@@ -322,7 +350,7 @@ class _Runs:
         return solution
 
     def keep(self, full: Solution, most: int) -> None:
-        """Use gross errors and variance components of the first model for all others."""
+        """Keep the gross errors and variance components of the first model for all other models."""
         self.most = most
         self._block = replace(full.block, options=replace(full.block.options, snoop=False, variance_components=()))
         self._options = {k: v for k, v in self._options.items() if k not in ("snoop", "variance_components")}
@@ -341,7 +369,7 @@ class _Runs:
 
 
 def coefficient_test(solution: Solution, name: str) -> GroupTest:
-    """F test of a coefficient over all images that have it."""
+    """Return the F test of a coefficient over all images that have it."""
     index = places_of(solution.problem, lambda known: known == name)
     return group_test(solution.residual_cofactors, solution.sigma0, solution.unknown_freedom, name, index)
 
@@ -357,7 +385,7 @@ def _backward(run: _Runs, full: Solution, every: tuple[str, ...], level: float) 
         rest = tuple(name for name in last.unknowns if name != worst.group)
         try:
             solution = run.adjust(rest)
-        except InputError:  # an image would have no unknown
+        except InputError:  # otherwise an image would have no unknown
             break
         steps.append((run.step(solution, rest, worst.group, worst), solution))
     return steps
@@ -374,7 +402,7 @@ def _forward(run: _Runs, every: tuple[str, ...], level: float) -> list[tuple[Ste
         trials: list[tuple[GroupTest, tuple[str, ...], Solution]] = []
         for name in (n for n in every if n not in chosen):
             trial = tuple(n for n in every if n in (*chosen, name))
-            with suppress(InputError, RankDeficientError):  # an image without unknowns, or with an unobservable one
+            with suppress(InputError, RankDeficientError):  # an image without unknowns, or with an unobservable unknown
                 solution = run.adjust(trial)
                 trials.append((coefficient_test(solution, name), trial, solution))
         if not trials:
@@ -386,7 +414,7 @@ def _forward(run: _Runs, every: tuple[str, ...], level: float) -> list[tuple[Ste
 
 
 def criteria(solution: Solution) -> Criteria:
-    """Criteria of the model of a solution."""
+    """Return the criteria of the model of a solution."""
     problem, q = solution.problem, solution.required_cofactors()
     priors, o, known = problem.block.options.priors, problem.observations, problem.block.points.known
     x = problem.image_vector(solution.state) if priors else np.zeros(0)
@@ -397,7 +425,7 @@ def criteria(solution: Solution) -> Criteria:
     if priors:
         determined = sum(float(np.sum(1.0 - np.diag(q.image(k)))) for k in range(problem.n_images))
     k = 1.0 + 3.0 * int(problem.active.sum()) + determined
-    if squares <= 0.0:  # an exact fit: the likelihood has no maximum
+    if squares <= 0.0:  # for an exact fit the likelihood has no maximum
         return Criteria(n, k, solution.sigma0, None, None, None, None)
     log_likelihood = float(-0.5 * (n * (np.log(2.0 * np.pi * squares / n) + 1.0) + 2.0 * float(log_sigma)))
     aic = float(-2.0 * log_likelihood + 2.0 * k)

@@ -32,10 +32,16 @@ if TYPE_CHECKING:
 Record = dict[str, Any]
 #: Entries of ``result.json`` that differ between runs: times, memory, folders, continuation of an interrupted run.
 OCCASION: Final = (
-    "seconds", "memory", "us_per_observation_iteration", "resumed_at_iteration", "out", "provenance", "pixels",
+    "seconds",
+    "memory",
+    "us_per_observation_iteration",
+    "resumed_at_iteration",
+    "out",
+    "provenance",
+    "pixels",
     "ground",
-)  # fmt: skip
-#: Folders beside a result that are searched for its project file.
+)
+#: Maximum number of folders beside a result that are searched for its project file.
 _BESIDE: Final = 1000
 #: Files of both results that are compared.
 TABLES: Final = (*RESULT_TABLES, "rpc/*_RPC.TXT")
@@ -45,11 +51,11 @@ TABLES: Final = (*RESULT_TABLES, "rpc/*_RPC.TXT")
 class Replay:
     """Result of a repeated run.
 
-    ``out`` is its result folder, or None without solution. ``inputs`` are allowed inputs that changed, are missing or
-    new; ``n_inputs`` counts the inputs of the first run. ``differences`` have ``key``, ``then`` and ``now`` of each of
-    the ``n_compared`` values of ``result.json`` that differs, None for a missing value. ``tables`` contains for each
-    table whether its bytes are equal. ``versions`` have ``name``, ``then`` and ``now`` of software and platform that
-    differ. ``notes`` are warnings of the DEM.
+    ``out`` is its result folder, or None without solution. ``inputs`` are inputs that changed, are missing or new, if
+    this is allowed; ``n_inputs`` counts the inputs of the first run. ``n_compared`` values of ``result.json`` are
+    compared; ``differences`` have ``key``, ``then`` and ``now`` of each value that differs, None for a missing value.
+    ``tables`` contains for each table whether its bytes are equal. ``versions`` have ``name``, ``then`` and ``now`` of
+    software and platform, if these differ. ``notes`` are warnings of the DEM.
     """
 
     out: str | None
@@ -64,17 +70,23 @@ class Replay:
 
     @property
     def equal(self) -> bool:
-        """Whether all values and tables are equal."""
+        """True if all values and tables are equal."""
         return not self.differences and all(self.tables.values())
 
     def as_dict(self) -> Record:
-        """Record of the command ``replay``."""
+        """Return the record of the command ``replay``."""
         return {
-            "equal": self.equal, "status": self.status, "out": self.out, "n_inputs": self.n_inputs,
-            "inputs": [p.as_dict() for p in self.inputs], "versions": list(self.versions),
-            "n_compared": self.n_compared, "differences": list(self.differences), "tables": self.tables,
+            "equal": self.equal,
+            "status": self.status,
+            "out": self.out,
+            "n_inputs": self.n_inputs,
+            "inputs": [p.as_dict() for p in self.inputs],
+            "versions": list(self.versions),
+            "n_compared": self.n_compared,
+            "differences": list(self.differences),
+            "tables": self.tables,
             "notes": [p.as_dict() for p in self.notes],
-        }  # fmt: skip
+        }
 
 
 def replay(
@@ -130,18 +142,31 @@ def replay(
 
     surface = None if dem is None else _open(path.parent, dem)
     new = run_project(
-        path, out, overwrite=overwrite, options=repeat["options"], execution=_execution(repeat), check=check,
-        command=old["provenance"]["command"], callback=callback, stage=stage,
+        path,
+        out,
+        overwrite=overwrite,
+        options=repeat["options"],
+        execution=_execution(repeat),
+        check=check,
+        command=old["provenance"]["command"],
+        callback=callback,
+        stage=stage,
         dem_control=None if surface is None else (surface, dem["sigma_m"]),
         start=None if start is None else path.parent / start["folder"],
         start_prior=start is not None and start["prior"],
     )  # fmt: skip
     n, differences = compare_records(old, read_record(out) if new["out"] else new)
     return Replay(
-        new["out"], new["status"], tuple(changes.values()), len(known), n, differences,
-        compare_tables(folder, out) if new["out"] else {}, _versions(old["provenance"]),
+        new["out"],
+        new["status"],
+        tuple(changes.values()),
+        len(known),
+        n,
+        differences,
+        compare_tables(folder, out) if new["out"] else {},
+        _versions(old["provenance"]),
         () if surface is None else surface.notes,
-    )  # fmt: skip
+    )
 
 
 def _read(folder: Path) -> tuple[Record, Record]:
@@ -158,9 +183,10 @@ def _read(folder: Path) -> tuple[Record, Record]:
 
 
 def _project_file(folder: Path, old: Mapping[str, Any], given: Path | None) -> Path:
-    """Project file: the first input of a run.
+    """Return the project file, which is the first input of a run.
 
-    It is in the folder above the result, or a file of the recorded content in a folder above or beside the result.
+    It is in the folder above the result. Otherwise a file with the recorded content is searched in a folder above or
+    beside the result.
     """
     first = old["provenance"]["inputs"][0]
     name, path = first["file"], folder.parent / first["file"] if given is None else given
@@ -175,7 +201,7 @@ def _project_file(folder: Path, old: Mapping[str, Any], given: Path | None) -> P
 
 
 def _changed_files(folder: Path, recorded: Mapping[str, str]) -> Iterator[tuple[str, Finding]]:
-    """Inputs in the project's folder with changed content; their values are not read."""
+    """Yield the inputs in the project's folder with changed content; their values are not read."""
     for name, digest in recorded.items():
         path = folder / name
         if path.is_file() and (now := sha256_of(path)) != digest:
@@ -183,7 +209,7 @@ def _changed_files(folder: Path, recorded: Mapping[str, str]) -> Iterator[tuple[
 
 
 def changed_sources(block: Block, folder: Path, recorded: Mapping[str, str]) -> Iterator[tuple[str, Finding]]:
-    """Differences between the sources of a block and the inputs of the run."""
+    """Yield the differences between the sources of a block and the inputs of the run."""
     now = {relative(source.path, folder): source for source in block.sources}
     for name, source in now.items():
         if name not in recorded:
@@ -205,7 +231,7 @@ def _refuse(changes: Mapping[str, Finding], allowed: bool) -> None:
 
 
 def _execution(repeat: Mapping[str, Any]) -> dict[str, Any]:
-    """The same parts, in one process: results do not depend on the workers."""
+    """Return the same parts, in one process: results do not depend on the workers."""
     return {"parts": repeat["parts"], "workers": 1} if repeat["in_parts"] else {}
 
 
@@ -236,13 +262,14 @@ def compare_records(then: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[in
     differences = [
         {"key": key, "then": one.get(key), "now": other.get(key)}
         for key in keys
-        if key not in one or key not in other or repr(one[key]) != repr(other[key])  # repr: 0.0 is not -0.0, 1 not 1.0
+        # by repr 0.0 differs from -0.0, and 1 from 1.0
+        if key not in one or key not in other or repr(one[key]) != repr(other[key])
     ]
     return len(keys), tuple(differences)
 
 
 def _leaves(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
-    """Numbers, strings, booleans, and empty lists and objects of a record, with their keys."""
+    """Yield the numbers, strings, booleans, and empty lists and objects of a record, with their keys."""
     if isinstance(value, Mapping) and value:
         for name, item in value.items():
             yield from _leaves(item, f"{key}.{name}" if key else str(name))
@@ -254,13 +281,16 @@ def _leaves(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def compare_tables(then: Path, now: Path) -> dict[str, bool]:
-    """Compare the tables of two result folders, texts byte by byte, others bit by bit; a missing table differs."""
+    """Compare the tables of two result folders: texts byte by byte, others bit by bit; a missing table differs."""
     names = {p.relative_to(folder).as_posix() for folder in (then, now) for t in TABLES for p in folder.glob(t)}
     return {name: _content(then / name) == _content(now / name) is not None for name in sorted(names)}
 
 
 def _content(path: Path) -> object:
-    """Bytes of a text; names and values of another table, whose bytes depend on the version of pyarrow."""
+    """Return the bytes of a text.
+
+    For other tables names and values, because their bytes depend on the version of pyarrow.
+    """
     if not path.is_file():
         return None
     if not is_binary(path):

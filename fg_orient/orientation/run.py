@@ -1,6 +1,6 @@
 """Runs: from a project to a result folder with its provenance.
 
-The folder is written under a hidden name and renamed at the end: failed and interrupted runs leave no folder.
+The folder is written under a hidden name and renamed at the end. So failed and interrupted runs leave no folder.
 """
 
 from __future__ import annotations
@@ -67,13 +67,14 @@ def run_project(
     options : mapping, optional
         Options that replace those of the project file; see ``read_project``.
     callback : callable, optional
-        Called with an ``IterationRecord`` after each iteration.
+        Function that receives an ``IterationRecord`` after each iteration.
     command : sequence of str
         The command line, for the record.
     execution : mapping, optional
         ``parts``, ``workers``, ``cluster``, ``work_dir`` of :func:`fg_orient.adjust`.
     stage : callable, optional
-        Called at the start of each stage with its name and the number of image points (0 before they are read).
+        Function that is called at the start of each stage with its name and the number of image points (0 before they
+        are read).
     checkpoint_every_s : float
         Seconds between two checkpoints, written to a hidden file next to the result folder; 0: each iteration.
     resume : bool
@@ -81,9 +82,9 @@ def run_project(
     dem_control : (HeightSurface, float), optional
         Elevation model for height observations of the tie points, and their sigma (m); without checkpoint.
     start : path, optional
-        Folder of an earlier result; ``start_prior``: its covariance is a prior. See :func:`fg_orient.adjust`.
+        Folder of an earlier result; ``start_prior``: use its covariance as a prior. See :func:`fg_orient.adjust`.
     check : callable, optional
-        Called with the block before the adjustment; raises InputError to reject it.
+        Function that receives the block before the adjustment; it raises InputError to reject it.
 
     Returns
     -------
@@ -114,8 +115,14 @@ def run_project(
     repeat = how_to_repeat(folder, options or {}, execution or {}, dem_control, earlier)
     try:
         with staged_folder(out, overwrite=overwrite) as staging:
-            how = {**(execution or {}), "callback": callback, "stage": stage, "checkpoint": checkpoint,
-                   "start": start, "start_prior": start_prior}  # fmt: skip
+            how = {
+                **(execution or {}),
+                "callback": callback,
+                "stage": stage,
+                "checkpoint": checkpoint,
+                "start": start,
+                "start_prior": start_prior,
+            }
             solution, control = _adjust(block, how, dem_control)
             mark = working_clock()
             result = result_of(solution, corrected_models(solution), folder=folder, out=name, command=command)
@@ -152,7 +159,7 @@ def run_project(
 
 
 def require_possible_options(block: Block, project: str | Path, given: Mapping[str, object]) -> None:
-    """Raise InputError for options that exclude each other, with the file name for options that are not ``given``."""
+    """Raise InputError for options that exclude each other; for options not in ``given`` it names the file."""
     try:
         require_possible(block.options)
     except InputError as error:
@@ -165,7 +172,7 @@ def require_possible_options(block: Block, project: str | Path, given: Mapping[s
 
 
 def checkpoint_path(out: str | Path) -> Path:
-    """Checkpoint file of a run with this result folder."""
+    """Return the checkpoint file of a run with this result folder."""
     target = Path(out).absolute()
     return target.with_name(f".{target.name[:200]}.checkpoint.npz")
 
@@ -173,7 +180,7 @@ def checkpoint_path(out: str | Path) -> Path:
 def _adjust(
     block: Block, how: dict[str, Any], dem_control: tuple[HeightSurface, float] | None
 ) -> tuple[Solution, dict[str, Any]]:
-    """Adjust; solution and further entries of the record for heights of a DEM."""
+    """Adjust; return the solution, and further entries of the record for heights of a DEM."""
     if dem_control is None:
         return adjust(block, **how), {}
     from fg_orient.orientation.dem_control import adjust_with_dem

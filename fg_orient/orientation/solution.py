@@ -75,8 +75,8 @@ class Solution(AdjustmentResult):
     end : Finding
         Reason for the end of the iteration; ``ended`` is its sentence.
     ground_m : (N, 3) array
-        Adjusted ECEF coordinates in file order; excluded check points are intersected; nan for points without image
-        points.
+        Adjusted ECEF coordinates in file order. Excluded check points are intersected; points without image points are
+        nan.
     residuals_px : (n, 2) array
         Line and sample residuals, adjusted minus observed, of ``problem.observations``.
     sigma0_interval : (float, float)
@@ -97,11 +97,11 @@ class Solution(AdjustmentResult):
     rejected : tuple of str
         Image points, as ``12 in left``, that the option ``median_rejection`` left out.
     sigmas : tuple of StatedSigma
-        Stated sigmas of groups of observations beside the estimated ones, where the observations are tested.
+        Stated sigmas of groups of observations, with the estimated sigmas if the observations are tested.
     supposed : Supposed or None
-        Most likely mistake, until an adjustment without it has confirmed it or not.
+        Most likely mistake, until a further adjustment has decided on it.
     reduced_system : Choice or None
-        Of the Schur backend: method for the reduced system of the images, predicted operations and bytes.
+        Method of the Schur backend for the reduced system of the images, with predicted operations and bytes.
     """
 
     verdict: Finding
@@ -159,7 +159,7 @@ class Solution(AdjustmentResult):
         return (*(sentence for o in self.observability for sentence in o.sentences), *datum)
 
     def correction(self, image: str) -> Any:
-        """Correction of an image in physical units, for ``project``, ``locate`` and ``rays`` of its sensor.
+        """Return the correction of an image in physical units, for ``project``, ``locate`` and ``rays`` of its sensor.
 
         ``Correction`` of a pushbroom image, compensation (6,) in pixels of an RPC image (``factors.cameras.rfm``).
         InputError if the image is unknown.
@@ -169,7 +169,7 @@ class Solution(AdjustmentResult):
         return self.problem.corrections(self.state)[self.block.image_index(image)]
 
     def cofactor_matrix(self, *names: str) -> NamedMatrix:
-        """Joint cofactor matrix (prior scale) of adjusted quantities, by name.
+        """Return the joint cofactor matrix (prior scale) of adjusted quantities, by name.
 
         "image:left" (all its parameters), "image:left.x_0" (one), "point:12", "point:12.z", "observation:left/12"
         (adjusted line and sample of an image point), "residual:left/12". Units are physical: m, m/s, rad for
@@ -179,12 +179,12 @@ class Solution(AdjustmentResult):
         return joint_cofactors(self.weighted, self.state, self.required_cofactors(), names)
 
     def covariance(self, *names: str) -> NamedMatrix:
-        """Joint covariance ``scale^2 Q`` of adjusted quantities; see :meth:`cofactor_matrix`."""
+        """Return the joint covariance ``scale^2 Q`` of adjusted quantities; see :meth:`cofactor_matrix`."""
         q = self.cofactor_matrix(*names)
         return NamedMatrix(q.names, q.units, q.values * self.scale**2)
 
     def figures(self) -> tuple[AdjustedFigure, ...]:
-        """Planes, lines, circles, spheres and spheroids of the constraints; NoSolutionError: no covariance."""
+        """Return planes, lines, circles, spheres and spheroids of the constraints; NoSolutionError: no covariance."""
         return adjusted_figures(self.problem, self.state, self.required_cofactors(), self.scale)
 
     @cached_property
@@ -193,9 +193,16 @@ class Solution(AdjustmentResult):
         return None if self.components is None else UnknownFreedom.of(self.residual_cofactors, self.components)
 
     def locate(
-        self, image: str, line: float, sample: float, *, height_m: float | None = None,
-        dem: HeightSurface | None = None, height_sigma_m: float = 0.0, sigma_px: tuple[float, float] | None = None,
-    ) -> LocatedPoint:  # fmt: skip
+        self,
+        image: str,
+        line: float,
+        sample: float,
+        *,
+        height_m: float | None = None,
+        dem: HeightSurface | None = None,
+        height_sigma_m: float = 0.0,
+        sigma_px: tuple[float, float] | None = None,
+    ) -> LocatedPoint:
         """Locate a pixel with the adjusted orientation, with covariance, error ellipse, CE90, LE90 and SE90.
 
         Parameters
@@ -206,7 +213,7 @@ class Solution(AdjustmentResult):
         height_m : float, optional
             Ellipsoidal height.
         dem : HeightSurface, optional
-            Surface instead of a height; its slope propagates the error of its height to East and North.
+            Surface that replaces a height; its slope propagates the error of its height to East and North.
         height_sigma_m : float
             Standard deviation of the height, or of the heights of the DEM.
         sigma_px : (line, sample), optional
@@ -215,21 +222,29 @@ class Solution(AdjustmentResult):
         Raises
         ------
         InputError
-            No such image, not exactly one height, a pixel outside the image or a ray that misses the surface.
+            There is no such image; not exactly one height is given; the pixel is outside the image; the ray misses the
+            surface.
         NoSolutionError
             There is no covariance.
         """
         from fg_orient.quality.located_point import locate
 
-        return locate(self._orientation, image, (line, sample), height_m=height_m, dem=dem,
-                      height_sigma_m=height_sigma_m, sigma_px=sigma_px)  # fmt: skip
+        return locate(
+            self._orientation,
+            image,
+            (line, sample),
+            height_m=height_m,
+            dem=dem,
+            height_sigma_m=height_sigma_m,
+            sigma_px=sigma_px,
+        )
 
     def intersect(
         self, pixels: Mapping[str, tuple[float, float]], *, sigma_px: tuple[float, float] | None = None
     ) -> LocatedPoint:
         """Intersect rays of two or more images with the adjusted orientation; see :meth:`locate`.
 
-        ``pixels`` are line and sample of the point by image id.
+        ``pixels`` contains line and sample of the point by image id.
         """
         from fg_orient.quality.located_point import intersect
 
@@ -243,7 +258,7 @@ class Solution(AdjustmentResult):
         return Orientation(self.problem, self.state, self.required_cofactors(), scale)
 
     def reliability(self, *, alpha: float = ALPHA, power: float = POWER) -> BlockReliability:
-        """Redundancy numbers, minimal detectable biases and their effects, of all observations.
+        """Return the redundancy numbers, minimal detectable biases and their effects, of all observations.
 
         See ``fg_orient.quality.reliability``; sigmas are a priori.
 
@@ -268,11 +283,11 @@ class Solution(AdjustmentResult):
     def suspicious(
         self, *, level: float | None = None, test: str | None = None, control: str | None = None, kind: Kind = "groups"
     ) -> tuple[GroupTest, ...]:
-        """Observations suspected of a gross error; see :meth:`outlier_tests`."""
+        """Return the observations suspected of a gross error; see :meth:`outlier_tests`."""
         return self.outlier_tests(level=level, test=test, control=control, kind=kind).suspicious()
 
     def global_test(self, *, level: float = 0.001) -> GlobalTest | None:
-        """Chi-square test of the whole model (``fg_orient.quality.hypotheses``); None without redundancy.
+        """Test the whole model by chi-square (``fg_orient.quality.hypotheses``); None without redundancy.
 
         NoSolutionError: a loss has changed the sum of squares, or variance components were estimated from it.
         """
@@ -284,7 +299,7 @@ class Solution(AdjustmentResult):
     def variance_components(
         self, *, groups: tuple[str, ...] = USUAL_GROUPS, method: Method = "helmert"
     ) -> VarianceComponents:
-        """Variance components of groups of observations from this solution.
+        """Return the variance components of groups of observations from this solution.
 
         See ``fg_orient.quality.variance_components``; ``adjust(variance_components=...)`` iterates. NoSolutionError:
         there is no covariance, or it contains the weights of a loss.
@@ -293,12 +308,12 @@ class Solution(AdjustmentResult):
         return variance_components(self.residual_cofactors, groups=groups, method=method)
 
     def in_datum(self, *names: str) -> FreeNetwork:
-        """S-transformation of a free network to the datum of images ("image:3") and points ("point:12").
+        """Transform a free network to the datum of images ("image:3") and points ("point:12").
 
-        Without names: datum of the adjustment, inner constraints on all ground points.
+        Without names the datum is that of the adjustment, inner constraints on all ground points.
 
-        NoSolutionError: not a free network (``datum = "inner"``), or no covariance. InputError: unknown image or point,
-        or they do not fix all motions.
+        NoSolutionError: this is not a free network (``datum = "inner"``), or there is no covariance. InputError: an
+        image or point is unknown, or they do not fix all motions.
         """
         from fg_orient.quality.free_network import FreeNetwork
 
@@ -309,8 +324,8 @@ class Solution(AdjustmentResult):
     def significance(self, *, level: float = SIGNIFICANCE_LEVEL) -> Significance:
         """Test all unknowns of the images and groups of them; see ``fg_orient.quality.significance``.
 
-        NoSolutionError: no covariance, a loss, no redundancy, or variance components in a block too large for their
-        degrees of freedom.
+        NoSolutionError: there is no covariance, a loss, no redundancy, or variance components in a block too large for
+        their degrees of freedom.
         """
         self.required_cofactors(unweighted="statistics.significance_weighted")
         return significance(self.residual_cofactors, self.sigma0, self.unknown_freedom, level=level)
@@ -367,7 +382,7 @@ class Solution(AdjustmentResult):
         return result_of(self, corrected_models(self), folder=project.parent)
 
     def save(self, folder: str | Path, *, overwrite: bool = False) -> Result:
-        """Write the result folder like ``fg-orient adjust``, whole or not at all.
+        """Write the result folder like ``fg-orient adjust``, completely or not at all.
 
         :func:`fg_orient.read_result` reads it; ``fg-orient replay`` requires a folder of ``fg-orient adjust``.
         ``overwrite`` replaces an existing result folder. InputError: the folder exists or cannot be written.
@@ -389,18 +404,27 @@ class Solution(AdjustmentResult):
         return result
 
     def to_frame(self, table: str = "points") -> pandas.DataFrame:
-        """A table as ``pandas.DataFrame``; see :meth:`fg_orient.Result.to_frame`."""
+        """Return a table as ``pandas.DataFrame``; see :meth:`fg_orient.Result.to_frame`."""
         return self.result.to_frame(table)
 
     def to_geo(self) -> dict[str, Any]:
-        """The points as a GeoJSON FeatureCollection; see :meth:`fg_orient.Result.to_geo`."""
+        """Return the points as a GeoJSON FeatureCollection; see :meth:`fg_orient.Result.to_geo`."""
         return self.result.to_geo()
 
     def _overview(self) -> dict[str, Any]:
         accuracy = {"check": self.accuracy.check.statistics()}
-        return overview({"name": self.block.name, "status": str(self.status), "sigma0": self.sigma0,
-                         "redundancy": self.redundancy, "n_image_points": len(self.problem.observations),
-                         "iterations": self.iterations, "backend": self.backend, "accuracy": accuracy})  # fmt: skip
+        return overview(
+            {
+                "name": self.block.name,
+                "status": str(self.status),
+                "sigma0": self.sigma0,
+                "redundancy": self.redundancy,
+                "n_image_points": len(self.problem.observations),
+                "iterations": self.iterations,
+                "backend": self.backend,
+                "accuracy": accuracy,
+            }
+        )
 
     def __repr__(self) -> str:
         return one_line("Solution", self._overview())

@@ -1,4 +1,4 @@
-"""Images and ground points of a growing block that are not determined yet, with the reason."""
+"""Images and ground points of a growing block that are not yet determined, with the reason."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fg_orient.sensors import initial
 
 #: Relative eigenvalue of a scaled normal matrix below which a direction is undetermined.
 UNDETERMINED: Final = 1e-11
-#: Component of an unknown in such directions, of unit length, that is more than rounding.
+#: Least component of an unknown in such directions, of unit length, that is more than rounding.
 COMPONENT: Final = 1e-4
 
 ONE_RAY: Final = (
@@ -38,7 +38,7 @@ FEW_POINTS: Final = (
 
 
 def excluded_points(block: Block) -> Mask:
-    """Check points (N,) that do not participate in the adjustment."""
+    """Return the check points (N,) that do not participate in the adjustment."""
     out = np.zeros(len(block.points.ids), bool)
     if block.options.check_points != "use":
         out[block.points.where(Role.CHECK)] = True
@@ -46,16 +46,16 @@ def excluded_points(block: Block) -> Mask:
 
 
 def control_points(block: Block) -> Mask:
-    """Control points (N,)."""
+    """Return the control points (N,)."""
     out = np.zeros(len(block.points.ids), bool)
     out[block.points.where(Role.CONTROL)] = True
     return out
 
 
 def local_block(block: Block, rows: Index) -> tuple[Block, Index, Index]:
-    """Small block of some image points, and the numbers of its images and ground points; check points are tie points.
+    """Make a small block of some image points, in which check points are tie points.
 
-    Nothing fixes its datum.
+    The result also contains the numbers of its images and ground points. Nothing fixes its datum.
     """
     o, known = block.observations.take(rows), block.points.known
     images, image = np.unique(o.image, return_inverse=True)
@@ -67,15 +67,18 @@ def local_block(block: Block, rows: Index) -> tuple[Block, Index, Index]:
         Coordinates(known.ecef_m[points], known.sigma_enu_m[points], known.fixed[points]),
     )
     small = replace(
-        block, images=tuple(block.images[k] for k in images.tolist()), points=ground,
+        block,
+        images=tuple(block.images[k] for k in images.tolist()),
+        points=ground,
         observations=ImagePoints(image, point, o.line, o.sample, o.sigma_line_px, o.sigma_sample_px),
-        withheld=WithheldCoordinates((), lambda: known), options=replace(block.options, datum="free"),
-    )  # fmt: skip
+        withheld=WithheldCoordinates((), lambda: known),
+        options=replace(block.options, datum="free"),
+    )
     return small, images, points
 
 
 def judged_points(block: Block, rows: Index, usable: Mask) -> tuple[Index, Mask, dict[str, Finding]]:
-    """Ground points of image points, whether they are determined, and the findings about those that are not.
+    """Return the ground points of image points, whether they are determined, and findings about undetermined points.
 
     Parameters
     ----------
@@ -115,7 +118,7 @@ def judged_points(block: Block, rows: Index, usable: Mask) -> tuple[Index, Mask,
 
 
 def image_waits(block: Block, k: int, n_unknowns: int, n_rays: int) -> Finding:
-    """Finding about an image that is not determined."""
+    """Return the finding about an image that is not determined."""
     name = f"image {block.images[k].id}"
     if not n_rays:
         return finding(NO_POINTS, place=name)
@@ -123,7 +126,7 @@ def image_waits(block: Block, k: int, n_unknowns: int, n_rays: int) -> Finding:
 
 
 def undetermined(normal: Array) -> Mask:
-    """Unknowns (n,) with a component in the null space of a normal matrix (n, n)."""
+    """Return the unknowns (n,) with a component in the null space of a normal matrix (n, n)."""
     scale = np.sqrt(np.where(np.diag(normal) > 0.0, np.diag(normal), 1.0))
     values, vectors = np.linalg.eigh(normal / np.outer(scale, scale))
     null = vectors[:, values <= UNDETERMINED * max(float(values[-1]), 1.0)]
@@ -131,10 +134,10 @@ def undetermined(normal: Array) -> Mask:
 
 
 def determined_images(block: Block, candidates: Mask, known: Mask, find: Callable[[Index, Mask], Mask]) -> Mask:
-    """Images (M,) whose unknowns are determined without priors; they include ``known``.
+    """Return the images (M,) whose unknowns are determined without priors; they include ``known``.
 
-    The images ``known`` are determined without the candidates. An additional unknown is then undetermined exactly if it
-    has a component in the null space of the normal matrix of the additional unknowns. Images with such unknowns
+    The images ``known`` are determined without the candidates. An additional unknown is then undetermined if, and only
+    if, it has a component in the null space of the normal matrix of the additional unknowns. Images with such unknowns
     are removed, with their rays, until no such image is left.
 
     Parameters
@@ -142,7 +145,8 @@ def determined_images(block: Block, candidates: Mask, known: Mask, find: Callabl
     block : Block
     candidates, known : (M,) bool arrays
     find : callable
-        Gives the images (M,) with undetermined unknowns, from image points and the additional images (M,).
+        Function that returns the images (M,) with undetermined unknowns, from image points and the additional images
+        (M,).
     """
     o, excluded, left = block.observations, excluded_points(block), candidates & ~known
     while left.any():

@@ -1,7 +1,7 @@
 """Matching of one block of an image with all images that see it: features, candidates, least-squares matching.
 
-A block is a window of the first image. It holds one or more cells of the grid that distributes the points. Each block
-is a task of its own: it reads its windows, and its result depends on nothing else.
+A block is a window of the first image. It contains one or more cells of the grid that distributes the points. Each
+block is a separate task: it reads its windows, and its result depends on nothing else.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from fg_orient.orientation.match.features import Features, candidates, detect
 from fg_orient.orientation.match.options import MatchOptions
 
 MODELS: Final = {"slope": SLOPE, "curved": CURVED, "affine": AFFINE, "shift": SHIFT}
-#: Iterations of least-squares matching; largest distance from the feature's position, px.
+#: Maximum number of iterations of least-squares matching; largest distance from the feature's position, px.
 ITERATIONS: Final = 15
 REACH_PX: Final = 3.0
 #: Forward and backward matching must agree within this, px.
 BACKWARD_PX: Final = 0.5
-#: Width of the second window of a match. An error that grows with the square of the width is twice as large in it, so
-#: that the difference of both is the error of the first.
+#: Width of the second window of a match. An error that grows with the square of the width is twice as large in it. So
+#: the difference of both results is the error of the first.
 WIDER: Final = 2.0**0.5
-#: Relief between neighbours, px along the curve.
+#: Relief between neighbours along the curve, px.
 RELIEF_PX: Final = 2.0
-#: Features of a that are compared for each one that may be matched by least squares.
+#: Number of features of a that are compared for each feature that may be matched by least squares.
 SPARE: Final = 3
-#: Response of a feature of b, as a part of the weakest one of a, below which it is not the same.
+#: Least ratio of the response of a feature of b to the weakest response of a; below it both are different features.
 WEAKEST: Final = 0.3
 #: Border of windows, px: features near a border have no descriptor.
 BORDER: Final = 16
@@ -85,16 +85,16 @@ class Matches:
         Line and sample in the scene of image a.
     pixel_b : (n, 2) array
     covariance : (n, 3) array
-        Of least-squares matching, px^2 of b: line line, line sample, sample sample.
+        Covariance of least-squares matching, px^2 of b: line line, line sample, sample sample.
     t, parallax_px : (n,) arrays
-        Height parameter and y-parallax, the expected trend not removed.
+        Height parameter, and y-parallax including the expected trend.
     direction : (n, 2) array
         Unit vector along the curve in b.
     wider_px, wider_variance : (n,) arrays
-        Place along the curve by a window ``WIDER`` times as wide, minus that of the window, and its variance along the
-        curve: the difference shows relief that the geometric unknowns of a window do not follow.
+        Position along the curve by a window ``WIDER`` times as wide, minus the position by the window, and the variance
+        of this difference. The difference shows relief that the geometric unknowns of a window do not follow.
     correlation, strength : (n,) arrays
-        Of the windows; of the features.
+        Correlation of the windows; strength of the features.
     """
 
     pixel_a: Array
@@ -110,7 +110,7 @@ class Matches:
     strength: Array
 
     def take(self, rows: Index | Mask) -> Matches:
-        """Some of the matches."""
+        """Return some of the matches."""
         return Matches(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
 
@@ -120,13 +120,13 @@ class Counts(NamedTuple):
     Parameters
     ----------
     candidates : int
-        Pairs of features that are each other's best ones.
+        Number of pairs of features that are each other's best match.
     neighbours : int
-        Candidates whose parallax agrees with that of their neighbours.
+        Number of candidates whose parallax agrees with the parallax of their neighbours.
     fitted : int
-        Candidates refined by least-squares matching.
+        Number of candidates refined by least-squares matching.
     backward : int
-        Candidates whose matching back returns to the same pixel.
+        Number of candidates for which matching back returns to the same pixel.
     """
 
     candidates: int = 0
@@ -135,16 +135,20 @@ class Counts(NamedTuple):
     backward: int = 0
 
     def plus(self, other: Counts) -> Counts:
-        """Sum of both."""
+        """Return the sum of both."""
         return Counts(*(x + y for x, y in zip(self, other, strict=True)))
 
 
 def match_block(
-    raster_a: Raster, window: Window, others: list[tuple[Pair, Raster, Expected]], options: MatchOptions, most: int,
-) -> list[tuple[Matches, Counts]]:  # fmt: skip
-    """Match a block of image a with other images; one result of at most ``most`` matches for each of them.
+    raster_a: Raster,
+    window: Window,
+    others: list[tuple[Pair, Raster, Expected]],
+    options: MatchOptions,
+    most: int,
+) -> list[tuple[Matches, Counts]]:
+    """Match a block of image a with other images; return one result of at most ``most`` matches for each of them.
 
-    All results have the same features of a, so that the same pixel of a is one point in all images.
+    All results use the same features of a, so that the same pixel of a is one point in all images.
 
     Parameters
     ----------
@@ -156,12 +160,12 @@ def match_block(
         Each other image: pair with a, its pixels, and the prediction of the coarse level.
     options : MatchOptions
     most : int
-        Largest number of matches with each other image.
+        Maximum number of matches with each other image.
 
     Returns
     -------
     list of (Matches, Counts)
-        In the order of ``others``; empty matches if the block has no features.
+        Results in the order of ``others``; empty matches if the block has no features.
     """
     border = BORDER + round(WIDER * (options.window // 2))
     top, left = window.row - border, window.column - border
@@ -184,14 +188,14 @@ def match_block(
 
 
 def joined(parts: list[Matches]) -> Matches:
-    """All matches of several blocks."""
+    """Return all matches of several blocks."""
     if not parts:
         return _none()
     return Matches(*(np.concatenate([getattr(p, name) for p in parts]) for name in Matches.__dataclass_fields__))
 
 
 def spread(pixel: Array, strength: Array, distance_px: float, most: int) -> Index:
-    """Select at most ``most`` pixels, ``distance_px`` apart: first the strongest of each of ``most`` squares.
+    """Select at most ``most`` pixels with a distance ``distance_px``: first the strongest of each of ``most`` squares.
 
     Parameters
     ----------
@@ -201,7 +205,7 @@ def spread(pixel: Array, strength: Array, distance_px: float, most: int) -> Inde
     distance_px : float
         Smallest distance of two selected pixels; 0 for any distance.
     most : int
-        Number of squares and largest number of pixels.
+        Number of squares, and maximum number of pixels.
 
     Returns
     -------
@@ -223,7 +227,7 @@ def spread(pixel: Array, strength: Array, distance_px: float, most: int) -> Inde
 
 
 def _apart(pixel: Array, order: Index, distance_px: float, most: int) -> Index:
-    """First ``most`` rows in an order that are ``distance_px`` from each other."""
+    """Return the first ``most`` rows in an order that are ``distance_px`` from each other."""
     if not distance_px > 0.0:
         return order[:most]
     taken: dict[tuple[int, int], list[tuple[float, float]]] = {}
@@ -241,15 +245,22 @@ def _apart(pixel: Array, order: Index, distance_px: float, most: int) -> Index:
 
 
 def _none() -> Matches:
-    return Matches(*(np.empty((0, 2)),) * 2, np.empty((0, 3)), *(np.empty(0),) * 2, np.empty((0, 2)),
-                   *(np.empty(0),) * 5)  # fmt: skip
+    return Matches(
+        *(np.empty((0, 2)),) * 2, np.empty((0, 3)), *(np.empty(0),) * 2, np.empty((0, 2)), *(np.empty(0),) * 5
+    )
 
 
 def _match_pair(
-    grey: Grey, first: Array, found: Features, pair: Pair, raster_b: Raster, expected: Expected,
-    options: MatchOptions, most: int,
-) -> tuple[Matches, Counts]:  # fmt: skip
-    """Matches of the features of a window of a with image b."""
+    grey: Grey,
+    first: Array,
+    found: Features,
+    pair: Pair,
+    raster_b: Raster,
+    expected: Expected,
+    options: MatchOptions,
+    most: int,
+) -> tuple[Matches, Counts]:
+    """Match the features of a window of a with image b."""
     place = raster_b.place
     pixel = found.pixel + first
     curves = pair.curves(*pixel.T)
@@ -279,9 +290,15 @@ def _match_pair(
     ranges = np.full(len(rows), expected.t_low), np.full(len(rows), expected.t_high)
     scale = float(np.sqrt(abs(np.linalg.det(matrix))))
     chosen = candidates(
-        found.take(rows), there, moved, ranges, (band[rows], expected.width_px), options.ratio, scale,
+        found.take(rows),
+        there,
+        moved,
+        ranges,
+        (band[rows], expected.width_px),
+        options.ratio,
+        scale,
         expected.width_px,
-    )  # fmt: skip
+    )
     counts = Counts(candidates=len(chosen.a))
     a = rows[chosen.a]
     good = fits_neighbours(pixel[a], chosen.t * curves.half_px[a], RELIEF_PX)
@@ -309,9 +326,19 @@ def _match_pair(
     exact = pair.curves(*pixel_a.T)
     t, parallax = exact.coordinates(pixel_b)
     apart = np.einsum("ni,ni->n", wide[:, FIT.place] - fits[:, FIT.place], direction)
-    return Matches(pixel_a, pixel_b, fits[:, FIT.covariance], t, parallax, exact.along, exact.half_px, apart,
-                   variance_along(wide[:, FIT.covariance], direction), fits[:, FIT.correlation],
-                   found.response[a]), counts  # fmt: skip
+    return Matches(
+        pixel_a,
+        pixel_b,
+        fits[:, FIT.covariance],
+        t,
+        parallax,
+        exact.along,
+        exact.half_px,
+        apart,
+        variance_along(wide[:, FIT.covariance], direction),
+        fits[:, FIT.correlation],
+        found.response[a],
+    ), counts
 
 
 def variance_along(covariance: Array, direction: Array) -> Array:
@@ -327,14 +354,14 @@ def variance_along(covariance: Array, direction: Array) -> Array:
     Returns
     -------
     (n,) array
-        In the unit of ``covariance``.
+        Variances in the unit of ``covariance``.
     """
     (ll, ls, ss), (x, y) = covariance.T, direction.T
     return np.asarray(x * x * ll + 2.0 * x * y * ls + y * y * ss)
 
 
 def _start(place: Array, matrix: Array) -> Array:
-    """Approximate places (n, 2) and matrices of windows: (n, 6)."""
+    """Return the approximate positions (n, 2) and matrices of windows: (n, 6)."""
     return np.hstack([place, np.broadcast_to(matrix.reshape(-1, 4), (len(place), 4))])
 
 
@@ -349,18 +376,30 @@ class Ways(NamedTuple):
     half: int
 
     def wider(self) -> Ways:
-        """The same with wider windows."""
+        """Return the same settings with wider windows."""
         return self._replace(half=round(WIDER * self.half))
 
     def forward(self, centre: Array, start: Array, direction: Array) -> tuple[Array, Mask]:
-        """Results (n, FIT.size) of windows of the first image about pixels (n, 2), and whether they converged."""
+        """Match windows of the first image about pixels (n, 2): results (n, FIT.size), and whether they converged."""
         out, done = np.zeros((len(centre), FIT.size)), np.zeros(len(centre), bool)
-        fit_windows(self.grey, self.other_spline, centre, start, np.ascontiguousarray(direction), self.kind, self.half,
-                    0.5 * self.half, ITERATIONS, REACH_PX, out, done)  # fmt: skip
+        fit_windows(
+            self.grey,
+            self.other_spline,
+            centre,
+            start,
+            np.ascontiguousarray(direction),
+            self.kind,
+            self.half,
+            0.5 * self.half,
+            ITERATIONS,
+            REACH_PX,
+            out,
+            done,
+        )
         return out, done
 
     def returns(self, centre: Array, fits: Array, direction: Array) -> Mask:
-        """Whether matching from the second image back to the first one returns to the pixel."""
+        """Return whether matching from the second image back to the first returns to the same pixel."""
         n = len(centre)
         if not n:
             return np.zeros(0, bool)
@@ -375,7 +414,7 @@ class Ways(NamedTuple):
 
 
 def spline_of(grey: Grey) -> Grey:
-    """Coefficients of the cubic B-spline of an image (Unser 1999); nan at and next to nodata."""
+    """Return the coefficients of the cubic B-spline of an image (Unser 1999); nan at and next to nodata."""
     empty = ~np.isfinite(grey)
     if not empty.any():
         return np.asarray(ndimage.spline_filter(grey, order=3, output=np.float32, mode="mirror"))

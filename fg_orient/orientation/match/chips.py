@@ -1,8 +1,9 @@
 """Control points measured by chips: small georeferenced rasters about points of known position.
 
 The chip of a point is a raster with map coordinates, such as a part of an orthoimage, named by the point's id. It is
-compared with the image, resampled by the sensor model to the pixels of the chip, at all places that the prior sigmas
-allow (normalised cross correlation). Least-squares matching with an affine map refines the best place.
+compared (normalised cross correlation) with the image at all positions that the prior sigmas allow. For this the sensor
+model resamples the image to the pixels of the chip. Least-squares matching with an affine map refines the best
+position.
 """
 
 from __future__ import annotations
@@ -29,22 +30,24 @@ from fg_orient.orientation.match.epipolar import prior_covariance
 from fg_orient.orientation.match.features import cv2_of
 from fg_orient.orientation.match.options import MatchOptions
 
-#: Largest half width of the wider window of a chip, and least one, chip pixels.
+#: Largest half width of the wider window of a chip, and least half width, chip pixels.
 HALF: Final = 14
 LEAST_HALF: Final = 7
 #: Prior standard deviations of the search, and its largest radius, px.
 PRIOR_SIGMAS: Final = 3.0
 REACH_PX: Final = 300.0
-#: Least correlation of the search; largest one of another place as a part of it, and its distance, chip pixels.
+#: Least correlation of the search; largest correlation of another position relative to it, and distance of this
+#: position, chip pixels.
 CORRELATION: Final = 0.5
 SECOND: Final = 0.9
 SECOND_PX: Final = 4
-#: Largest ratio of pixels of chip and image.
+#: Largest ratio of the pixel sizes of chip and image.
 SCALE: Final = 2.5
-#: Displacements that differ from their median in an image by more robust standard deviations are wrong; least one, px.
+#: Limit in robust standard deviations: displacements that differ more from their median in an image are wrong. Second:
+#: least robust standard deviation, px.
 LIMIT: Final = 4.0
 LEAST_PX: Final = 1.0
-#: Fewest control points of an image whose scatter of displacements is used.
+#: Least number of control points of an image for which the scatter of displacements is used.
 FEWEST: Final = 8
 
 
@@ -57,11 +60,11 @@ class Mark:
     point, image : int
     pixel : (2,) array
     variance : (2,) array
-        Of least-squares matching, px^2.
+        Variances of least-squares matching, px^2.
     moved_px : (2,) array
-        Pixel minus that of the sensor model.
+        Pixel minus the pixel of the sensor model.
     wider_px, wider_variance : (2,) arrays
-        Pixel by the wider window minus ``pixel``, and its variance.
+        Pixel by the wider window minus ``pixel``, and the variance of this difference.
     """
 
     point: int
@@ -95,8 +98,8 @@ class Control:
 def read_control(path: Path) -> Control:
     """Read control points of a vector file or table, and find their chips.
 
-    The chip of the point ID is ``ID.tif`` (or another raster) beside the file, or in the folder that has the file's
-    name without its end.
+    The chip of the point ID is ``ID.tif`` (or another raster) beside the file, or in the folder with the file's name
+    without its suffix.
 
     Raises
     ------
@@ -106,8 +109,12 @@ def read_control(path: Path) -> Control:
     survey, _ = read_survey((path,), format_of(path, place="<control>"), Settings())
     folders, faults, chips = (path.with_suffix(""), path.parent), [], []
     for k, name in enumerate(survey.ids):
-        found = [f / f"{name}{end}" for f in folders for end in ENDS
-                 if Path(name).name == name and (f / f"{name}{end}").is_file()]  # fmt: skip
+        found = [
+            f / f"{name}{end}"
+            for f in folders
+            for end in ENDS
+            if Path(name).name == name and (f / f"{name}{end}").is_file()
+        ]
         complete = survey.located[k] and np.isfinite([survey.coordinates[k], survey.sigma_enu_m[k]]).all()
         if not complete or not found:
             missing = f"chip {name}.tif" if complete else "coordinates with height and sigmas"
@@ -143,8 +150,11 @@ def measure(
     """
     marks, findings = [], []
     for k, name in enumerate(control.survey.ids):
-        found = [m for i in range(len(images)) for m in _measured(control, k, i, images[i].sensor, rasters[i], options,
-                                                                  chosen)]  # fmt: skip
+        found = [
+            m
+            for i in range(len(images))
+            for m in _measured(control, k, i, images[i].sensor, rasters[i], options, chosen)
+        ]
         marks += found
         if not found:
             findings.append(finding("match.chip_lost", place=f"point {name}"))
@@ -157,20 +167,26 @@ def measure(
         spread = max(1.4826 * float(np.median(away)) if len(own) else 0.0, LEAST_PX)
         for mark, distance in zip(own, away.tolist(), strict=True):
             if len(own) > 2 and distance > LIMIT * spread:
-                findings.append(finding("match.chip_apart", place=f"point {control.survey.ids[mark.point]}",
-                                        value=f"image {images[i].id}", distance=distance))  # fmt: skip
+                findings.append(
+                    finding(
+                        "match.chip_apart",
+                        place=f"point {control.survey.ids[mark.point]}",
+                        value=f"image {images[i].id}",
+                        distance=distance,
+                    )
+                )
             else:
                 kept.append(mark)
     return sorted(kept, key=lambda m: (m.point, m.image)), findings
 
 
 def sigmas_of(marks: list[Mark], factor: float) -> Array:
-    """Standard deviations (m, 2) px of the image points of control points.
+    """Return the standard deviations (m, 2) px of the image points of control points.
 
-    The variance is that of the noise, with the factor of the pairs, and of relief in the windows, by the differences to
-    the wider windows (:func:`fg_orient.orientation.match.tracks.relief_variance`). If the displacements of an image
-    scatter more about an affine trend than this, their variance is added: errors of the chips' own positions belong to
-    it.
+    The variance has two parts: the noise, with the factor of the pairs, and the relief in the windows, from the
+    differences to the wider windows (:func:`fg_orient.orientation.match.tracks.relief_variance`). If the displacements
+    of an image scatter more about an affine trend, the additional variance is added: it includes errors of the chips'
+    own positions.
 
     Parameters
     ----------
@@ -206,7 +222,7 @@ def sigmas_of(marks: list[Mark], factor: float) -> Array:
 def _measured(
     control: Control, k: int, i: int, sensor: Any, raster: Raster, options: Options, chosen: MatchOptions
 ) -> list[Mark]:
-    """Mark of point k in image i, if the image shows it and the chip is found."""
+    """Return the mark of point k in image i, if the image shows it and the chip is found."""
     lon, lat, height = (float(v[0]) for v in ecef_to_geodetic(control.ecef_m[k : k + 1]))
     expected = np.stack(sensor.project(control.ecef_m[k : k + 1]), axis=1)[0]
     place = raster.place
@@ -217,7 +233,7 @@ def _measured(
     whole = np.rint(centre)
 
     def pixels(row: Array, column: Array) -> Array:
-        """Pixels of the raster (n, 2) of pixels of the chip, on level ground."""
+        """Return the raster pixels (n, 2) of pixels of the chip, on level ground."""
         at_lon, at_lat = to_lon_lat(row, column)
         ground = geodetic_to_ecef(at_lon, at_lat, np.full(len(row), height))
         return np.stack(sensor.project(ground), axis=1) - [place.line, place.sample]
@@ -256,7 +272,7 @@ def _measured(
 
 
 def _chip(path: Path, lon: float, lat: float) -> tuple[Grey, Array, Any]:
-    """Chip, the point's row and column in it, and a function from rows and columns to longitude and latitude."""
+    """Return chip, the point's row and column in it, and a function from rows and columns to longitude and latitude."""
     rasterio = rasterio_of(path, "match.no_rasterio")
     try:
         with opened(rasterio, path) as source:
@@ -278,7 +294,10 @@ def _chip(path: Path, lon: float, lat: float) -> tuple[Grey, Array, Any]:
 
 
 def _best_place(window: Grey, grey: Grey, begin: Array, matrix: Array, radius: int) -> Array | None:
-    """Displacement (2,) in chip pixels with the largest correlation; None if none is clearly the best."""
+    """Return the displacement (2,) in chip pixels with the largest correlation.
+
+    None if no displacement is clearly best.
+    """
     half = len(window) // 2 + radius
     u = np.arange(-half, half + 1.0)
     offsets = np.stack([a.ravel() for a in np.meshgrid(u, u, indexing="ij")])
@@ -298,7 +317,7 @@ def _best_place(window: Grey, grey: Grey, begin: Array, matrix: Array, radius: i
 
 
 def coordinates_in(control: Control, crs: str, file: Path) -> Array:
-    """Coordinates (n, 3) of all points in the CRS of a project.
+    """Return the coordinates (n, 3) of all points in the CRS of a project.
 
     Raises
     ------

@@ -1,6 +1,6 @@
-"""Coarse level: pictures of the whole images, reduced to about a thousand lines, matched in the band of the priors.
+"""Coarse level: whole images are reduced to about a thousand lines and matched in the band of the priors.
 
-It gives each pair the trend of its y-parallax and the heights of the ground, which restrict the search at full
+The result is the trend of the y-parallax of each pair and the heights of the ground. Both restrict the search at full
 resolution.
 """
 
@@ -19,20 +19,20 @@ from fg_orient.orientation.match.epipolar import Pair
 from fg_orient.orientation.match.features import Features, candidates, detect
 from fg_orient.orientation.match.options import MatchOptions
 
-#: Lines or samples of a reduced picture.
+#: Maximum number of lines or samples of a reduced image.
 SIZE: Final = 1000
 #: Relief between neighbours, reduced pixels.
 RELIEF_PX: Final = 3.0
 #: Largest ratio of the pixels of two images: least-squares matching compares grey values of the same resolution.
 SCALE: Final = 2.5
-#: Ratio test without a narrow band.
+#: Limit of the ratio test without a narrow band.
 RATIO: Final = 0.8
 #: Least half width of the band at full resolution, px.
 WIDTH_PX: Final = 6.0
 #: Margin about the parallaxes of the coarse level, reduced pixels, and least margin, px.
 MARGIN: Final = 6.0
 MARGIN_PX: Final = 20.0
-#: Nearest coarse matches that give the heights of a block.
+#: Number of nearest coarse matches from which the heights of a block follow.
 NEAREST: Final = 12
 
 
@@ -40,7 +40,7 @@ NEAREST: Final = 12
 class Coarse:
     """Result of the coarse level of a pair: pixels (n, 2) of a, t (n,), trend, and numbers for the report.
 
-    ``trend`` is None, and ``reason`` says why, if the images do not match.
+    ``trend`` is None if the images do not match, for the reason in ``reason``.
     """
 
     pixel: Array
@@ -52,12 +52,12 @@ class Coarse:
     reason: str = ""
 
     def width_px(self) -> float:
-        """Half width of the band at full resolution."""
+        """Return the half width of the band at full resolution."""
         assert self.trend is not None
         return max(WIDTH_PX, 4.0 * self.trend.scatter_px)
 
     def t_range(self, low: Array, high: Array) -> tuple[float, float]:
-        """Range of t for a block of a between two pixels: of the matches in and about it, with a margin."""
+        """Return the range of t for a block of a between two pixels, from matches in and around it, with a margin."""
         size = high - low
         near = np.all((self.pixel >= low - 0.5 * size) & (self.pixel <= high + 0.5 * size), axis=1)
         near = np.asarray(near)
@@ -69,28 +69,26 @@ class Coarse:
 
 
 def reduction(*rasters: Raster) -> int:
-    """Factor by which the largest image is reduced."""
+    """Return the factor by which the largest image is reduced."""
     return max(1, ceil(max(max(r.place.rows, r.place.columns) for r in rasters) / SIZE))
 
 
 def _reduced(raster: Raster, factor: int, rotation_deg: float) -> Features:
-    """Features of a reduced picture, in pixels of the scene."""
+    """Return the features of a reduced image, in pixels of the scene."""
     found = detect(raster.reduced(factor), rotation_deg)
     pixel = (found.pixel + 0.5) * factor - 0.5 + [raster.place.line, raster.place.sample]
     return found._replace(pixel=pixel, size=found.size * factor)
 
 
-def match_coarse(
-    raster_a: Raster, raster_b: Raster, pair: Pair, half_width_px: float, options: MatchOptions
-) -> Coarse:  # fmt: skip
-    """Match the reduced pictures of a pair.
+def match_coarse(raster_a: Raster, raster_b: Raster, pair: Pair, half_width_px: float, options: MatchOptions) -> Coarse:
+    """Match the reduced images of a pair.
 
     Parameters
     ----------
     raster_a, raster_b : Raster
     pair : Pair
     half_width_px : float
-        Three prior standard deviations of the y-parallax.
+        Half width of the band: three prior standard deviations of the y-parallax.
     options : MatchOptions
     """
     factor = reduction(raster_a, raster_b)
@@ -121,5 +119,6 @@ def match_coarse(
     kept = kept[fits_neighbours(pixel[kept], along[kept], RELIEF_PX * factor)]
     if len(kept) < 8:
         return Coarse(*none, None, len(found.a), f"only {len(kept)} matches agree")
-    return Coarse(pixel[kept], found.t[kept], float(np.median(curves.half_px[found.a[kept]])), factor, trend,
-                  len(found.a))  # fmt: skip
+    return Coarse(
+        pixel[kept], found.t[kept], float(np.median(curves.half_px[found.a[kept]])), factor, trend, len(found.a)
+    )

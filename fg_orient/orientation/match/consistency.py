@@ -1,7 +1,8 @@
-"""Which matches fit to their neighbours and to the orientation: local heights, y-parallaxes, and sigmas from them.
+"""Consistency of matches with their neighbours and with the orientation: local heights, y-parallaxes, and sigmas.
 
-A wrong match has a y-parallax that is uniform in the band, and a height that its neighbours do not have. The shift and
-the slow change of the y-parallax over an image (the error of the orientation) is a polynomial, estimated robustly.
+A wrong match has a y-parallax that is uniformly distributed in the band, and a height that differs from its neighbours.
+The shift and the slow change of the y-parallax over an image (the error of the orientation) form a polynomial, which is
+estimated robustly.
 """
 
 from __future__ import annotations
@@ -14,10 +15,10 @@ from scipy import spatial
 
 from factors.arrays import Array, Mask
 
-#: Neighbours of a match; farther than this many standard deviations of theirs it is wrong.
+#: Number of neighbours of a match; limit of its deviation in standard deviations of the neighbours.
 NEIGHBOURS: Final = 10
 LOCAL_LIMIT: Final = 4.0
-#: Standard deviation of a Gaussian in median absolute deviations.
+#: Factor from median absolute deviation to standard deviation of a Gaussian.
 MAD: Final = 1.4826
 #: Rounds and limit of the robust polynomial of the y-parallax.
 ROUNDS: Final = 8
@@ -25,16 +26,16 @@ LIMIT: Final = 4.0
 
 
 def fits_neighbours(pixel: Array, along_px: Array, floor_px: float) -> Mask:
-    """Test whether the parallax along the curve agrees with the neighbours' (median and MAD, and a floor).
+    """Test whether the parallax along the curve agrees with the neighbours (median and MAD, with a lower bound).
 
     Parameters
     ----------
     pixel : (n, 2) array
-        In image a.
+        Pixel in image a.
     along_px : (n,) array
         Position along the epipolar curve, px.
     floor_px : float
-        Smallest standard deviation: relief between neighbours.
+        Least standard deviation: relief between neighbours.
     """
     n = len(pixel)
     if n < 4:
@@ -44,7 +45,7 @@ def fits_neighbours(pixel: Array, along_px: Array, floor_px: float) -> Mask:
     around = along_px[nearest[:, 1:]]
     middle = np.median(around, axis=1)
     spread = MAD * np.median(np.abs(around - middle[:, None]), axis=1)
-    # where the ground rises steadily the deviations of neighbours grow with their distance
+    # on steadily rising ground the deviations of neighbours grow with their distance
     return np.asarray(np.abs(along_px - middle) <= LOCAL_LIMIT * np.hypot(spread, floor_px))
 
 
@@ -57,7 +58,7 @@ class Trend:
     origin, scale : (2,) arrays
         Normalisation of (line, sample).
     coefficients : (k,) array
-        Of 1, l, s, and, with k = 6, l l, l s, s s.
+        Coefficients of 1, l, s, and, with k = 6, l l, l s, s s.
     scatter_px : float
         Robust standard deviation of the residuals.
     """
@@ -68,7 +69,7 @@ class Trend:
     scatter_px: float
 
     def at(self, pixel: Array) -> Array:
-        """Y-parallaxes (n,) at pixels (n, 2) of image a."""
+        """Return the y-parallaxes (n,) at pixels (n, 2) of image a."""
         return np.asarray(_terms((pixel - self.origin) / self.scale, len(self.coefficients)) @ self.coefficients)
 
 
@@ -81,7 +82,7 @@ def _terms(x: Array, count: int) -> Array:
 def trend_of(pixel: Array, parallax_px: Array, half_width_px: float) -> Trend | None:
     """Fit a robust polynomial to y-parallaxes.
 
-    The mode of their histogram is followed by least squares within 4 robust standard deviations.
+    Start at the mode of their histogram; then use least squares within 4 robust standard deviations.
 
     Parameters
     ----------
@@ -95,7 +96,7 @@ def trend_of(pixel: Array, parallax_px: Array, half_width_px: float) -> Trend | 
     Returns
     -------
     Trend or None
-        None with fewer than 12 matches, or if no more matches agree than a uniform distribution would give.
+        Trend; None with fewer than 12 matches, or if no more matches agree than a uniform distribution would give.
     """
     n = len(pixel)
     if n < 12:
@@ -142,12 +143,12 @@ class Calibration:
     n: int
 
     def variance(self, formal: Array) -> Array:
-        """Variances px^2 from the variances of least-squares matching."""
+        """Return the variances px^2 from the variances of least-squares matching."""
         return np.asarray(self.factor**2 * formal + self.floor_px**2)
 
 
 def calibrate(residual_px: Array, formal: Array) -> Calibration:
-    """Factor and floor from y-parallaxes without trend: maximum likelihood of two variance components.
+    """Estimate factor and floor from y-parallaxes without trend, by maximum likelihood of two variance components.
 
     Parameters
     ----------

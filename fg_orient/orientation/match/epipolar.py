@@ -1,8 +1,8 @@
-"""Where the sensor models expect a pixel of one image in another one: the epipolar curve and its band.
+"""Epipolar curve of a pixel in another image, with its band, from the sensor models.
 
-A pixel of image a and the heights of the ground give a short curve in image b, ``P(t) = c0 + c1 t + c2 t^2``, t = -1 at
-the lowest and 1 at the highest height. A candidate has two coordinates: t, which is a height, and its distance across
-the curve, the y-parallax. The prior sigmas of the orientation give the standard deviation of the distance.
+A pixel of image a and the heights of the ground define a short curve in image b, ``P(t) = c0 + c1 t + c2 t^2``, with t
+= -1 at the lowest and 1 at the highest height. A candidate has two coordinates: t, which is a height, and its distance
+across the curve, the y-parallax. The prior sigmas of the orientation give the standard deviation of the distance.
 """
 
 from __future__ import annotations
@@ -17,11 +17,12 @@ from fg_orient.geodesy import ecef_to_geodetic
 from fg_orient.model.block import Options
 from fg_orient.sensors.rpc_sensor import RpcSensor
 
-#: Heights below and above the mean height of a scene without a range of heights, m.
+#: Lowest and highest height, relative to the mean height, of a scene without a stated range of heights, m.
 BELOW_M, ABOVE_M = 1000.0, 3000.0
-#: Distance of pixels for derivatives.
+#: Distance of pixels for numerical derivatives.
 STEP_PX: Final = 8.0
-#: Shorter curves (pixels) have no defined direction: the images see the ground from the same side.
+#: Least length of a curve with a defined direction, pixels: on shorter curves the images see the ground from the same
+#: side.
 LEAST_CURVE_PX: Final = 1e-3
 
 
@@ -46,16 +47,16 @@ class Curves(NamedTuple):
     half_px: Array
 
     def at(self, t: Array) -> Array:
-        """Points (n, 2) at t (n,)."""
+        """Return the points (n, 2) at t (n,)."""
         t = np.asarray(t)[:, None]
         return self.c0 + t * (self.c1 + t * self.c2)
 
     def take(self, rows: Any) -> Curves:
-        """Curves of some pixels."""
+        """Return the curves of some pixels."""
         return Curves(*(part[rows] for part in self))
 
     def coordinates(self, points: Array) -> tuple[Array, Array]:
-        """T and y-parallax (px) of points (n, 2), one for each curve."""
+        """Return t and y-parallax (px) of points (n, 2), one for each curve."""
         t = np.einsum("ni,ni->n", points - self.c0, self.along) / self.half_px
         for _ in range(2):  # the curve is almost straight
             t = t - np.einsum("ni,ni->n", self.at(t) - points, self.along) / self.half_px
@@ -79,18 +80,21 @@ class Pair:
     high_m: float
 
     def ground(self, line: Array, sample: Array, height_m: Array | float) -> Array:
-        """Ground points (n, 3) ECEF m of pixels of a at heights; pixels beyond the model's edge are moved to it."""
+        """Locate pixels of a at heights: ground points (n, 3) ECEF m.
+
+        Pixels beyond the model's edge are moved to it.
+        """
         s = self.a
         line = np.clip(line, s.first_line - 0.5, s.last_line + 0.5)
         sample = np.clip(sample, s.first_sample - 0.5, s.last_sample + 0.5)
         return np.asarray(s.locate(line, sample, height_m=height_m))
 
     def project(self, line: Array, sample: Array, height_m: Array | float) -> Array:
-        """Pixels (n, 2) in b of pixels of a at heights."""
+        """Return the pixels (n, 2) in b of pixels of a at heights."""
         return np.stack(self.b.project(self.ground(line, sample, height_m)), axis=1)
 
     def curves(self, line: Array, sample: Array) -> Curves:
-        """Epipolar curves of n pixels of a."""
+        """Return the epipolar curves of n pixels of a."""
         middle = 0.5 * (self.low_m + self.high_m)
         low, centre, high = (self.project(line, sample, h) for h in (self.low_m, middle, self.high_m))
         c1, c2 = 0.5 * (high - low), 0.5 * (high + low) - centre
@@ -101,15 +105,15 @@ class Pair:
         return Curves(centre, c1, c2, along, across, np.maximum(half, LEAST_CURVE_PX))
 
     def height_m(self, t: Array) -> Array:
-        """Heights (n,) of t."""
+        """Return the heights (n,) for t."""
         return np.asarray(0.5 * (self.low_m + self.high_m) + 0.5 * (self.high_m - self.low_m) * t)
 
     def t_of(self, height_m: float) -> float:
-        """Parameter of a height."""
+        """Return the parameter of a height."""
         return (2.0 * height_m - self.low_m - self.high_m) / (self.high_m - self.low_m)
 
     def matrix(self, line: float, sample: float, height_m: float) -> Array:
-        """Derivatives (2, 2) of a pixel of b by the pixel of a, at one height."""
+        """Return the derivatives (2, 2) of a pixel of b by the pixel of a, at one height."""
         lines = np.array([line - STEP_PX, line + STEP_PX, line, line])
         samples = np.array([sample, sample, sample - STEP_PX, sample + STEP_PX])
         s = self.a
@@ -120,19 +124,19 @@ class Pair:
 
 
 def height_range(sensors: tuple[Any, ...], low_m: float | None, high_m: float | None) -> tuple[float, float]:
-    """Range of heights of the ground of all images.
+    """Return the range of heights of the ground of all images.
 
     Parameters
     ----------
     sensors : tuple of Sensor
     low_m, high_m : float or None
-        Given limits, m above the ellipsoid; None: the heights of the RPC, else a range about the mean height of the
-        scene.
+        Given limits, m above the ellipsoid; None: the heights of the RPC, otherwise a range about the mean height of
+        the scene.
 
     Returns
     -------
     low_m, high_m : float
-        Heights that all images have in common; if there are none, the range that contains all of them.
+        Heights that all images have in common, otherwise the range that contains the heights of all images.
     """
     lows, highs = [], []
     for sensor in sensors:
@@ -201,7 +205,7 @@ def parallax_sigma_px(pair: Pair, options: Options, line: float, sample: float) 
 
 
 def dem_range(dem: Any, pair: Pair, line: Array, sample: Array, sigma_m: float) -> tuple[float, float] | None:
-    """Range of the heights of a DEM at some pixels of a.
+    """Return the range of the heights of a DEM at some pixels of a.
 
     Parameters
     ----------
@@ -210,7 +214,7 @@ def dem_range(dem: Any, pair: Pair, line: Array, sample: Array, sigma_m: float) 
     line, sample : (n,) arrays
         Pixels of a, located at the lowest, mean and highest height of the DEM in the range of the pair.
     sigma_m : float
-        Standard deviation of the heights; the range is widened by three of them.
+        Standard deviation of the heights; the range is widened by three times this value.
 
     Returns
     -------
@@ -232,7 +236,7 @@ def dem_range(dem: Any, pair: Pair, line: Array, sample: Array, sigma_m: float) 
 
 
 def inside(points: Array, place: Any, border: float = 0.0) -> Mask:
-    """Test which pixels of a sensor are inside a raster.
+    """Return a test of which pixels of a sensor are inside a raster.
 
     Parameters
     ----------

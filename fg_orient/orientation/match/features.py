@@ -1,8 +1,8 @@
-"""Features of a window of an image, and candidates of the same feature in another window.
+"""Features of a window of an image, and candidates for the same feature in another window.
 
 Features are those of SIFT (Lowe 2004), by OpenCV. Descriptors are upright: the sensor models give the rotation between
-the images. A candidate lies in the band of the epipolar curve and has about the same size; it is taken if both features
-are each other's best one and clearly better than the second best.
+the images. A candidate lies in the band of the epipolar curve and has about the same size. It is used if both features
+are each other's best match and clearly better than the second best.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from fg_orient.orientation.match.epipolar import Curves
 
 #: Contrast of features: a quarter of OpenCV's default, for shadows and snow.
 CONTRAST: Final = 0.01
-#: Grey values between these parts of a window fill the 8 bits of the detector.
+#: Percentiles of the grey values of a window that are stretched to the 8 bits of the detector.
 STRETCH: Final = (0.5, 99.5)
-#: Features nearer than this, px, are one; a second best candidate is farther away.
+#: Distance, px, below which features count as one; a second best candidate must be farther away.
 SAME_PX: Final = 0.5
 SECOND_PX: Final = 3.0
 #: Largest difference of the sizes of two features, octaves.
 OCTAVES: Final = 0.8
-#: Features of a window: the strongest ones.
+#: Maximum number of features of a window; the strongest are kept.
 MOST: Final = 6000
-#: Pairs of features in memory at once.
+#: Number of pairs of features in memory at the same time.
 AT_ONCE: Final = 2_000_000
 
 
@@ -38,7 +38,7 @@ class Features(NamedTuple):
     Parameters
     ----------
     pixel : (n, 2) array
-        Line and sample from the window's first pixel.
+        Line and sample relative to the window's first pixel.
     size, response : (n,) arrays
         Diameter, px, and strength.
     descriptor : (n, d) array
@@ -51,7 +51,7 @@ class Features(NamedTuple):
     descriptor: Any
 
     def take(self, rows: Any) -> Features:
-        """Some of the features."""
+        """Return some of the features."""
         return Features(*(part[rows] for part in self))
 
 
@@ -83,16 +83,16 @@ def cv2_of() -> Any:
 
 
 def detect(grey: Grey, rotation_deg: float = 0.0, chosen: Callable[[Array, Array], Index] | None = None) -> Features:
-    """Features of a window.
+    """Return the features of a window.
 
     Parameters
     ----------
     grey : (P, Q) float array
-        nan: nodata.
+        Grey values; nan: nodata.
     rotation_deg : float
         Direction of the descriptors, from the sample axis to the line axis.
     chosen : callable, optional
-        Gives the rows of the features that are wanted, from their pixels (n, 2) and responses (n,).
+        Function that returns the rows of the requested features, from their pixels (n, 2) and responses (n,).
     """
     cv2 = cv2_of()
     valid = np.isfinite(grey)
@@ -120,12 +120,12 @@ def detect(grey: Grey, rotation_deg: float = 0.0, chosen: Callable[[Array, Array
 
 
 def _places(points: Sequence[Any]) -> tuple[Array, Array]:
-    """Pixels (n, 2) and responses (n,)."""
+    """Return the pixels (n, 2) and responses (n,)."""
     return np.array([(p.pt[1], p.pt[0]) for p in points]), np.array([p.response for p in points])
 
 
 def _distinct(points: list[Any]) -> list[Any]:
-    """One feature at each place (SIFT repeats a place for each orientation), the strongest ``MOST``, by strength."""
+    """Keep one feature at each position (SIFT repeats a position for each orientation), the strongest ``MOST``."""
     kept: dict[tuple[int, int], Any] = {}
     for point in sorted(points, key=lambda p: (-p.response, p.pt)):
         kept.setdefault((round(point.pt[0] / SAME_PX), round(point.pt[1] / SAME_PX)), point)
@@ -133,21 +133,27 @@ def _distinct(points: list[Any]) -> list[Any]:
 
 
 def _unit(descriptors: Any) -> Any:
-    """Roots of the parts of a descriptor: its length is 1 (Arandjelovic & Zisserman 2012)."""
+    """Return the roots of the parts of a descriptor: its length is 1 (Arandjelovic & Zisserman 2012)."""
     return np.asarray(np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-6)), np.float32)
 
 
 def candidates(
-    a: Features, b: Features, curves: Curves, t_range: tuple[Array, Array], band: tuple[Array, float], ratio: float,
-    scale: float, margin_px: float,
-) -> Candidates:  # fmt: skip
+    a: Features,
+    b: Features,
+    curves: Curves,
+    t_range: tuple[Array, Array],
+    band: tuple[Array, float],
+    ratio: float,
+    scale: float,
+    margin_px: float,
+) -> Candidates:
     """Find candidates for the features of a among the features of b.
 
     Parameters
     ----------
     a, b : Features
     curves : Curves
-        Of the features of a, in the pixels of the features of b.
+        Curves of the features of a, in the pixels of the features of b.
     t_range : two (n,) arrays
         Smallest and largest t.
     band : (n,) array, float
@@ -167,7 +173,7 @@ def candidates(
     best_of_b, index_of_b = np.full(m, np.inf), np.full(m, -1)
     size_a, size_b = np.log2(a.size * scale), np.log2(b.size)
     slack = margin_px / curves.half_px
-    order = np.argsort(b.pixel[:, 0])  # lines of b are sorted: only those that a curve can meet are compared
+    order = np.argsort(b.pixel[:, 0])  # lines of b are sorted, so only features that a curve can meet are compared
     lines = b.pixel[order, 0]
     ends = np.stack([curves.at(t_range[0] - slack)[:, 0], curves.at(t_range[1] + slack)[:, 0]])
     reach = np.abs(band[0]) + band[1] + 1.0
@@ -202,5 +208,5 @@ def candidates(
     return Candidates(rows, index[rows], t, parallax)
 
 
-#: Squared distance of two descriptors that are not of the same feature, where there is no second best.
+#: Squared distance of two descriptors above which they belong to different features, if there is no second best.
 WORST: Final = 0.6

@@ -1,4 +1,4 @@
-"""From a project with images to its tie points: pairs, coarse level, cells, tests, tables and report."""
+"""Measurement of tie points in the images of a project: pairs, coarse level, cells, tests, tables and report."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from fg_orient.sensors.dem import RasterDem, range_below
 CONTENTS: Final = Contents("match.json", ("match.json", "report.html"))
 #: Least common part of the first image of a pair.
 OVERLAP: Final = 0.01
-#: Points along each side of an image that are looked for in another one.
+#: Number of points along each side of an image that are searched in another image.
 SIDE: Final = 9
 
 
@@ -75,9 +75,10 @@ def match_project(
     resume : bool
         Continue a run that was interrupted.
     control : path, optional
-        Points of known position to measure by chips (:func:`fg_orient.orientation.match.chips.read_control`).
+        Table or vector file of points of known position to measure by chips
+        (:func:`fg_orient.orientation.match.chips.read_control`).
     progress : callable, optional
-        Called with the number of finished tasks, the number of all tasks, and a text.
+        Function that receives the number of finished tasks, the number of all tasks, and a text.
     command : sequence of str
         Words of the command line, for the record.
     warn : callable, optional
@@ -134,7 +135,7 @@ def match_project(
 
 
 def _places(path: Path, read: ProjectImages) -> tuple[Place, ...]:
-    """Rasters of the images; all faults in one error."""
+    """Return the rasters of the images; all input errors are raised as one error."""
     if len(read.images) < 2:
         raise InputError.of("match.one_image", file=path, place="images", value=len(read.images))
     faults, places = [], []
@@ -157,7 +158,7 @@ def _places(path: Path, read: ProjectImages) -> tuple[Place, ...]:
 
 
 def _coordinates(known: Control, read: ProjectImages, path: Path) -> Array:
-    """Coordinates of control points in the CRS of the project's table of points."""
+    """Return the coordinates of control points in the CRS of the project's table of points."""
     level = ZeroLevel.of(read.points, path.parent)
     return coordinates_in(known, "heights above a geoid" if level else read.points.crs or NEW_POINTS["crs"], path)
 
@@ -165,7 +166,7 @@ def _coordinates(known: Control, read: ProjectImages, path: Path) -> Array:
 def _control_rows(
     known: Control, setup: Setup, path: Path, read: ProjectImages, results: list[PairResult]
 ) -> tuple[ControlRows, list[Finding]]:
-    """Measure control points; their noise has the median factor of the pairs, as they show no y-parallax."""
+    """Measure control points; their noise has the median factor of the pairs, because they have no y-parallax."""
     work = work_of(setup)
     marks, findings = measure(known, work.images, work.rasters, work.options, setup.options)
     factor = float(np.median([r.record["sigma_factor"] for r in results]))
@@ -180,7 +181,7 @@ def _control_rows(
 
 
 def _heights(read: ProjectImages, options: MatchOptions, dem: RasterDem | None) -> tuple[float, float]:
-    """Lowest and highest height of the ground: given, of the DEM, or of the sensor models."""
+    """Return the lowest and highest height of the ground: given, from the DEM, or from the sensor models."""
     low, high = options.lowest_m, options.highest_m
     if dem is not None:
         sensors = [image.sensor for image in read.images]
@@ -195,13 +196,17 @@ def _heights(read: ProjectImages, options: MatchOptions, dem: RasterDem | None) 
             low, high = lowest - margin if low is None else low, highest + margin if high is None else high
     low, high = height_range(tuple(i.sensor for i in read.images), low, high)
     if not low < high:
-        raise InputError.of("options.value", option="lowest_m, highest_m", value=f"{low:g}, {high:g}",
-                            expected="a lowest height below the highest one")  # fmt: skip
+        raise InputError.of(
+            "options.value",
+            option="lowest_m, highest_m",
+            value=f"{low:g}, {high:g}",
+            expected="a lowest height below the highest one",
+        )
     return low, high
 
 
 def overlapping(read: ProjectImages, places: tuple[Place, ...], low_m: float, high_m: float) -> list[tuple[int, int]]:
-    """Pairs of images with common ground at some height of the range."""
+    """Return the pairs of images with common ground at some height of the range."""
     boxes, pixels = [], []
     for image, place in zip(read.images, places, strict=True):
         s = image.sensor
@@ -225,10 +230,14 @@ def overlapping(read: ProjectImages, places: tuple[Place, ...], low_m: float, hi
 
 
 def _match_cells(
-    pool: Any, store: kept.Store, setup: Setup, pairs: list[tuple[int, int]], coarse: list[Coarse],
+    pool: Any,
+    store: kept.Store,
+    setup: Setup,
+    pairs: list[tuple[int, int]],
+    coarse: list[Coarse],
     progress: Progress | None,
-) -> dict[tuple[int, int], tuple[Matches, Counts]]:  # fmt: skip
-    """Matches of all pairs that the coarse level connects."""
+) -> dict[tuple[int, int], tuple[Matches, Counts]]:
+    """Return the matches of all pairs that the coarse level connects."""
     arguments = []
     for a in sorted({a for a, _ in pairs}):
         others = tuple(
@@ -247,10 +256,13 @@ def _match_cells(
 
 
 def _accepted(
-    read: ProjectImages, setup: Setup, pairs: list[tuple[int, int]], coarse: list[tuple[Coarse, float]],
+    read: ProjectImages,
+    setup: Setup,
+    pairs: list[tuple[int, int]],
+    coarse: list[tuple[Coarse, float]],
     found: dict[tuple[int, int], tuple[Matches, Counts]],
-) -> tuple[list[PairResult], list[tuple[str, str, str]]]:  # fmt: skip
-    """Results of the pairs, and the pairs without result with the reason."""
+) -> tuple[list[PairResult], list[tuple[str, str, str]]]:
+    """Return the results of the pairs, and the pairs without result, with the reason."""
     results, failed = [], []
     for (a, b), (level, sigma) in zip(pairs, coarse, strict=True):
         names = read.images[a].id, read.images[b].id

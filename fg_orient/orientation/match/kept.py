@@ -1,7 +1,7 @@
-"""Finished tasks on the disk, so that an interrupted run continues.
+"""Finished tasks stored on disk, so that an interrupted run can continue.
 
 Each finished task is one file of arrays in a hidden folder beside the project file. The folder belongs to a run with
-the same project file, rasters (size and time), options and version; another run does not take its files.
+the same project file, rasters (size and time), options and version. Other runs do not use its files.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Store:
     project : Path
     setup : Setup
     resume : bool
-        Take the results of an interrupted run; otherwise they are removed.
+        Use the results of an interrupted run; otherwise they are removed.
     """
 
     def __init__(self, project: Path, setup: Setup, *, resume: bool) -> None:
@@ -51,10 +51,14 @@ class Store:
             self.remove()
 
     def each(
-        self, pool: Pool, task: Callable[..., Any], arguments: list[tuple[Any, ...]], name: str,
+        self,
+        pool: Pool,
+        task: Callable[..., Any],
+        arguments: list[tuple[Any, ...]],
+        name: str,
         progress: Progress | None,
-    ) -> list[Any]:  # fmt: skip
-        """Results of a task in the order of its arguments; finished ones are read."""
+    ) -> list[Any]:
+        """Return the results of a task in the order of its arguments; finished results are read from files."""
         pack, unpack = (_coarse_arrays, _coarse) if task is coarse_task else (_cell_arrays, _cell)
         files = [self._folder / f"{name}-{k:06d}.npz" for k in range(len(arguments))]
         found: dict[int, Any] = {}
@@ -85,7 +89,7 @@ class Store:
 
 
 def _read(file: Path) -> Arrays | None:
-    """Arrays of a file; None if it is missing or damaged: its task is then done again."""
+    """Return the arrays of a file; None if it is missing or damaged, so that its task is run again."""
     try:
         with np.load(io.BytesIO(file.read_bytes()), allow_pickle=False) as content:
             return dict(content)
@@ -95,8 +99,15 @@ def _read(file: Path) -> Arrays | None:
 
 def _coarse_arrays(result: tuple[Coarse, float]) -> Arrays:
     coarse, sigma = result
-    out: Arrays = {"pixel": coarse.pixel, "t": coarse.t, "half_px": coarse.half_px, "factor": coarse.factor,
-                   "candidates": coarse.candidates, "reason": np.array(coarse.reason), "sigma": sigma}  # fmt: skip
+    out: Arrays = {
+        "pixel": coarse.pixel,
+        "t": coarse.t,
+        "half_px": coarse.half_px,
+        "factor": coarse.factor,
+        "candidates": coarse.candidates,
+        "reason": np.array(coarse.reason),
+        "sigma": sigma,
+    }
     if coarse.trend is not None:
         out |= {f"trend_{name}": getattr(coarse.trend, name) for name in Trend.__dataclass_fields__}
     return out
@@ -107,8 +118,15 @@ def _coarse(arrays: Arrays) -> tuple[Coarse, float]:
     if "trend_origin" in arrays:
         origin, scale, coefficients = (arrays[f"trend_{name}"] for name in ("origin", "scale", "coefficients"))
         trend = Trend(origin, scale, coefficients, float(arrays["trend_scatter_px"]))
-    return Coarse(arrays["pixel"], arrays["t"], float(arrays["half_px"]), int(arrays["factor"]), trend,
-                  int(arrays["candidates"]), str(arrays["reason"])), float(arrays["sigma"])  # fmt: skip
+    return Coarse(
+        arrays["pixel"],
+        arrays["t"],
+        float(arrays["half_px"]),
+        int(arrays["factor"]),
+        trend,
+        int(arrays["candidates"]),
+        str(arrays["reason"]),
+    ), float(arrays["sigma"])
 
 
 def _cell_arrays(result: list[tuple[Matches, Counts]]) -> Arrays:
@@ -119,5 +137,7 @@ def _cell_arrays(result: list[tuple[Matches, Counts]]) -> Arrays:
 
 
 def _cell(arrays: Arrays) -> list[tuple[Matches, Counts]]:
-    return [(Matches(*(arrays[f"{name}_{k}"] for name in NAMES)), Counts(*arrays[f"counts_{k}"].tolist()))
-            for k in range(int(arrays["n"]))]  # fmt: skip
+    return [
+        (Matches(*(arrays[f"{name}_{k}"] for name in NAMES)), Counts(*arrays[f"counts_{k}"].tolist()))
+        for k in range(int(arrays["n"]))
+    ]

@@ -18,7 +18,7 @@ POINTS: Final = Group("Points")
 @documented
 @dataclass(frozen=True)
 class MatchOptions(Checked):
-    """Choices of matching; the prior sigmas of the orientation come from the project."""
+    """Options of matching; the prior sigmas of the orientation come from the project."""
 
     lowest_m: float | None = option(
         None, SEARCH, "Lowest ellipsoidal height of the ground.", within=(-12000.0, 10000.0), unit="m",

@@ -1,4 +1,4 @@
-"""Tie points in the tables of a project, and the tables in its project file; other content of the files is kept."""
+"""Tie points in the tables of a project, and these tables in its project file; other content of the files is kept."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
 from fg_orient.orientation.match.tracks import TiePoints
 
-#: Table of points of a project that had none.
+#: Table of points for a project without a table.
 NEW_POINTS: Final = {"file": "points.csv", "crs": "EPSG:4979"}
 #: Ids of matched points: this prefix and a number.
 PREFIX: Final = "match-"
@@ -30,13 +30,13 @@ _OWN_ID: Final = re.compile(rf'"?({PREFIX}\d+|{CHIP}.+)"?$')
 
 
 def ids_of(n: int) -> list[str]:
-    """Ids of n points."""
+    """Return the ids of n points."""
     width = max(6, len(str(n)))
     return [f"{PREFIX}{k + 1:0{width}d}" for k in range(n)]
 
 
 class ControlRows(NamedTuple):
-    """Control points measured by chips: ids, coordinates (n, 3) in the project's CRS, sigmas (n, 3) m; their marks."""
+    """Control points measured by chips: ids, coordinates (n, 3) in project's CRS, sigmas (n, 3) m, and their marks."""
 
     ids: list[str]
     coordinates: Array
@@ -48,13 +48,13 @@ class ControlRows(NamedTuple):
 
 
 def require_tables(path: Path, project: ProjectImages, *, overwrite: bool) -> None:
-    """Refuse tables that tie points cannot be added to; call it before matching.
+    """Refuse tables to which tie points cannot be added; call it before matching.
 
     Raises
     ------
     InputError
-        A file that is not a table with ids, a table of another format or of binary form, or one with matched points,
-        which only ``overwrite`` replaces.
+        A file is not a table with ids, has another format or a binary form, or contains matched points, which only
+        ``overwrite`` replaces.
     """
     for name, entry in (("points", project.points), ("observations", project.observations)):
         if entry.file is None:
@@ -67,7 +67,7 @@ def require_tables(path: Path, project: ProjectImages, *, overwrite: bool) -> No
 
 
 def write_tables(path: Path, project: ProjectImages, ties: TiePoints, control: ControlRows | None = None) -> list[str]:
-    """Write points to the tables of a project, in place of those of an earlier run; returns the files."""
+    """Write points to the tables of a project and replace the points of an earlier run; return the files."""
     folder, names = path.parent, ids_of(ties.n_points)
     observations, images = folder / project.observations.file, [entry.id for entry in project.entries]
     of_image, of_point = [images[k] for k in ties.image.tolist()], [names[k] for k in ties.point.tolist()]
@@ -79,7 +79,7 @@ def write_tables(path: Path, project: ProjectImages, ties: TiePoints, control: C
         pixel, sigma = np.vstack([pixel, control.pixel]), np.vstack([sigma, control.sigma_px])
     written, entries_ = [observations], list[str]()
     if project.points.file is not None or added:
-        # a project without a table of points has tie points alone: its control points need one, with all ids
+        # a project without a table of points has only tie points: its control points need a table with all ids
         others = _ids(observations) if project.points.file is None else []
         points = folder / (project.points.file or NEW_POINTS["file"])
         _write_points(points, project.points.crs or NEW_POINTS["crs"], [*others, *names], added, control)
@@ -98,9 +98,7 @@ def write_tables(path: Path, project: ProjectImages, ties: TiePoints, control: C
     return [str(file) for file in written]
 
 
-def _write_points(
-    file: Path, crs: str, ties: list[str], added: list[str], control: ControlRows | None
-) -> None:  # fmt: skip
+def _write_points(file: Path, crs: str, ties: list[str], added: list[str], control: ControlRows | None) -> None:
     """Write tie points and control points to a table of points."""
     kind, names = crs_kind(crs), [*ties, *added]
     roles = [Role.TIE] * len(ties) + [Role.CONTROL] * len(added)
@@ -117,7 +115,7 @@ def _write_points(
 
 
 def _ids(observations: Path) -> list[str]:
-    """Ids of the points in a table of image points, matched ones left out."""
+    """Return the ids of the points in a table of image points, without matched points."""
     if not observations.exists():
         return []
     table = require_table(observations, [COLUMNS])
@@ -132,18 +130,18 @@ def _lines(file: Path) -> list[str]:
 
 
 def _matched(line: str) -> bool:
-    """Whether a record belongs to a matched point: its id is in the first or the second cell."""
+    """Return whether a record belongs to a matched point: its id is in the first or the second cell."""
     return any(_OWN_ID.match(cell.strip()) for cell in line.split(",")[:2])
 
 
 def _header(lines: list[str]) -> list[str]:
-    """Names of the columns of a CSV table; none of an empty file."""
+    """Return the names of the columns of a CSV table; no names for an empty file."""
     header = next((line for line in lines if line.strip() and not line.startswith("#")), "")
     return [cell.strip().strip('"') for cell in header.split(",")]
 
 
 def _append(file: Path, columns: dict[str, list[str]]) -> None:
-    """Add records to a CSV table in the order of its columns; records of matched points are replaced."""
+    """Append records to a CSV table in the order of its columns; they replace records of matched points."""
     lines = [line for line in _lines(file) if not _matched(line)]
     while lines and not lines[-1].strip():
         del lines[-1]

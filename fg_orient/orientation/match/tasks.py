@@ -1,6 +1,6 @@
-"""Tasks of matching that run in this process or in others: pairs on the coarse level, and cells at full resolution.
+"""Tasks of matching for this or other processes: pairs on the coarse level, and cells at full resolution.
 
-A process reads the project and opens the rasters once. A task returns arrays only.
+A process reads the project and opens the rasters once. A task returns only arrays.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from fg_orient.orientation.match.options import MatchOptions
 #: Largest edge of a window at full resolution, and least edge of a task, px.
 LARGEST: Final = 400
 LEAST: Final = 256
-#: Matches of a cell for each point that is wanted: some fail the tests of the whole pair.
+#: Ratio of matches of a cell to requested points: some matches fail the tests of the whole pair.
 SURPLUS: Final = 1.3
-#: Prior standard deviations within which the y-parallax is searched.
+#: Number of prior standard deviations within which the y-parallax is searched.
 PRIOR_SIGMAS: Final = 3.0
 
 
 @dataclass(frozen=True)
 class Setup:
-    """Data that all tasks of a run have in common; each process reads them again.
+    """Data common to all tasks of a run; each process reads them again.
 
     Parameters
     ----------
@@ -44,9 +44,9 @@ class Setup:
         Heights of the ground.
     options : MatchOptions
     extrapolate_attitude_s : float or None
-        Option of reading.
+        Option for reading the metadata.
     dem, vertical_crs : str
-        File of a DEM, "" for none.
+        File of a DEM, "" without DEM; its vertical CRS.
     """
 
     project: str
@@ -74,54 +74,59 @@ class Work:
             self.dem = RasterDem(setup.dem, vertical_crs=setup.vertical_crs)
 
     def pair(self, a: int, b: int) -> Pair:
-        """Pair of two images."""
+        """Return the pair of two images."""
         return Pair(self.images[a].sensor, self.images[b].sensor, self.setup.low_m, self.setup.high_m)
 
 
 @lru_cache(maxsize=1)
 def work_of(setup: Setup) -> Work:
-    """Sensors and rasters of a run; made once in a process."""
+    """Return the sensors and rasters of a run, which are made once in a process."""
     return Work(setup)
 
 
 def coarse_task(setup: Setup, a: int, b: int) -> tuple[Coarse, float]:
-    """Coarse level of a pair, and the prior standard deviation of its y-parallax."""
+    """Return the coarse level of a pair, and the prior standard deviation of its y-parallax."""
     work, pair, place = work_of(setup), work_of(setup).pair(a, b), setup.places[a]
     sigma = parallax_sigma_px(pair, work.options, *place.centre)
     return match_coarse(work.rasters[a], work.rasters[b], pair, PRIOR_SIGMAS * sigma, setup.options), sigma
 
 
 def cell_windows(place: Place, cells: int) -> list[Window]:
-    """Windows of the tasks of an image: cells, or several small cells together."""
+    """Return the windows of the tasks of an image: cells, or several small cells together."""
     edges = []
     for size in (place.rows, place.columns):
         count = min(cells, max(1, size // LEAST))
         edges.append(np.linspace(0, size, count + 1).astype(int).tolist())
     rows, columns = edges
-    return [Window(r, c, r_end - r, c_end - c)
-            for (r, r_end), (c, c_end) in product(pairwise(rows), pairwise(columns))]  # fmt: skip
+    return [Window(r, c, r_end - r, c_end - c) for (r, r_end), (c, c_end) in product(pairwise(rows), pairwise(columns))]
 
 
 def parts_of(window: Window) -> list[Window]:
-    """Parts of a window that are matched one after the other, in an order that spreads them over the window."""
-    rows, columns = (pairwise(np.linspace(0, size, ceil(size / LARGEST) + 1).astype(int).tolist())
-                     for size in (window.rows, window.columns))  # fmt: skip
-    parts = [Window(window.row + r, window.column + c, r_end - r, c_end - c)
-             for (r, r_end), (c, c_end) in product(rows, columns)]  # fmt: skip
+    """Return parts of a window that are matched one after the other, in an order that spreads them over the window."""
+    rows, columns = (
+        pairwise(np.linspace(0, size, ceil(size / LARGEST) + 1).astype(int).tolist())
+        for size in (window.rows, window.columns)
+    )
+    parts = [
+        Window(window.row + r, window.column + c, r_end - r, c_end - c)
+        for (r, r_end), (c, c_end) in product(rows, columns)
+    ]
     return [parts[k] for k in np.random.default_rng(len(parts)).permutation(len(parts))]
 
 
 def cell_task(
     setup: Setup, a: int, window: Window, others: tuple[tuple[int, Coarse], ...]
-) -> list[tuple[Matches, Counts]]:  # fmt: skip
-    """Match a cell of image a with others, part by part, until there are enough matches with each of them."""
+) -> list[tuple[Matches, Counts]]:
+    """Match a cell of image a with other images, part by part, until there are enough matches with each of them."""
     work, place = work_of(setup), setup.places[a]
     cell = max(place.rows * place.columns / setup.options.cells**2, 1.0)
     wanted = SURPLUS * setup.options.points_per_cell * max(window.rows * window.columns / cell, 1.0)
     first = np.array([place.line + window.row, place.sample + window.column])
     last = first + np.array([window.rows - 1, window.columns - 1])
-    pairs = [(work.pair(a, b), work.rasters[b], _expected(work, work.pair(a, b), coarse, first, last))
-             for b, coarse in others]  # fmt: skip
+    pairs = [
+        (work.pair(a, b), work.rasters[b], _expected(work, work.pair(a, b), coarse, first, last))
+        for b, coarse in others
+    ]
     found: list[list[Matches]] = [[] for _ in others]
     counts = [Counts() for _ in others]
     for part in parts_of(window):
@@ -137,7 +142,7 @@ def cell_task(
 
 
 def _expected(work: Work, pair: Pair, coarse: Coarse, first: Array, last: Array) -> Expected:
-    """Heights and y-parallaxes of a cell, from the coarse level and the DEM."""
+    """Return the heights and y-parallaxes of a cell, from the coarse level and the DEM."""
     assert coarse.trend is not None
     low, high = coarse.t_range(first, last)
     if work.dem is not None:

@@ -1,4 +1,4 @@
-"""Matches of all blocks and pairs together: tests of pairs, sigmas, an even distribution, points with all rays."""
+"""Matches of all blocks and pairs together: tests of pairs, sigmas, even distribution, points with all their rays."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from fg_orient.orientation.match.coarse import Coarse
 from fg_orient.orientation.match.consistency import Calibration, calibrate, fits_neighbours, trend_of
 from fg_orient.orientation.match.options import MatchOptions
 
-#: Largest y-parallax, in its calibrated standard deviations.
+#: Limit of a y-parallax, in its calibrated standard deviations.
 LIMIT: Final = 4.0
-#: Least standard deviation of an image coordinate, px: no system of image processing is better.
+#: Least standard deviation of an image coordinate, px: no measurement in images is more accurate.
 LEAST_SIGMA_PX: Final = 0.01
 #: Relief between neighbours after least-squares matching, px along the curve.
 RELIEF_PX: Final = 1.0
-#: Fewest matches of a pair.
+#: Least number of matches of a pair.
 FEWEST: Final = 20
 
 
@@ -53,16 +53,16 @@ class PairResult:
 
 
 def variance_across(matches: Matches) -> Array:
-    """Variances (n,) of the y-parallaxes by least-squares matching, px^2."""
+    """Return the variances (n,) of the y-parallaxes by least-squares matching, px^2."""
     across = np.stack([-matches.direction[:, 1], matches.direction[:, 0]], axis=1)
     return variance_along(matches.covariance, across)
 
 
 def relief_variance(matches: Matches, factor: float) -> float:
-    """Variance px^2 along the curves by relief inside the windows: of the differences to the wider windows.
+    """Estimate the variance px^2 along the curves caused by relief in the windows, from differences to wider windows.
 
-    The noise of a difference has the variance of the narrow minus that of the wide window, as that of any estimate
-    minus a more efficient one (Hausman 1978).
+    The noise of a difference has the variance of the narrow window minus the variance of the wide window, as for any
+    estimate minus a more efficient estimate (Hausman 1978).
 
     Parameters
     ----------
@@ -82,9 +82,15 @@ def relief_variance(matches: Matches, factor: float) -> float:
 
 
 def accept(
-    a: int, b: int, matches: Matches, counts: Counts, coarse: Coarse, prior_sigma_px: float, matrix: Array,
+    a: int,
+    b: int,
+    matches: Matches,
+    counts: Counts,
+    coarse: Coarse,
+    prior_sigma_px: float,
+    matrix: Array,
     options: MatchOptions,
-) -> PairResult | None:  # fmt: skip
+) -> PairResult | None:
     """Test the matches of a pair together; None if too few remain.
 
     Parameters
@@ -100,7 +106,7 @@ def accept(
         Derivatives of a pixel of b by the pixel of a.
     options : MatchOptions
     """
-    # two features beside the border of two blocks may be rounded to the same pixel
+    # features near the common border of two blocks may be rounded to the same pixel
     matches = matches.take(np.sort(np.unique(matches.pixel_a, axis=0, return_index=True)[1]))
     width = coarse.width_px()
     if len(matches.t) < FEWEST:
@@ -123,42 +129,62 @@ def accept(
     relief = relief_variance(kept, calibration.factor)
     ll, ls, ss = kept.covariance.T
     noise = calibration.factor**2 * np.array([[ll, ls], [ls, ss]]) + calibration.floor_px**2 * np.eye(2)[:, :, None]
-    # one half of the variance of the difference of two images belongs to each of them
+    # each of two images gets one half of the variance of their difference
     full = 0.5 * (noise + relief * np.einsum("ni,nj->ijn", kept.direction, kept.direction))
     back = np.linalg.inv(matrix)
     in_a = np.einsum("ij,jkn,ik->ni", back, full, back)
     variance = np.stack([full[0, 0], full[1, 1]], axis=1)
     record = _record(matches, residual, sigma, local, within, coarse, calibration, relief, counts, prior_sigma_px, good)
     least = LEAST_SIGMA_PX**2
-    return PairResult(a, b, kept, np.maximum(variance, least), np.maximum(in_a, least), residual[good],
-                      sigma_y**2, record)  # fmt: skip
+    return PairResult(
+        a, b, kept, np.maximum(variance, least), np.maximum(in_a, least), residual[good], sigma_y**2, record
+    )
 
 
 def _record(
-    matches: Matches, residual: Array, sigma: Array, local: Mask, within: Mask, coarse: Coarse,
-    calibration: Calibration, relief: float, counts: Counts, prior_sigma_px: float, good: Index,
-) -> dict[str, Any]:  # fmt: skip
-    """Numbers of a pair; wrong matches are predicted by those that lie in the band, but beyond the limit."""
+    matches: Matches,
+    residual: Array,
+    sigma: Array,
+    local: Mask,
+    within: Mask,
+    coarse: Coarse,
+    calibration: Calibration,
+    relief: float,
+    counts: Counts,
+    prior_sigma_px: float,
+    good: Index,
+) -> dict[str, Any]:
+    """Return the numbers of a pair; wrong matches are predicted from the matches in the band beyond the limit."""
     raw, width = matches.parallax_px[good], coarse.width_px()
     limit = LIMIT * sigma
     outside = int((local & ~within & (np.abs(residual) <= width)).sum())
     share = float(np.mean(np.minimum(limit / np.maximum(width - limit, 1e-6), 1.0)))
     return {
-        "candidates_coarse": coarse.candidates, "matches_coarse": len(coarse.t), "reduction": coarse.factor,
-        "band_prior_px": 3.0 * prior_sigma_px, "band_px": width,
+        "candidates_coarse": coarse.candidates,
+        "matches_coarse": len(coarse.t),
+        "reduction": coarse.factor,
+        "band_prior_px": 3.0 * prior_sigma_px,
+        "band_px": width,
         "y_parallax_prior_sigma_px": prior_sigma_px,
-        "y_parallax_before_mean_px": float(raw.mean()), "y_parallax_before_rms_px": _rms(raw),
+        "y_parallax_before_mean_px": float(raw.mean()),
+        "y_parallax_before_rms_px": _rms(raw),
         "y_parallax_after_rms_px": _rms(residual[good]),
-        "candidates": counts.candidates, "fit_neighbours": counts.neighbours, "least_squares": counts.fitted,
-        "backward": counts.backward, "local_heights": int(local.sum()), "accepted": len(good),
-        "beyond_limit": outside, "predicted_wrong": outside * share,
+        "candidates": counts.candidates,
+        "fit_neighbours": counts.neighbours,
+        "least_squares": counts.fitted,
+        "backward": counts.backward,
+        "local_heights": int(local.sum()),
+        "accepted": len(good),
+        "beyond_limit": outside,
+        "predicted_wrong": outside * share,
         "predicted_wrong_share": outside * share / max(len(good), 1),
-        "sigma_factor": calibration.factor, "sigma_floor_px": calibration.floor_px,
+        "sigma_factor": calibration.factor,
+        "sigma_floor_px": calibration.floor_px,
         "sigma_relief_px": relief**0.5,
         "sigma_formal_rms_px": calibration.formal_rms_px,
         "nees_y_parallax": float(np.mean((residual[good] / sigma[good]) ** 2)),
         "correlation_median": float(np.median(matches.correlation[good])),
-    }  # fmt: skip
+    }
 
 
 def _rms(values: Array) -> float:
@@ -191,9 +217,9 @@ class TiePoints(NamedTuple):
 
 
 def tie_points(results: list[PairResult], places: tuple[Place, ...], options: MatchOptions) -> TiePoints:
-    """Points of all pairs: the same pixel of a first image is one point in all images, evenly distributed.
+    """Join the points of all pairs: the same pixel of a first image is one point in all images, evenly distributed.
 
-    A cell of an image has at most ``points_per_cell`` points with each other image, those with most rays first.
+    A cell of an image has at most ``points_per_cell`` points with each other image; points with most rays come first.
 
     Parameters
     ----------
@@ -202,7 +228,7 @@ def tie_points(results: list[PairResult], places: tuple[Place, ...], options: Ma
     places : tuple of Place
         Position and size of the raster of each image.
     options : MatchOptions
-        Cells and points in each of them.
+        Options for cells and for points in each cell.
 
     Returns
     -------
@@ -239,7 +265,7 @@ def tie_points(results: list[PairResult], places: tuple[Place, ...], options: Ma
 def _chosen(
     keys: Array, row: Index, which: Index, n_pairs: int, strength: Array, place: Place, options: MatchOptions
 ) -> Index:
-    """Rows of the pixels that become points."""
+    """Return the rows of the pixels that become points."""
     rays = np.bincount(row, minlength=len(keys))
     best = np.zeros(len(keys))
     np.maximum.at(best, row, strength)
