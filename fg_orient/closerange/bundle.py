@@ -1,4 +1,4 @@
-"""Bundle of close range: self-calibration, observed unknowns, constraints, as a block of the common adjustment."""
+"""Close-range bundle as a block of the common adjustment: self-calibration, observed unknowns, constraints."""
 
 from __future__ import annotations
 
@@ -41,26 +41,27 @@ class BundlePhoto:
     interior : PhotoInterior
         Start values.
     rotation : (3, 3) array
-        Start: camera axes from ground axes.
+        Start rotation: camera axes from ground axes.
     centre_m : (3,) array
-        Start.
+        Start of the projection centre.
     unknown : tuple of str
-        Camera parameters of this photo alone (photo-variant): c, x0, y0, the names of
+        Camera parameters of this photo only (photo-variant): c, x0, y0, the names of
         ``factors.cameras.image_corrections``, a1 to a21 of ``factors.cameras.additional_parameters``, and the names of
         ``factors.cameras.image_variants``, relative to the radius of the camera's outermost image point.
-        ``closerange.photo`` has sets of them.
+        ``closerange.photo`` defines sets of them.
     camera : str
-        Photos of one camera have its ``shared`` unknowns in common.
+        Name of the camera; all its photos have the same ``shared`` unknowns.
     shared : tuple of str
         Unknown parameters of the camera (block-invariant), with start values of its first photo.
     observed : mapping
-        Observed camera parameters, value and sigma, by name; shared ones once per camera.
+        Observed camera parameters by name, with value and sigma; shared ones once per camera.
     sigma_centre_m : (3,) array, optional
-        The centre is observed: ``observed_centre_m``, by default the start.
+        Standard deviations if the centre is observed as ``observed_centre_m``, by default the start.
     sigma_turn_rad : (3,) array, optional
-        The start attitude is observed: rotations about the camera's axes X right, Y down, Z along the view.
+        Standard deviations if the start attitude is observed: rotations about the camera's axes X right, Y down, Z
+        along the view.
     held : bool
-        Rotation and centre are exact.
+        True if rotation and centre are exact.
     observed_centre_m : (3,) array, optional
         Observed centre, if it is not the start.
     """
@@ -104,29 +105,39 @@ class BundlePhoto:
 
     @property
     def key(self) -> str:
-        """Name of its camera, by default of the photo."""
+        """Name of the photo's camera, by default the name of the photo."""
         return self.camera or self.name
 
     def fault(self, place: str, value: object, expected: str) -> InputError:
-        """Error of the photo."""
+        """Return the error for this photo."""
         where = f"photo {self.name}, {place}"
         return InputError.of("closerange.bundle", place=where, value=value, expected=expected)
 
 
 def adjust_bundle(
-    photos: Sequence[BundlePhoto], ids: Sequence[str], start_m: npt.ArrayLike, photo: npt.ArrayLike,
-    point: npt.ArrayLike, image: npt.ArrayLike, *, sigma: npt.ArrayLike = 1.0,
-    control: Mapping[str, tuple[npt.ArrayLike, npt.ArrayLike]] | None = None, constraints: Sequence[Constraint] = (),
-    residual: Residual = "image", backend: str = "auto", optimizer: str = DEFAULTS["optimizer"],
-    callback: Callback | None = None, **more: Any,
-) -> BundleResult:  # fmt: skip
+    photos: Sequence[BundlePhoto],
+    ids: Sequence[str],
+    start_m: npt.ArrayLike,
+    photo: npt.ArrayLike,
+    point: npt.ArrayLike,
+    image: npt.ArrayLike,
+    *,
+    sigma: npt.ArrayLike = 1.0,
+    control: Mapping[str, tuple[npt.ArrayLike, npt.ArrayLike]] | None = None,
+    constraints: Sequence[Constraint] = (),
+    residual: Residual = "image",
+    backend: str = "auto",
+    optimizer: str = DEFAULTS["optimizer"],
+    callback: Callback | None = None,
+    **more: Any,
+) -> BundleResult:
     """Adjust photos and points together.
 
     Parameters
     ----------
     photos : sequence of BundlePhoto
     ids : sequence of str
-        Of the points.
+        Ids of the points.
     start_m : (n, 3) array
         Start coordinates.
     photo, point : (m,) int arrays
@@ -134,9 +145,10 @@ def adjust_bundle(
     image : (m, 2) array
         Measured x, y.
     sigma : float or array that fits (m, 2)
-        Of the corrected image coordinates; of the conditions (image unit times m) with ``residual="condition"``.
+        Standard deviations of the corrected image coordinates, or of the conditions (image unit times m) with
+        ``residual="condition"``.
     control : mapping, optional
-        Observed points: coordinates and sigmas, m; sigma 0: held.
+        Observed points: coordinates and sigmas, m; with sigma 0 they are held fixed.
     constraints : sequence of Constraint
     residual : "image" or "condition"
         Least squares of the image residuals, or of the conditions F = e R3 (Ayhan 1996, eq. 77), with weights that do
@@ -146,9 +158,9 @@ def adjust_bundle(
     optimizer : str
         "levenberg-marquardt", "gauss-newton" or "dogleg".
     callback : callable, optional
-        Called with an ``IterationRecord`` after each iteration.
+        Function that receives an ``IterationRecord`` after each iteration.
     **more
-        Other options of the adjustment, of a robust loss and of the search for gross errors: those of
+        Other options of the adjustment, of a robust loss and of the search for gross errors: those fields of
         :class:`fg_orient.Options` that ``closerange.options.COMMON`` names.
 
     Returns
@@ -158,14 +170,14 @@ def adjust_bundle(
     Raises
     ------
     InputError
-        Invalid sizes or values; points without two rays; undetermined motions of the whole block; other undetermined
-        unknowns (without a prior their standard deviation exceeds 1000 times that of their observations), named with
-        their direction; hard constraints that depend on or contradict each other; more than 2000 unknowns of
-        full matrices.
+        Sizes or values are invalid; points have less than two rays; motions of the whole block are undetermined; other
+        unknowns are undetermined (without a prior their standard deviation exceeds 1000 times that of their
+        observations), named with their direction; hard constraints depend on or contradict each other; full matrices
+        would have more than 2000 unknowns.
     NoSolutionError
         The iteration does not converge, or a point lies behind a photo.
     TypeError
-        Another option.
+        An argument is not an option.
     """
     measured = as_points(image, 2, "image")
     given, points = as_sigmas(sigma, measured), names(ids, "ids")
@@ -184,13 +196,24 @@ def adjust_bundle(
     common = DEFAULTS | {"optimizer": optimizer} | {name: value for name, value in more.items() if value is not None}
     options = Options(backend=chosen, priors=False, **common)  # type: ignore[arg-type]
     with one_blas_thread():
-        built = build(photos, points, start, which, of, measured, given, control or {}, constraints,
-                      residual == "condition", options)  # fmt: skip
+        built = build(
+            photos,
+            points,
+            start,
+            which,
+            of,
+            measured,
+            given,
+            control or {},
+            constraints,
+            residual == "condition",
+            options,
+        )
         return result_of(built, _solved(built, callback))
 
 
 def _solved(built: Built, callback: Callback | None) -> Solution:
-    """Solution of the block."""
+    """Return the solution of the block."""
     checks.require_rays(built)
     try:
         solution = adjust(built.block, callback=callback)

@@ -54,7 +54,7 @@ CENTRE: Final = ("X0", "Y0", "Z0")
 POINT: Final = ("X", "Y", "Z")
 _TURN: Final = ("rotation_x", "rotation_y", "rotation_z")
 _CENTRE: Final = ("centre_x", "centre_y", "centre_z")
-#: Names of close range where frame images have other ones.
+#: Close-range names of parameters that have another name for frame images.
 FRAME: Final = {
     "c": "focal", "x0": "principal_sample", "y0": "principal_line", "p1": "p2", "p2": "p1",
     **dict(zip(TURNS, _TURN, strict=True)), **dict(zip(CENTRE, _CENTRE, strict=True)),
@@ -64,7 +64,7 @@ OURS: Final = {frame: name for name, frame in FRAME.items()}
 
 @dataclass(frozen=True, eq=False)
 class Built:
-    """Block of a bundle, compiled, and names of its unknowns.
+    """Compiled block of a bundle, with the names of its unknowns.
 
     Parameters
     ----------
@@ -73,9 +73,9 @@ class Built:
     start_m : (n, 3) array
     block : Block
     observed : frozenset of (str, str)
-        Photo, or camera with shared unknowns, and name of the unknowns that are observed directly.
+        Unknowns that are observed directly: photo, or camera with shared unknowns, and name.
     exact : tuple of Constraint
-        Figures through as many points as determine them, which do not change the adjustment.
+        Figures through just as many points as determine them; they do not change the adjustment.
     """
 
     photos: tuple[BundlePhoto, ...]
@@ -87,7 +87,7 @@ class Built:
 
     @cached_property
     def problem(self) -> Problem:
-        """Compiled block; whether the datum is determined is judged by its rows."""
+        """Compiled block; its rows decide whether the datum is determined."""
         loose = replace(self.block, options=replace(self.block.options, datum="free"))
         return compiled_problem(with_observations(loose))
 
@@ -109,13 +109,13 @@ class Built:
         return [*(f"{owner} {name}" for owner, name in self.owners), *points]
 
     def place(self, k: int, j: int) -> int:
-        """Place of unknown j of a photo among those of all photos."""
+        """Return the number of unknown j of a photo among those of all photos."""
         column = int(self.problem.first[k]) + j
         return column if self.problem.ties is None else int(self.problem.ties.of[column])
 
     @property
     def is_observed(self) -> Mask:
-        """Whether an unknown is observed directly (u,)."""
+        """True for each unknown (u,) that is observed directly."""
         points = self.problem.observed[self.problem.active]
         return np.array([*(owner in self.observed for owner in self.owners), *np.repeat(points, 3)], bool)
 
@@ -128,7 +128,7 @@ class Built:
         return out
 
     def units(self, state: State) -> Array:
-        """Accuracy (u,) of each unknown from one image observation."""
+        """Return the accuracy (u,) of each unknown as determined by one image observation."""
         rows, o, active = linearised(self.problem, state), self.problem.observations, self.problem.active
         z = len(self.owners)
         squares, count = np.zeros(z), np.zeros(z)
@@ -148,25 +148,25 @@ class Built:
         return np.where(out > 0.0, out, np.median(places) if len(places) else 1.0)
 
     def rotation(self, k: int, state: State) -> Array:
-        """Rotation (3, 3) of a photo at a state."""
+        """Return the rotation (3, 3) of a photo at a state."""
         return rotated(self.photos[k].rotation, self.turn(k, state))
 
     def turn(self, k: int, state: State) -> Array:
-        """Rotation vector (3,) of a photo at a state, rad."""
+        """Return the rotation vector (3,) of a photo at a state, rad."""
         return self._part(k, _TURN, state)
 
     def centre(self, k: int, state: State) -> Array:
-        """Projection centre (3,) of a photo at a state."""
+        """Return the projection centre (3,) of a photo at a state."""
         return np.asarray(self.photos[k].centre_m + self._part(k, _CENTRE, state))
 
     def _part(self, k: int, names: tuple[str, ...], state: State) -> Array:
-        """Values of unknowns of a photo, by name; 0 for those that it does not have."""
+        """Return the values of unknowns of a photo, by name; 0 for unknowns that it does not have."""
         own, x = self.problem.parameters[k], self.problem.unknowns(state, k)
         known = dict(zip(own.names, x * own.sigma, strict=True))
         return np.array([known.get(name, 0.0) for name in names])
 
     def interior(self, k: int, state: State) -> PhotoInterior:
-        """Interior orientation of a photo at a state."""
+        """Return the interior orientation of a photo at a state."""
         photo, own = self.photos[k], self.problem.parameters[k]
         camera = self.values(k)
         for name, change in zip(own.names, self._part(k, own.names, state), strict=True):
@@ -176,7 +176,7 @@ class Built:
         return PhotoInterior(camera["c"], known[CAMERA.principal], known[CAMERA.lens], photo.interior.y_axis)
 
     def values(self, k: int) -> dict[str, float]:
-        """Start values of the camera parameters of a photo by name."""
+        """Return the start values of the camera parameters of a photo by name."""
         sensor = self.block.images[k].sensor
         assert isinstance(sensor, FrameSensor)
         camera = sensor.camera
@@ -187,18 +187,18 @@ class Built:
         return known | {name: float(camera.further.get(name, 0.0)) for name in NAMES if name not in known}
 
     def parameter(self, k: int, name: str, state: State) -> float:
-        """Value of a camera parameter of a photo."""
+        """Return the value of a camera parameter of a photo."""
         frame = FRAME.get(name, name)
         return float(self.values(k)[name] + self._part(k, (frame,), state)[0])
 
     def figures(self, problem: Problem, state: State) -> list[FittedFigure]:
-        """Figures of the constraints at a solution."""
+        """Return the figures of the constraints at a solution."""
         exact = tuple(constraint_observation(c, is_exact=True) for c in self.exact)
         own = prepared(replace(problem, start=state, block=replace(problem.block, extra=exact)))
         return fitted_figures(problem, state) + (fitted_figures(own, state) if exact else [])
 
     def missed(self) -> str:
-        """Words on the hard constraint that the start misses most; "" without one."""
+        """Describe the hard constraint that the start misses most; "" without one."""
         problem = self.problem
         away = problem.block.points.known.ecef_m - problem.origin_m
         ground = np.where(np.isnan(problem.start.ground), np.nan, away)
@@ -218,10 +218,19 @@ class Built:
 
 
 def build(
-    photos: Sequence[BundlePhoto], ids: tuple[str, ...], start: Array, which: Index, of: Index, image: Array,
-    sigma: Array, control: Control, constraints: Sequence[Constraint], is_condition: bool, options: Options,
-) -> Built:  # fmt: skip
-    """Block of a bundle; see :func:`fg_orient.closerange.bundle.adjust_bundle`."""
+    photos: Sequence[BundlePhoto],
+    ids: tuple[str, ...],
+    start: Array,
+    which: Index,
+    of: Index,
+    image: Array,
+    sigma: Array,
+    control: Control,
+    constraints: Sequence[Constraint],
+    is_condition: bool,
+    options: Options,
+) -> Built:
+    """Return the block of a bundle; see :func:`fg_orient.closerange.bundle.adjust_bundle`."""
     require_names([p.name for p in photos], "photos")
     _require_members(photos, ids, constraints, control)
     exact = tuple(c for c in constraints if c.kind in SIZES and not c.surplus)
@@ -240,9 +249,9 @@ def build(
 def _require_members(
     photos: Sequence[BundlePhoto], ids: Sequence[str], constraints: Sequence[Constraint], control: Control
 ) -> None:
-    """Refuse unknown members, constraints of held ones only, and different hard lengths between the same two members.
+    """Refuse unknown members, constraints of fixed members only, and different hard lengths between the same members.
 
-    The adjustment refuses equal ones as dependent; lengths with a sigma are observations.
+    The adjustment refuses equal lengths as dependent; lengths with a sigma are observations.
     """
     first, by_name = dict[tuple[str, frozenset[str]], Constraint](), {p.name: p for p in photos}
     foreign = foreign_members(constraints, ids, tuple(by_name))
@@ -263,7 +272,7 @@ def _require_members(
 
 
 def _points(ids: tuple[str, ...], start: Array, control: Control) -> GroundPoints:
-    """Points with start or control coordinates; sigma 0: fixed."""
+    """Return the points with start or control coordinates; sigma 0: fixed."""
     unknown = [name for name in control if name not in ids]
     if unknown:
         raise InputError.of("closerange.member", place="control", value=unknown[0], known=", ".join(ids[:10]))
@@ -283,7 +292,7 @@ def _points(ids: tuple[str, ...], start: Array, control: Control) -> GroundPoint
 def _images(
     photos: Sequence[BundlePhoto], which: Index, image: Array, is_condition: bool
 ) -> tuple[tuple[Image, ...], list[ExtraObservation], set[tuple[str, str]]]:
-    """Images, observations of their unknowns, and owner and name of these."""
+    """Return the images, observations of their unknowns, and owner and name of these unknowns."""
     reduced = [image[which == k] - p.interior.principal for k, p in enumerate(photos)]
     rims: dict[str, float] = {}
     for photo, xy in zip(photos, reduced, strict=True):
@@ -298,7 +307,7 @@ def _images(
         names, start, steps = cameras.setdefault(photo.key, (photo.shared, *common)) if photo.shared else ((), {}, {})
         if photo.shared != names:
             raise photo.fault("shared", ", ".join(photo.shared), f"those of the camera: {', '.join(names)}")
-        # all photos of a camera start from the values of its first photo
+        # all photos of a camera start with the values of its first photo
         values |= start
         sigma = steps | camera_steps(photo.unknown, reach) | ({} if photo.held else dict.fromkeys(_POSE, 1.0))
         camera = FrameCamera(
@@ -311,24 +320,29 @@ def _images(
         )  # fmt: skip
         images.append(Image(photo.name, FrameSensor(camera, 1, 1, georeferenced=False, file=photo.name)))
         codes = [OURS.get(name, name) for name in CODES if name in camera.sigma]
-        given = [(name, value - values[name], spread, f"observed {name}")
-                 for name, (value, spread) in photo.observed.items()]  # fmt: skip
+        given = [
+            (name, value - values[name], spread, f"observed {name}") for name, (value, spread) in photo.observed.items()
+        ]
         if photo.sigma_centre_m is not None and not photo.held:
             seen = photo.centre_m if photo.observed_centre_m is None else photo.observed_centre_m
             away = zip(CENTRE, seen - photo.centre_m, photo.sigma_centre_m, "XYZ", strict=True)
             given += [(name, float(a), float(s), f"observed centre, {axis}") for name, a, s, axis in away]
         if photo.sigma_turn_rad is not None and not photo.held:
-            given += [(name, 0.0, float(s), "observed attitude")
-                      for name, s in zip(TURNS, photo.sigma_turn_rad, strict=True)]  # fmt: skip
+            given += [
+                (name, 0.0, float(s), "observed attitude") for name, s in zip(TURNS, photo.sigma_turn_rad, strict=True)
+            ]
         for name, away_from_start, spread, words in given:
             owner = f"camera {photo.key}" if name in photo.shared else f"photo {photo.name}"
-            if (owner, name) in observed:  # a shared one is observed once for each camera
+            if (owner, name) in observed:  # a shared unknown is observed once for each camera
                 continue
             observed.add((owner, name))
             step = sigma[name if name in sigma else FRAME[name]]
             record = ELEMENT.pack(factor=step / spread, value=away_from_start / step, number=codes.index(name))
-            extras.append(ExtraObservation(OBSERVED_ELEMENT, (f"image:{photo.name}",), record, np.zeros((2, 0)), 1,
-                                           f"{owner}: {words}"))  # fmt: skip
+            extras.append(
+                ExtraObservation(
+                    OBSERVED_ELEMENT, (f"image:{photo.name}",), record, np.zeros((2, 0)), 1, f"{owner}: {words}"
+                )
+            )
     return tuple(images), extras, observed
 
 
@@ -336,7 +350,7 @@ _POSE: Final = (*_TURN, *_CENTRE)
 
 
 def camera_steps(names: Sequence[str], reach: float) -> dict[str, float]:
-    """Units of camera parameters, which move a point at the edge of the image by about 1/1000 of its distance."""
+    """Return the units of camera parameters: they move a point at the image edge by about 1/1000 of its distance."""
     power = {"c": 0, "x0": 0, "y0": 0, "k1": 3, "k2": 5, "k3": 7, "p1": 2, "p2": 2, "affinity_a": 1, "affinity_b": 1}
     brown = (1, 1, 2, 2, 3, 3, 4, 2, 2, 3, 3, 4, 2, 4, 4, 3, 5, 7, 0, 0, 0)
     power |= {f"a{j + 1}": p for j, p in enumerate(brown)}

@@ -12,7 +12,7 @@ from fg_orient.closerange.bundle_block import Built
 from fg_orient.closerange.fitting import UNDETERMINED
 from fg_orient.model.errors import FgOrientError, Finding, InputError, finding
 
-#: Unknowns with more than this share of the largest deviation are named.
+#: Share of the largest deviation above which unknowns are named.
 NAMED: Final = 0.3
 _CODES: Final = {
     "statistics.motions": "closerange.datum", "adjust.rank_deficient": "closerange.unobservable",
@@ -23,7 +23,7 @@ _CODES: Final = {
 def require_rays(built: Built) -> None:
     """Refuse points without rays, and points in one photo without other observations.
 
-    A control point or a point of a constraint is judged with all other unknowns, by the observability of the block.
+    For a control point or a point of a constraint the observability of the block decides, with all other unknowns.
     """
     known, o = built.block.points.known, built.block.observations
     others = {name for e in built.block.extra for name in getattr(e, "members", ())}
@@ -42,18 +42,23 @@ def require_rays(built: Built) -> None:
 def require_determined(labels: Sequence[str], deviation: Array) -> None:
     """Refuse unknowns (u,) whose standard deviations, in units of their accuracy, are too large.
 
-    What has no effect on the observations is refused before, by the observability of the block.
+    Unknowns without effect on the observations are refused earlier, by the observability of the block.
     """
     if deviation.max(initial=0.0) > UNDETERMINED:
         order = [k for k in np.argsort(-deviation, kind="stable").tolist() if deviation[k] >= NAMED * deviation.max()]
         names = [labels[k] for k in order]
         shown = ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
-        raise InputError.of("closerange.undetermined", place="bundle", names=shown,
-                            direction=f"{names[0]}: {deviation[order[0]]:.3g} times", limit=UNDETERMINED)  # fmt: skip
+        raise InputError.of(
+            "closerange.undetermined",
+            place="bundle",
+            names=shown,
+            direction=f"{names[0]}: {deviation[order[0]]:.3g} times",
+            limit=UNDETERMINED,
+        )
 
 
 def of_close_range(error: FgOrientError) -> InputError:
-    """The error of an adjustment with remedies for photos."""
+    """Return the error of an adjustment with remedies for photos."""
     faults = [p for p in error.problems if p.code != "block.no_control"] or list(error.problems)
     return InputError(*map(_of_close_range, faults))
 

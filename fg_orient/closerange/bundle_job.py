@@ -1,4 +1,4 @@
-"""Work of the command ``closerange bundle``: read tables, photos and constraints, adjust."""
+"""Execution of the command ``closerange bundle``: read tables, photos and constraints, then adjust."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from fg_orient.formats.schema import read_constraints
 from fg_orient.model.constraint import Constraint, foreign_members, place_of
 from fg_orient.model.errors import Finding, InputError, finding
 
-#: Called at each stage of the work with its name and the number of image points (0 if unknown).
+#: Function that is called at each stage of the work with its name and the number of image points (0 if unknown).
 Stage = Callable[[str, int], None]
 Known = Mapping[str, tuple[Array, Array]]
 
@@ -48,15 +48,15 @@ def run_bundle(
         Constraint file; table of observed projection centres and attitudes.
     output : Output, optional
     callback, stage : callable, optional
-        Called with an ``IterationRecord`` after each iteration; see ``Stage``.
+        Functions: the first receives an ``IterationRecord`` after each iteration; for the second see ``Stage``.
     **more
         See :func:`fg_orient.closerange.bundle.adjust_bundle`.
 
     Raises
     ------
     InputError, NoSolutionError
-        See :func:`fg_orient.closerange.bundle.adjust_bundle`; sigmas of control points or constraints, or options that
-        need sigmas, where image coordinates have none.
+        See :func:`fg_orient.closerange.bundle.adjust_bundle`. Also: control points or constraints have sigmas, or
+        options need sigmas, but image coordinates have none.
     """
     output.require_possible()
     report_progress = stage or (lambda name, count: None)
@@ -117,7 +117,7 @@ def _sigmas(
     control: Path | None, sigma_m: float, known: Mapping[str, tuple[Array, Array]], constraints: Path | None,
     stated: Sequence[Constraint], stations: Path | None, seen: Mapping[str, files.Station],
 ) -> Iterator[tuple[str, str, float]]:  # fmt: skip
-    """Sigmas in m or rad: file, place and value of control points, constraints with their observations, stations."""
+    """Yield sigmas in m or rad of control points, constraints with their observations, stations: file, place, value."""
     for name, (_, sigma) in known.items():
         if sigma.any():
             own = (str(control), f"control {name}")
@@ -132,21 +132,21 @@ def _sigmas(
 
 
 def _control(path: Path | None, sigma_m: float) -> dict[str, tuple[Array, Array]]:
-    """Coordinates and sigmas of the control points by id."""
+    """Return the coordinates and sigmas of the control points by id."""
     if path is None:
         return {}
     table = files.read_ground_points(path, sigma_m)
-    assert table.sigma is not None  # else there is no default
+    assert table.sigma is not None  # otherwise there is no default
     return {name: (at, sigma) for name, at, sigma in zip(table.ids, table.ground, table.sigma, strict=True)}
 
 
 def _approximate(
     path: Path, table: files.Observed, known: Known, seen: Mapping[str, files.Station], begun: Iterable[str]
 ) -> tuple[list[tuple[PhotoInterior, Array, Array]], Array, list[Finding]]:
-    """Interior, rotation and centre of each photo; points (n, 3); warnings.
+    """Return interior, rotation and centre of each photo; points (n, 3); warnings.
 
-    An observed attitude is its own approximate value; other photos come from the file, else from a resection. Points
-    without given coordinates are intersected.
+    The approximate value of an observed attitude is the observation. Other photos come from the file, else from a
+    resection. Points without given coordinates are intersected.
     """
     names, ids, which, of = table.numbered(begun)
     file = read_photos(path)

@@ -1,4 +1,4 @@
-"""Record of a bundle: what ``closerange.json`` and the report contain."""
+"""Record of a bundle: content of ``closerange.json`` and of the report."""
 
 from __future__ import annotations
 
@@ -26,21 +26,27 @@ from fg_orient.result.summary import robust_record
 
 Known = Mapping[str, tuple[Array, Array]]
 
-#: Limit of listed correlations; number of listed correlations and of weak directions.
+#: Least correlation that is listed; maximum number of listed correlations and of weak directions.
 HIGH: Final = 0.9
 LISTED: Final = 40
 #: Fields of an iteration.
 HISTORY: Final = ("iteration", "chi2", "chi2_after", "ratio", "step", "accepted")
 _WEAK: Final = 5
-#: Unknowns of a direction that are named, at most.
+#: Maximum number of unknowns of a direction that are named.
 _FEW: Final = 4
 
 
 def bundle_record(
-    result: BundleResult, table: files.Observed, known: Known, which: Index, of: Index,
-    seen: Mapping[str, files.Station], check: Mapping[str, Array], started: Sequence[Finding],
-) -> job.Record:  # fmt: skip
-    """Record of a bundle.
+    result: BundleResult,
+    table: files.Observed,
+    known: Known,
+    which: Index,
+    of: Index,
+    seen: Mapping[str, files.Station],
+    check: Mapping[str, Array],
+    started: Sequence[Finding],
+) -> job.Record:
+    """Return the record of a bundle.
 
     Parameters
     ----------
@@ -63,28 +69,43 @@ def bundle_record(
     if options.loss != NONE:
         w = np.full(len(w), np.nan)
     return {
-        "kind": "bundle", "backend": result.backend, "m0": result.m0, "redundancy": result.redundancy,
-        "iterations": result.iterations, "unknowns": len(result.labels), "photos": _photos(result, which, seen),
+        "kind": "bundle",
+        "backend": result.backend,
+        "m0": result.m0,
+        "redundancy": result.redundancy,
+        "iterations": result.iterations,
+        "unknowns": len(result.labels),
+        "photos": _photos(result, which, seen),
         "cameras": [{"camera": c.name, "parameters": _numbers(c)} for c in result.cameras],
         "figures": [{"figure": f.name, "numbers": _numbers(f)} for f in result.figures],
-        "points": _points(result, known, of, check), "residuals": _residuals(result, table, unit),
-        "loss": options.loss, "robust": robust_record(solution), "snooping": search_record(solution),
+        "points": _points(result, known, of, check),
+        "residuals": _residuals(result, table, unit),
+        "loss": options.loss,
+        "robust": robust_record(solution),
+        "snooping": search_record(solution),
         "variance_components": None if solution.components is None else solution.components.as_dict(),
         "distortion": _distortion(result, table, which),
         "observations": rows_of({"what": result.others, "redundancy": free, "w": w}),
-        "check": _check(result, check), "reliability": {
-            "redundancy_of_images": r.sum(), "mean": r.mean(), "least": r.min(), "alpha": ALPHA, "power": POWER,
-            "limit_of_checkable": CHECKABLE, "n_not_checkable": (r < CHECKABLE).any(axis=1).sum(),
+        "check": _check(result, check),
+        "reliability": {
+            "redundancy_of_images": r.sum(),
+            "mean": r.mean(),
+            "least": r.min(),
+            "alpha": ALPHA,
+            "power": POWER,
+            "limit_of_checkable": CHECKABLE,
+            "n_not_checkable": (r < CHECKABLE).any(axis=1).sum(),
         },
         "significance": _significance(result),
-        "correlations": _correlations(result), "directions": directions(result),
+        "correlations": _correlations(result),
+        "directions": directions(result),
         "history": [{name: getattr(i, name) for name in HISTORY} for i in result.history],
         **as_record([*_findings(result, known, seen, check), *started]),
-    }  # fmt: skip
+    }
 
 
 def _numbers(one: Adjustment, *names: str) -> list[job.Record]:
-    """Some values, by default all, with standard deviations."""
+    """Return some values, by default all, with standard deviations."""
     return [{"name": n, "value": one[n][0], "sigma": one[n][1]} for n in (names or one.names)]
 
 
@@ -95,22 +116,37 @@ def _photos(result: BundleResult, which: Index, seen: Mapping[str, files.Station
         own = [n for n in one.names if n in NAMES]
         angles = m0 * np.sqrt(result.angle_cofactors[k].diagonal())
         inner, station = result.interiors[k], seen.get(one.name)
-        observed = None if station is None else {
-            "centre_m": station.centre_m, "sigma_m": station.sigma_m, "residual_m": centre - station.centre_m,
-        }  # fmt: skip
-        photos.append({
-            "photo": one.name, "parameters": _numbers(one, *own) if own else [], "interior": None, "points": [],
-            "exterior": job.exterior_record(rotation, centre, turns, sigma) | {"sigma_angles_deg": angles},
-            "camera": {"focal": inner.focal, "principal": inner.principal, "corrections": inner.corrections,
-                       "y_axis": inner.y_axis},
-            "observed": observed,
-            "rms": np.sqrt(np.mean(result.residuals[(which == k) & ~result.rejected] ** 2, axis=0)),
-        })  # fmt: skip
+        observed = (
+            None
+            if station is None
+            else {
+                "centre_m": station.centre_m,
+                "sigma_m": station.sigma_m,
+                "residual_m": centre - station.centre_m,
+            }
+        )
+        photos.append(
+            {
+                "photo": one.name,
+                "parameters": _numbers(one, *own) if own else [],
+                "interior": None,
+                "points": [],
+                "exterior": job.exterior_record(rotation, centre, turns, sigma) | {"sigma_angles_deg": angles},
+                "camera": {
+                    "focal": inner.focal,
+                    "principal": inner.principal,
+                    "corrections": inner.corrections,
+                    "y_axis": inner.y_axis,
+                },
+                "observed": observed,
+                "rms": np.sqrt(np.mean(result.residuals[(which == k) & ~result.rejected] ** 2, axis=0)),
+            }
+        )
     return photos
 
 
 def _distortion(result: BundleResult, table: files.Observed, which: Index) -> list[job.Record]:
-    """Corrections along the radius of each camera: common ones, of each photo, or fixed ones that are not 0."""
+    """Return the radial corrections of each camera: common ones, those of each photo, or fixed ones other than 0."""
     labels, out = result.orientation_labels, list[job.Record]()
     m0 = result.m0 or 0.0
     groups: dict[tuple[object, ...], list[int]] = {}
@@ -144,14 +180,22 @@ def _points(result: BundleResult, known: Known, of: Index, check: Mapping[str, A
     given = np.array([known[i][0] if i in known else check.get(i, np.full(3, np.nan)) for i in result.ids])
     role = ["control" if i in known else "check" if i in check else "new" for i in result.ids]
     places = job.point_columns(result.points_m, result.sigma_m, result.point_cofactors, result.m0)
-    return rows_of({"id": result.ids, "role": role, **places, "difference_{}_m": result.points_m - given,
-                     "rays": rays, "misfit": misfit})  # fmt: skip
+    return rows_of(
+        {
+            "id": result.ids,
+            "role": role,
+            **places,
+            "difference_{}_m": result.points_m - given,
+            "rays": rays,
+            "misfit": misfit,
+        }
+    )
 
 
 def _residuals(result: BundleResult, table: files.Observed, unit: float) -> list[job.Record]:
-    """Image points: residuals (computed minus measured, corrected), redundancy numbers, w and detectable errors.
+    """Return image points with residuals (computed minus corrected), redundancy numbers, w, detectable errors.
 
-    With a loss or a search for gross errors they have weights, 0 if rejected; under a loss there are no tests.
+    With a loss or a search for gross errors they have weights, 0 if rejected. Under a loss there are no tests.
     """
     sigma, options = result.image_sigma, result.solution.block.options
     own, detectable = _tested(result.residuals, sigma * unit, result.redundancy_numbers)
@@ -159,33 +203,46 @@ def _residuals(result: BundleResult, table: files.Observed, unit: float) -> list
     if robust:
         own, detectable = np.full_like(own, np.nan), np.full_like(own, np.nan)
     weights = {"weight": result.weights} if robust or options.snoop else {}
-    return rows_of({
-        "photo": table.photos, "id": table.ids, "{}": table.image, "residual_{}": result.residuals, "sigma_{}": sigma,
-        "redundancy_{}": result.redundancy_numbers, "w_{}": own, "mdb_{}": detectable, **weights,
-    })  # fmt: skip
+    return rows_of(
+        {
+            "photo": table.photos,
+            "id": table.ids,
+            "{}": table.image,
+            "residual_{}": result.residuals,
+            "sigma_{}": sigma,
+            "redundancy_{}": result.redundancy_numbers,
+            "w_{}": own,
+            "mdb_{}": detectable,
+            **weights,
+        }
+    )
 
 
 def _tested(residual: Array, sigma: Array | float, redundancy: Array) -> tuple[Array, Array]:
-    """Normalised residuals and minimal detectable biases; nan if the observation is not checked."""
+    """Return the normalised residuals and minimal detectable biases; nan if the observation is not checked."""
     root = np.sqrt(np.where(redundancy >= CHECKABLE, redundancy, np.nan))
     return residual / (sigma * root), np.sqrt(noncentrality()) * sigma / root
 
 
 def _check(result: BundleResult, check: Mapping[str, Array]) -> job.Record | None:
-    """Statistics of adjusted minus given coordinates of the check points; None without check points."""
+    """Return the statistics of adjusted minus given coordinates of the check points; None without check points."""
     rows = [name for name in check if name in result.ids]
     if not rows:
         return None
     given, ours = np.array([check[name] for name in rows]), result.points_m[[result.ids.index(name) for name in rows]]
     measures = compare_points(given, ours, np.zeros(len(rows), bool)).other
-    return {"n": len(rows), "rms_mm": measures.rms_mm[:3], "worst_mm": measures.worst_mm,
-            "mean_mm": 1e3 * (ours - given).mean(axis=0)}  # fmt: skip
+    return {
+        "n": len(rows),
+        "rms_mm": measures.rms_mm[:3],
+        "worst_mm": measures.worst_mm,
+        "mean_mm": 1e3 * (ours - given).mean(axis=0),
+    }
 
 
 def _correlations(result: BundleResult) -> job.Record:
-    """High correlations of the orientation, largest first; all correlations of each photo and camera as triangles.
+    """Return high correlations of the orientation, largest first, and all correlations of each photo and camera.
 
-    Unknowns that hard conditions fix have none.
+    Unknowns fixed by hard conditions have no correlations.
     """
     rho, labels = correlations(result.orientation), result.orientation_labels
     first, second = np.nonzero(np.tril(np.abs(np.nan_to_num(rho)) > HIGH, -1))
@@ -194,17 +251,26 @@ def _correlations(result: BundleResult) -> job.Record:
     parts = []
     for name in dict.fromkeys(o for o in owner if o.startswith(("photo ", "camera "))):
         rows = [k for k, o in enumerate(owner) if o == name]
-        parts.append({"of": name, "names": [labels[k].rpartition(" ")[2] for k in rows],
-                      "triangle": [rho[k, rows[:i]] for i, k in enumerate(rows)]})  # fmt: skip
+        parts.append(
+            {
+                "of": name,
+                "names": [labels[k].rpartition(" ")[2] for k in rows],
+                "triangle": [rho[k, rows[:i]] for i, k in enumerate(rows)],
+            }
+        )
     return {
-        "limit": HIGH, "n": len(first), "parts": parts,
-        "largest": [{"a": labels[i], "b": labels[j], "correlation": rho[i, j]}
-                    for i, j in zip(first[order], second[order], strict=True)],
-    }  # fmt: skip
+        "limit": HIGH,
+        "n": len(first),
+        "parts": parts,
+        "largest": [
+            {"a": labels[i], "b": labels[j], "correlation": rho[i, j]}
+            for i, j in zip(first[order], second[order], strict=True)
+        ],
+    }
 
 
 def _significance(result: BundleResult) -> job.Record | None:
-    """Tests of the distortion parameters; None without redundancy, under a loss, or for too many components."""
+    """Test the distortion parameters; None without redundancy, under a loss, or with too many components."""
     solution = result.solution
     if result.m0 is None or solution.weights is not None:
         return None
@@ -226,7 +292,7 @@ def _significance(result: BundleResult) -> job.Record | None:
 
 
 def directions(result: BundleResult) -> job.Record:
-    """Singular values of the orientation in its units, and its weakest directions by their main unknowns.
+    """Return the singular values of the orientation in its units, and its weakest directions by their main unknowns.
 
     A direction with the value s has a standard deviation of 1/s units; directions that hard conditions fix are counted.
     """
@@ -234,14 +300,17 @@ def directions(result: BundleResult) -> job.Record:
     variances, vectors = np.linalg.eigh(result.orientation / np.outer(units, units))
     values = 1.0 / np.sqrt(variances[variances > 0.0][::-1])
     return {
-        "singular_values": values, "held": len(units) - len(values),
-        "weakest": [{"value": value, "words": _words(vectors[:, -1 - k], result.orientation_labels)}
-                    for k, value in enumerate(values[:_WEAK])],
-    }  # fmt: skip
+        "singular_values": values,
+        "held": len(units) - len(values),
+        "weakest": [
+            {"value": value, "words": _words(vectors[:, -1 - k], result.orientation_labels)}
+            for k, value in enumerate(values[:_WEAK])
+        ],
+    }
 
 
 def _words(direction: Array, labels: Sequence[str]) -> str:
-    """Main unknowns of a direction (o,)."""
+    """Return the main unknowns of a direction (o,)."""
     size = np.abs(direction)
     order = [int(k) for k in np.argsort(-size, kind="stable")[:_FEW] if size[k] >= NAMED * size.max()]
     sign = np.sign(direction[order[0]]) or 1.0
@@ -251,7 +320,7 @@ def _words(direction: Array, labels: Sequence[str]) -> str:
 def _findings(
     result: BundleResult, known: Known, seen: Mapping[str, files.Station], check: Mapping[str, Array]
 ) -> list[Finding]:
-    """Warnings on the result."""
+    """Return the warnings on the result."""
     solution = result.solution
     out = job.no_redundancy(result.m0)
     out += solution.snooping.findings() if solution.snooping is not None else ()
@@ -272,12 +341,15 @@ def _findings(
 
 
 def _cofactors(result: BundleResult) -> Iterator[ImageCofactors]:
-    """Cofactors of the unknowns of each photo and of its camera."""
+    """Yield the cofactors of the unknowns of each photo and of its camera."""
     labels = {label: k for k, label in enumerate(result.orientation_labels)}
     for photo, rotation in zip(result.photos, result.rotations, strict=True):
         own = [f"photo {photo.name} {name}" for name in photo.names]
-        names = [label for label in (*own, *(f"camera {c.name} {n}" for c in result.cameras for n in c.names))
-                 if label in labels]  # fmt: skip
+        names = [
+            label
+            for label in (*own, *(f"camera {c.name} {n}" for c in result.cameras for n in c.names))
+            if label in labels
+        ]
         short = tuple(label.rpartition(" ")[2] for label in names)
         rows = [labels[label] for label in names]
         along = np.array([rotation[2][CENTRE.index(name)] if name in CENTRE else 0.0 for name in short])

@@ -35,7 +35,7 @@ class Adjustment:
     sigma: Array | None
 
     def __getitem__(self, name: str) -> tuple[float, float | None]:
-        """Value and standard deviation of one number."""
+        """Return the value and standard deviation of one number."""
         k = self.names.index(name)
         return float(self.values[k]), None if self.sigma is None else float(self.sigma[k])
 
@@ -52,43 +52,46 @@ class BundleResult:
     cameras : tuple of Adjustment
         Shared parameters of the cameras.
     interiors, rotations, centres_m
-        Of the photos. An interior contains the corrections of :class:`PhotoInterior`: k1 to affinity_b.
+        Interior orientations, rotations and projection centres of the photos. An interior contains the corrections of
+        :class:`PhotoInterior`: k1 to affinity_b.
     ids : tuple of str
-        Of the points.
+        Ids of the points.
     points_m, sigma_m : (n, 3) arrays
-        ``sigma_m`` is None without redundancy, 0 for a fixed point.
+        Coordinates and standard deviations of the points; ``sigma_m`` is None without redundancy, and 0 for a fixed
+        point.
     figures : tuple of Adjustment
     residuals : (m, 2) array
         Computed minus ideal image coordinates, in the order of the observations and in their unit (times metres for
-        residuals of conditions). Those of rejected observations are predicted; nan if their point has no place.
+        residuals of conditions). Residuals of rejected observations are predicted; nan if their point has no position.
     image_sigma : (m, 2) array
-        Of the image coordinates: as given, or estimated by variance components.
+        Standard deviations of the image coordinates: as given, or estimated by variance components.
     weights : (m,) array
-        Of the image points: those of the loss, 1 without one, 0 of observations that the search rejected.
+        Weights of the image points: those of the loss, 1 without a loss, 0 for observations that the search rejected.
     state : (u,) array
     labels : tuple of str
-        Of the unknowns.
+        Names of the unknowns.
     cofactors : (u,) array
-        Diagonal.
+        Diagonal of the cofactor matrix.
     m0 : float or None
-        None without redundancy. Under a loss it is the scale of the loss: standard deviations have the given sigmas, or
-        with ``robust_scale="mad"`` those of the residuals.
+        None without redundancy. Under a loss it is the scale of the loss: standard deviations are based on the given
+        sigmas, or with ``robust_scale="mad"`` on those of the residuals.
     redundancy, iterations : int
-        Iterations with all constraints; iterations without spheres and spheroids are not counted.
+        Redundancy; number of iterations with all constraints (iterations without spheres and spheroids are not
+        counted).
     backend : str
     history : tuple of IterationRecord
     redundancy_numbers : (m, 2) array
-        Of the image coordinates; nan of rejected ones.
+        Redundancy numbers of the image coordinates; nan for rejected ones.
     others, others_whitened, others_redundancy
         Names (k) of other soft observations, element by element; their whitened residuals and redundancy numbers (k,).
     point_cofactors, angle_cofactors : (n, 3, 3), (p, 3, 3) arrays
-        Of the points, m^2; of omega, phi, kappa of the photos, deg^2; 0 for fixed ones.
+        Cofactors of the points, m^2, and of omega, phi, kappa of the photos, deg^2; 0 for fixed ones.
     orientation, orientation_labels : (o, o) array, tuple of str
         Cofactors and names of all unknowns except those of points.
     orientation_units : (o,) array
-        Accuracy of these from one image point; an unknown that is 1000 times less accurate is not determined.
+        Accuracy of these unknowns from one image point; an unknown that is 1000 times less accurate is not determined.
     solution : Solution
-        Of the common adjustment, whose images are the photos.
+        Solution of the common adjustment, whose images are the photos.
     """
 
     photos: tuple[Adjustment, ...]
@@ -124,7 +127,7 @@ class BundleResult:
 
     @property
     def rejected(self) -> Mask:
-        """Image points (m,) that the search for gross errors left out."""
+        """Image points (m,) that the search for gross errors rejected."""
         return np.asarray(self.weights == 0.0)
 
     @property
@@ -134,7 +137,7 @@ class BundleResult:
         return list(dict.fromkeys(name for name in names if name in NAMES[10:]))
 
     def oriented(self) -> list[Photo]:
-        """Photos for intersection.
+        """Return the photos for intersection.
 
         Raises
         ------
@@ -142,21 +145,25 @@ class BundleResult:
             Cameras have parameters that a photo file cannot contain.
         """
         if self.beyond:
-            raise InputError.of("closerange.bundle", place="photos", value=", ".join(self.beyond),
-                                expected="corrections that a photo file can hold: k1 to affinity_b")  # fmt: skip
+            raise InputError.of(
+                "closerange.bundle",
+                place="photos",
+                value=", ".join(self.beyond),
+                expected="corrections that a photo file can hold: k1 to affinity_b",
+            )
         parts = zip(self.photos, self.interiors, self.rotations, self.centres_m, strict=True)
         return [Photo.of(photo.name, interior, turn, centre) for photo, interior, turn, centre in parts]
 
 
 def without_rejected(built: Built, solution: Solution) -> Built:
-    """The bundle that the last adjustment of a solution had: without rejected observations, with estimated sigmas."""
+    """Return the bundle of the last adjustment of a solution: without rejected observations, with estimated sigmas."""
     same = solution.block.observations is built.block.observations
     own = replace(built.block, observations=solution.block.observations, points=solution.block.points)
     return built if same else replace(built, block=own)
 
 
 def _image_points(given: Built, solution: Solution) -> dict[str, Array]:
-    """Fields of the result about all given image points."""
+    """Return the fields of the result about all given image points."""
     o, kept = given.block.observations, np.arange(len(given.block.observations))
     if solution.snooping is not None:
         kept = np.array(solution.snooping.kept, np.intp)
@@ -172,7 +179,7 @@ def _image_points(given: Built, solution: Solution) -> dict[str, Array]:
 
 
 def result_of(given: Built, solution: Solution) -> BundleResult:
-    """Result of a bundle from the solution of its block."""
+    """Return the result of a bundle from the solution of its block."""
     problem, state, built = solution.problem, solution.state, without_rejected(given, solution)
     freedom = int(solution.redundancy)  # photos have no penalty
     m0 = unit_weight(solution.chi2, freedom)
@@ -209,7 +216,7 @@ def result_of(given: Built, solution: Solution) -> BundleResult:
             of_angles[k] = by @ orientation[np.ix_(rows, rows)] @ by.T
     points, of_points = solution.ground_m.copy(), np.zeros((len(built.ids), 3, 3))
     active = np.flatnonzero(problem.active)
-    assert solution.cofactors is not None  # required before
+    assert solution.cofactors is not None  # required earlier
     of_points[active] = solution.cofactors.points(active)
     spread = np.maximum(np.einsum("nii->ni", of_points), 0.0)
     found = np.concatenate([np.maximum(orientation.diagonal(), 0.0), spread[active].ravel()])
@@ -235,7 +242,7 @@ def result_of(given: Built, solution: Solution) -> BundleResult:
 
 
 def _orientation(built: Built, solution: Solution, figures: Sequence[FittedFigure]) -> Array:
-    """Joint cofactors (o, o) of the unknowns of the photos, shared ones once, and of the figures, in their units."""
+    """Return joint cofactors (o, o) of unknowns of photos, shared ones once, and of figures, in their units."""
     problem, z = solution.problem, len(built.owners)
     named = tuple(sorted({j for f in figures for j in f.points if problem.active[j]}))
     assert solution.cofactors is not None
@@ -255,7 +262,10 @@ def _orientation(built: Built, solution: Solution, figures: Sequence[FittedFigur
 
 
 def _units(built: Built, solution: Solution, figures: Sequence[FittedFigure]) -> Array:
-    """Accuracy from one image point of the orientation, then of the points; a figure has that of its points."""
+    """Return the accuracy from one image point of the orientation, then of the points.
+
+    a figure has that of its points.
+    """
     z, units = len(built.owners), built.units(solution.state)
     typical = float(np.median(units[z:])) if len(units) > z else 1.0
     away = solution.ground_m - solution.ground_m.mean(axis=0)
@@ -265,7 +275,7 @@ def _units(built: Built, solution: Solution, figures: Sequence[FittedFigure]) ->
 
 
 def _others(built: Built, solution: Solution) -> tuple[tuple[str, ...], Array, Array]:
-    """Names of the soft observations that are no image points, whitened residuals and redundancy numbers (k,)."""
+    """Return names, whitened residuals and redundancy numbers (k,) of soft observations that are not image points."""
     problem, residuals = solution.problem, solution.residual_cofactors
     parts: dict[bool, list[tuple[str, float, float]]] = {False: [], True: []}
     for e, numbers in zip(problem.block.extra, residuals.extra, strict=True):
@@ -275,7 +285,11 @@ def _others(built: Built, solution: Solution) -> tuple[tuple[str, ...], Array, A
         names = [e.label] if e.n_residuals == 1 else [f"{e.label}, {k + 1}" for k in range(e.n_residuals)]
         parts[isinstance(e, ConstraintObservation)] += zip(names, value.tolist(), numbers.tolist(), strict=True)
     control = [f"point {built.ids[j]}: control, {axis}" for j in np.flatnonzero(problem.observed) for axis in POINT]
-    of_control = zip(control, control_residuals(problem, solution.state).ravel().tolist(),
-                     np.einsum("nii->ni", residuals.control).ravel().tolist(), strict=True)  # fmt: skip
+    of_control = zip(
+        control,
+        control_residuals(problem, solution.state).ravel().tolist(),
+        np.einsum("nii->ni", residuals.control).ravel().tolist(),
+        strict=True,
+    )
     every = [*parts[False], *of_control, *parts[True]]
     return tuple(name for name, _, _ in every), np.array([v for _, v, _ in every]), np.array([r for *_, r in every])

@@ -1,8 +1,8 @@
-"""Values of a published report compared with a result: name, value, perhaps sigma and digits, from a CSV table.
+"""Comparison of a published report with a result: name, value, optionally sigma and digits, from a CSV table.
 
-``digits`` is the number of significant digits of a value that was printed without its last zeros. The verdict of a
-value comes from :func:`fg_orient.model.digits.agreement` with the published standard deviation, else with ours; a
-standard deviation is compared by its digits alone. Counts must be equal. Angles in degrees are compared modulo 360.
+``digits`` is the number of significant digits of a value that was printed without its last zeros. The verdict on a
+value comes from :func:`fg_orient.model.digits.agreement` with the published standard deviation, else with ours. A
+standard deviation is compared only by its digits. Counts must be equal. Angles in degrees are compared modulo 360.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from fg_orient.result.plain import plain
 
 #: Allowed columns of the table.
 LAYOUTS: Final = [("name", "value", *a, *b) for a, b in product(((), ("sigma",)), ((), ("digits",)))]
-#: Largest number of significant digits.
+#: Maximum number of significant digits.
 MOST_DIGITS: Final = 17
 _ANGLES: Final = ("omega_deg", "phi_deg", "kappa_deg")
 
@@ -37,7 +37,7 @@ Value = tuple[float | None, float | None]
 
 
 def values_of(record: Record) -> dict[str, Value]:
-    """Values and standard deviations of a result by name, correlations among them as ``camera all k1/k2``."""
+    """Return values and standard deviations of a result by name; correlations have names like ``camera all k1/k2``."""
     out: dict[str, Value] = {name: (record[name], None) for name in ("m0", "redundancy", "unknowns") if name in record}
     parts = [
         ("", record.get("parameters", [])),
@@ -48,8 +48,11 @@ def values_of(record: Record) -> dict[str, Value]:
         of, outer = f"photo {photo['photo']} ", photo["exterior"]
         parts.append((of, photo.get("parameters", [])))
         out |= {of + name: (photo[name], None) for name in ("m0", "redundancy") if name in photo}
-        out |= zip((f"{of}{axis}0" for axis in "XYZ"), zip(outer["centre_m"], outer["sigma_centre_m"], strict=True),
-                   strict=True)  # fmt: skip
+        out |= zip(
+            (f"{of}{axis}0" for axis in "XYZ"),
+            zip(outer["centre_m"], outer["sigma_centre_m"], strict=True),
+            strict=True,
+        )
         sigma = outer.get("sigma_angles_deg") or [None] * 3
         out |= {of + name: (outer[name], s) for name, s in zip(_ANGLES, sigma, strict=True)}
     out |= {of + n["name"]: (n["value"], n["sigma"]) for of, numbers in parts for n in numbers}
@@ -59,7 +62,7 @@ def values_of(record: Record) -> dict[str, Value]:
 
 
 def _correlations(record: Record) -> Iterator[tuple[str, Value]]:
-    """Correlations by name: of one photo or camera, and large ones of two by both names, in both orders."""
+    """Yield correlations by both names, in both orders: of one photo or camera, and large ones between two."""
     for part in record["parts"]:
         for i, row in enumerate(part["triangle"]):
             for j, rho in enumerate(row):
@@ -78,9 +81,9 @@ def run_comparison(folder: Path, path: Path, output: Output = NONE) -> Record:
     folder : Path
         Result folder of a close-range command.
     path : Path
-        Table with the columns name and value, perhaps sigma and digits.
+        Table with the columns name and value, optionally sigma and digits.
     output : Output
-        Its ``report`` is written.
+        Output whose ``report`` is written.
 
     Returns
     -------
@@ -90,15 +93,16 @@ def run_comparison(folder: Path, path: Path, output: Output = NONE) -> Record:
     Raises
     ------
     InputError
-        All faults of the table; one error names all unknown names.
+        All errors of the table are listed; one error lists all unknown names.
     """
     output.require_possible()
     ours, table = values_of(read_record(folder)), require_table(path, LAYOUTS)
     cells, blank = table.cells, [""] * len(table)
     printed, sigma, digits = table.numbers("value")[:, 0], cells.get("sigma", blank), cells.get("digits", blank)
     for name, code, most in (
-        ("sigma", "closerange.printed_sigma", math.inf), ("digits", "closerange.printed_digits", MOST_DIGITS),
-    ):  # fmt: skip
+        ("sigma", "closerange.printed_sigma", math.inf),
+        ("digits", "closerange.printed_digits", MOST_DIGITS),
+    ):
         if name in table.columns:
             numbers = table.numbers(name, rows=~table.where(name, ""))[:, 0]
             broken = (numbers % 1 > 0.0) & math.isfinite(most)
@@ -107,17 +111,22 @@ def run_comparison(folder: Path, path: Path, output: Output = NONE) -> Record:
     table.require_valid()
     lost = [name for name in cells["name"] if name not in ours]
     if lost:
-        raise InputError.of("closerange.printed_name", file=path, value=", ".join(lost),
-                            hint=did_you_mean(lost[0], list(ours)))  # fmt: skip
+        raise InputError.of(
+            "closerange.printed_name", file=path, value=", ".join(lost), hint=did_you_mean(lost[0], list(ours))
+        )
     lines = zip(cells["name"], cells["value"], sigma, digits, printed.tolist(), strict=True)
     rows = [_compared(*row, *ours[row[0]]) for row in lines]
-    record: Record = plain({
-        "folder": str(folder), "values": rows,
-        "counts": {kind: Counter(row["verdict"] for row in rows)[kind] for kind in MEANING},
-        "sigma_counts": {kind: Counter(row["sigma_verdict"] for row in rows)[kind] for kind in MEANING},
-        "input": [{"file": one.name, "sha256": sha256_of(one)} for one in (path, folder / RECORD_FILE)],
-        "command": list(output.command), "versions": versions(),
-    })  # fmt: skip
+    record: Record = plain(
+        {
+            "folder": str(folder),
+            "values": rows,
+            "counts": {kind: Counter(row["verdict"] for row in rows)[kind] for kind in MEANING},
+            "sigma_counts": {kind: Counter(row["sigma_verdict"] for row in rows)[kind] for kind in MEANING},
+            "input": [{"file": one.name, "sha256": sha256_of(one)} for one in (path, folder / RECORD_FILE)],
+            "command": list(output.command),
+            "versions": versions(),
+        }
+    )
     if output.report is not None:
         shell = environment(PACKAGE)
         shell.filters |= {"significant": significant}
@@ -129,7 +138,7 @@ def run_comparison(folder: Path, path: Path, output: Output = NONE) -> Record:
 def _compared(
     name: str, text: str, sigma: str, digits: str, printed: float, value: float | None, own: float | None
 ) -> Record:
-    """Row of the comparison of a value and its standard deviation."""
+    """Return the row of the comparison of a value and its standard deviation."""
     turn = 360.0 if name.endswith("_deg") else math.inf
     off = math.nan if value is None else math.remainder(value - printed, turn)
     spread = float(sigma) if sigma else math.nan if own is None else own
@@ -138,12 +147,20 @@ def _compared(
     of_sigma = None
     if sigma:
         of_sigma = agreement(math.nan if own is None else own - float(sigma), float(sigma), last_digit(sigma))
-    return {"name": name, "published": text, "published_sigma": sigma or None, "value": value, "sigma": own,
-            "difference": off, "verdict": kind, "sigma_verdict": of_sigma}  # fmt: skip
+    return {
+        "name": name,
+        "published": text,
+        "published_sigma": sigma or None,
+        "value": value,
+        "sigma": own,
+        "difference": off,
+        "verdict": kind,
+        "sigma_verdict": of_sigma,
+    }
 
 
 def summary(record: Record) -> dict[str, Any]:
-    """Assessment of a comparison: ``kind`` (good, warn), ``title``, ``text``."""
+    """Return the assessment of a comparison: ``kind`` (good, warn), ``title``, ``text``."""
     n, differ = len(record["values"]), record["counts"]["differs"]
     counts = (f"{count} {kind} ({MEANING[kind]})" for kind, count in record["counts"].items() if count)
     sigmas = (f"{count} {kind}" for kind, count in record["sigma_counts"].items() if count)

@@ -2,17 +2,17 @@
 
 Control points are refused if their heights above a plane are within the noise of the image. Let the middle of the
 points be the origin and their plane Z = 0. A photo of the plane alone is a homography. Its eight parameters do not
-determine the third column (L3, L7, L11) of the matrix; if the heights are too small, noise determines this column. With
+determine the third column (L3, L7, L11) of the matrix. If the heights are too small, noise determines this column. With
 columns m1, m2, m3, m4 the projection centre has the height ``-D4 / D3``, ``D3 = det(m1, m2, m3)`` and
 ``D4 = det(m1, m2, m4)``. Noise in the third column moves the centre through 1 / ``D3``. ``D3`` is the determinant of
 the left part of the matrix in any axes, so the plane need not be known. It is also 0 for a parallel projection.
 
 A test that ``D3`` differs from 0 by q sigmas (q: quantile of ``LEVEL``) is not sufficient, because error propagation to
-the inverse of a number is valid only many sigmas from 0. If the estimate is T sigmas from 0 and the true value t, the
-error of the centre is ``T (T - t) / t`` standard deviations. This error may exceed ``ALLOWED`` only if the noise
+the inverse of a number is valid only many sigmas from 0. If the estimate is T sigmas from 0 and the true value is t,
+the error of the centre is ``T (T - t) / t`` standard deviations. This error may exceed ``ALLOWED`` only if the noise
 exceeds q: T - t >= q at ``T (T - t) / t = ALLOWED`` requires ``T >= q ALLOWED / (ALLOWED - q)``, 8.1 = 2.6 q for known
-sigmas. If m0 replaces unknown sigmas, q is Student's quantile, at most ``ALLOWED``: with a redundancy below 7, errors
-of good coordinates exceed that limit more often than ``LEVEL``. With a redundancy of 1, one flat set of 15 passes.
+sigmas. If m0 replaces unknown sigmas, q is Student's quantile, at most ``ALLOWED``. With a redundancy below 7, errors
+of good coordinates exceed this limit more often than ``LEVEL``. With a redundancy of 1, one flat set of 15 passes.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ from fg_orient.model.distributions import normal_quantile, t_quantile
 from fg_orient.model.errors import Finding, InputError, NoSolutionError, finding
 from fg_orient.rectification.transformation import Scaling
 
-#: Distortion that a DLT may have, in order.
+#: Distortion coefficients that a DLT may have, in order.
 DISTORTION: Final = NAMES[:N_DISTORTION]
 PARAMETERS: Final = tuple(f"L{k}" for k in range(1, 12))
 RECOVERED: Final = ("x0", "y0", "cx", "cy", "skew", "X0", "Y0", "Z0", "turn_x", "turn_y", "turn_z")
-#: Smallest singular value of the scaled design, divided by the largest, below which the points are coplanar.
+#: Ratio of the smallest to the largest singular value of the scaled design, below which the points are coplanar.
 PLANE_LIMIT: Final = 1e-7
-#: Third singular value of the points about their middle, divided by the first, up to which a refusal names a plane.
+#: Ratio of the third to the first singular value of the centred points, up to which a refusal names a plane.
 CLOSE_TO_PLANE: Final = 0.1
-#: Movement of the centre of the distortion that ends its search, divided by the extent of the image.
+#: Movement of the centre of the distortion that ends its search, relative to the extent of the image.
 SETTLED: Final = 1e-9
 _STEP: Final = 1e-30
 #: Probability that the error of a projection centre exceeds ``ALLOWED`` standard deviations.
@@ -65,9 +65,9 @@ class Recovered:
     rotation : (3, 3) array
         Camera axes X right, Y down, Z along the view, from ground axes; Y follows the y axis of the image exactly.
     y_axis : "up" or "down"
-        Of the image, computed from the points.
+        Direction of y in the image, computed from the points.
     sigma : dict or None
-        Standard deviations by name (:data:`RECOVERED`; turns about the camera axes, rad); None without redundancy.
+        Standard deviations by name (:data:`RECOVERED`; rotations about the camera axes, rad); None without redundancy.
     """
 
     principal: Array
@@ -82,12 +82,12 @@ class Recovered:
 
 @dataclass(frozen=True)
 class DltFit(fitting.Fit):
-    """An adjusted DLT.
+    """Adjusted DLT.
 
     Parameters
     ----------
     photo : Photo
-        Its matrix contains L1 to L11 and 1, for ground coordinates about ``photo.origin_m``.
+        Photo whose matrix contains L1 to L11 and 1, for ground coordinates relative to ``photo.origin_m``.
     names : tuple of str
         L1 to L11 and the distortion coefficients, in the unit of the image coordinates.
     values : (u,) array
@@ -95,7 +95,7 @@ class DltFit(fitting.Fit):
         Computed minus corrected image coordinates.
     recovered : Recovered
     doubt : Finding or None
-        Standard deviations are too small, because the projection is hardly central.
+        Warning: standard deviations are too small, because the projection is hardly central.
     """
 
     photo: Photo
@@ -107,9 +107,9 @@ class DltFit(fitting.Fit):
 
 
 def direct_dlt(ground: Array, image: Array) -> Array:
-    """L1 to L11 by linear least squares of the equations times their denominator (Ayhan 1996, eq. 38).
+    """Return L1 to L11 by linear least squares of the equations times their denominator (Ayhan 1996, eq. 38).
 
-    Ground (n, 3) and image (n, 2) coordinates about their middle: at 1000 m the form with "+1" is nearly singular.
+    Ground (n, 3) and image (n, 2) coordinates are centred: at 1000 m the form with "+1" is nearly singular.
     """
     n = len(ground)
     design, right = np.zeros((2, n, 11)), image.T.copy()
@@ -120,9 +120,15 @@ def direct_dlt(ground: Array, image: Array) -> Array:
 
 
 def fit_dlt(
-    ground_m: npt.ArrayLike, image: npt.ArrayLike, *, sigma: npt.ArrayLike | None = None,
-    distortion: Sequence[str] = (), about: npt.ArrayLike | None = None, name: str = "", iterate: bool = True,
-) -> DltFit:  # fmt: skip
+    ground_m: npt.ArrayLike,
+    image: npt.ArrayLike,
+    *,
+    sigma: npt.ArrayLike | None = None,
+    distortion: Sequence[str] = (),
+    about: npt.ArrayLike | None = None,
+    name: str = "",
+    iterate: bool = True,
+) -> DltFit:
     """Adjust a DLT.
 
     Parameters
@@ -136,12 +142,13 @@ def fit_dlt(
     distortion : sequence of str
         Unknown coefficients among k1, k2, k3, p1, p2 (measured to ideal).
     about : (2,) array, optional
-        Fixed origin of the distortion; default the principal point of L by iteration (of the direct solution, if that
-        does not converge).
+        Fixed origin of the distortion. Default: the principal point of L, found by iteration (of the direct solution,
+        if the iteration does not converge).
     name : str
-        Of the photo.
+        Name of the photo.
     iterate : bool
-        False: the direct linear solution (without distortion), which weights the equations times their denominator.
+        False: compute the direct linear solution (without distortion), in which the equations are multiplied by their
+        denominator.
 
     Returns
     -------
@@ -165,8 +172,14 @@ def fit_dlt(
     codes = np.array([DISTORTION.index(name) for name in distortion], float)
     source, target = Scaling.of(ground, shared=True), Scaling.of(measured, shared=True)
     scale = target.scale / size
-    records = RECORD.pack(source=source.normalised(ground), target=target.normalised(measured), w11=scale[:, 0],
-                          w12=0.0, w22=scale[:, 1], centre=np.zeros(2))  # fmt: skip
+    records = RECORD.pack(
+        source=source.normalised(ground),
+        target=target.normalised(measured),
+        w11=scale[:, 0],
+        w12=0.0,
+        w22=scale[:, 1],
+        centre=np.zeros(2),
+    )
     setup = np.ascontiguousarray(np.stack([codes, np.ones(len(codes))]))
     rows = fitting.equation_rows(DLT, records, setup)
     direct = direct_dlt(records[:, RECORD.source], records[:, RECORD.target])
@@ -187,22 +200,25 @@ def fit_dlt(
     # physical parameters are linear in the normalised ones because the last element of the matrix is 1
     to_physical = _denormalisation(source, target, distortion)
     facts = fitting.statistics(white, assessed, iterations, to_physical)
-    doubt = require_depth(ground, state[:11], np.asarray(assessed.cofactors), facts["m0"], facts["redundancy"],
-                          known=sigma is not None)  # fmt: skip
+    doubt = require_depth(
+        ground, state[:11], np.asarray(assessed.cofactors), facts["m0"], facts["redundancy"], known=sigma is not None
+    )
     values, residuals = to_physical @ state, white.reshape(-1, 2) * size
     values[[3, 7]] += target.offset  # times the 1 of the last element
     recovered = _scaled(recover(values[:11], source.offset, facts["cofactors"][:11, :11]), facts["m0"], ground, size)
     origin = target.physical(records[0, RECORD.centre]) if distortion else recovered.principal
-    photo = Photo(name, np.append(values[:11], 1.0).reshape(3, 4), source.offset, origin,
-                  corrections_of(distortion, values[11:]))  # fmt: skip
+    photo = Photo(
+        name, np.append(values[:11], 1.0).reshape(3, 4), source.offset, origin, corrections_of(distortion, values[11:])
+    )
     return DltFit(photo, (*PARAMETERS, *distortion), values, residuals, recovered, doubt, **facts)
 
 
 def _iterated(rows: fitting.Rows, records: Array, state: Array, *, moves: bool) -> tuple[Array, int]:
-    """Adjusted state and number of iterations; if it ``moves``, the centre of distortion is the principal point of L.
+    """Return the adjusted state and number of iterations.
 
-    If this iteration does not converge (points that do not separate distortion and principal point), the centre of the
-    direct solution is used; ``records`` contain the used centre.
+    If it ``moves``, the centre of distortion is the principal point of L. If this iteration does not converge (points
+    that do not separate distortion and principal point), the centre of the direct solution is used; ``records`` contain
+    the used centre.
     """
     start, before = records[0, RECORD.centre].copy(), np.inf
     first = last = fitting.adjust(rows, state, "DLT")
@@ -222,7 +238,7 @@ def _iterated(rows: fitting.Rows, records: Array, state: Array, *, moves: bool) 
 
 
 def _open(ground: Array, value: str) -> InputError:
-    """Refusal of points close to a plane, or else in another critical configuration such as a twisted cubic."""
+    """Return the refusal of points close to a plane, or in another critical configuration such as a twisted cubic."""
     size = np.linalg.svd(ground - ground.mean(axis=0), compute_uv=False)
     code = "closerange.plane" if size[2] <= CLOSE_TO_PLANE * size[0] else "closerange.critical"
     return InputError.of(code, place="DLT", value=value)
@@ -237,7 +253,7 @@ def _require_spatial(ground: Array, design: Array) -> fitting.Determination:
 
 
 def limits(redundancy: int, *, known: bool) -> tuple[float, float]:
-    """Numbers of standard deviations by which a determinant differs from 0, and by which its inverse has a valid sigma.
+    """Return the limits in sigmas: determinant different from 0, and inverse with a valid sigma.
 
     ``redundancy``: 1 or more if sigmas are not known; ``known``: sigmas were given.
     """
@@ -258,12 +274,12 @@ def require_depth(
     ground : (n, 3) array
         Control points, m.
     parameters : (11,) array
-        L1 to L11 for coordinates about their middle, in any unit.
+        L1 to L11 for centred coordinates, in any unit.
     cofactors : (u, u) array
-        Of these and of the coefficients of the distortion.
+        Cofactors of these parameters and of the distortion coefficients.
     m0, redundancy
     known : bool
-        Whether sigmas were given; m0 can only enlarge them. Without them and without redundancy the noise is unknown,
+        True if sigmas were given; m0 can only enlarge them. Without them and without redundancy the noise is unknown,
         and nothing is refused.
     """
     if not known and m0 is None:
@@ -289,16 +305,24 @@ def require_depth(
     shown = float(np.sqrt(column @ np.linalg.solve(rows @ given_distortion @ rows.T, column))) / unit
     if shown < honest:
         rms = float(np.sqrt(np.mean((away @ heights) ** 2)))
-        raise InputError.of("closerange.flat", place="DLT", height=f"{rms:.2g} m",
-                            value=f"{ratio:.2g} sigmas from a plane, {honest:.3g} needed")  # fmt: skip
+        raise InputError.of(
+            "closerange.flat",
+            place="DLT",
+            height=f"{rms:.2g} m",
+            value=f"{ratio:.2g} sigmas from a plane, {honest:.3g} needed",
+        )
     if ratio < noise:
-        raise InputError.of("closerange.parallel_noise", place="DLT",
-                            value=f"{ratio:.2g} sigmas from parallel, {noise:.3g} needed")  # fmt: skip
+        raise InputError.of(
+            "closerange.parallel_noise", place="DLT", value=f"{ratio:.2g} sigmas from parallel, {noise:.3g} needed"
+        )
     return finding("closerange.nearly_parallel", sigmas=ratio, honest=honest)
 
 
 def _scaled(recovered: Recovered, m0: float | None, ground: Array, sigma: Array) -> Recovered:
-    """Orientation with a posteriori standard deviations; refused if its centre is 1000 times worse than a point."""
+    """Return the orientation with a posteriori standard deviations.
+
+    Refused if its centre is 1000 times worse than a point.
+    """
     apriori = recovered.sigma
     assert apriori is not None
     depth = float(np.linalg.norm(recovered.centre_m - ground.mean(axis=0)))
@@ -310,7 +334,7 @@ def _scaled(recovered: Recovered, m0: float | None, ground: Array, sigma: Array)
 
 
 def _denormalisation(source: Scaling, target: Scaling, distortion: Sequence[str]) -> Array:
-    """Physical from normalised parameters (u, u), ground coordinates about the offset of the normalisation."""
+    """Return the matrix (u, u) from normalised to physical parameters, with ground coordinates about the offset."""
     size, out = float(target.scale[0]), np.eye(11 + len(distortion))
     image = np.diag([size, size, 1.0])
     image[:2, 2] = target.offset
@@ -322,15 +346,16 @@ def _denormalisation(source: Scaling, target: Scaling, distortion: Sequence[str]
 
 
 def recover(parameters: Array, origin_m: Array, covariance: Array | None = None) -> Recovered:
-    """Interior and exterior orientation from L1 to L11 (Ayhan 1996, eq. 43, with a corrected sign of omega).
+    """Return the interior and exterior orientation from L1 to L11 (Ayhan 1996, eq. 43, with a corrected sign of omega).
 
     Parameters
     ----------
     parameters : (11,) array
-        For ground coordinates about ``origin_m``.
+        Parameters for ground coordinates relative to ``origin_m``.
     origin_m : (3,) array
     covariance : (11, 11) array, optional
-        Of the parameters. It gives standard deviations, by complex step through the same formulas.
+        Covariance of the parameters. It is propagated to standard deviations by complex steps through the same
+        formulas.
 
     Raises
     ------
@@ -350,7 +375,7 @@ def recover(parameters: Array, origin_m: Array, covariance: Array | None = None)
             stepped = matrix.astype(complex)
             stepped.flat[k] += 1j * _STEP
             moved, turned = _orientation(stepped, sign)
-            spin = turned.imag / _STEP @ rotation.real.T  # [w]x of the turn about the camera axes
+            spin = turned.imag / _STEP @ rotation.real.T  # [w]x of the rotation about the camera axes
             slopes[:8, k], slopes[8:, k] = moved.imag / _STEP, (spin[2, 1], spin[0, 2], spin[1, 0])
         variance = np.einsum("ij,jk,ik->i", slopes, covariance, slopes)
         sigma = dict(zip(RECOVERED, np.sqrt(np.maximum(variance, 0.0)).tolist(), strict=True))
@@ -360,7 +385,7 @@ def recover(parameters: Array, origin_m: Array, covariance: Array | None = None)
 
 
 def _orientation(matrix: npt.NDArray[Any], sign: float) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-    """x0, y0, cx, cy, skew, centre (8,) and rotation (3, 3); complex matrices pass."""
+    """Return x0, y0, cx, cy, skew, centre (8,) and rotation (3, 3); complex matrices are allowed."""
     m = matrix[:, :3] / np.sqrt(np.sum(matrix[2, :3] ** 2))
     x0, y0 = m[0] @ m[2], m[1] @ m[2]
     along_x, along_y = m[0] - x0 * m[2], m[1] - y0 * m[2]

@@ -31,7 +31,7 @@ SIGMA_IMAGE: Final = ("sigma_x", "sigma_y")
 SIGMA_GROUND: Final = ("sigma_x_m", "sigma_y_m", "sigma_z_m")
 ANGLES: Final = ("omega_deg", "phi_deg", "kappa_deg")
 SIGMA_TURNS: Final = ("sigma_x_deg", "sigma_y_deg", "sigma_z_deg")
-#: A larger standard deviation of a rotation means that it was not observed.
+#: Standard deviation of a rotation above which it counts as not observed.
 _LARGEST_TURN_DEG: Final = 180.0
 
 
@@ -44,8 +44,8 @@ class Observed(PointTable):
     photos : tuple of str
         One per row; "" if the table has no such column.
     sigma : array or None
-        Of the image coordinates (n, 2); of a table without them of the ground coordinates (n, 3). None: relative
-        weights, all 1.
+        Standard deviations of the image coordinates (n, 2); in a table without them, of the ground coordinates (n, 3).
+        None: relative weights, all 1.
     sha256 : str
     """
 
@@ -55,7 +55,7 @@ class Observed(PointTable):
 
     @property
     def weights(self) -> str:
-        """Absolute (of given sigmas, m0 is a ratio), or relative (m0 is a sigma)."""
+        """Absolute (given sigmas, m0 is a ratio), or relative (m0 is a sigma)."""
         return "relative" if self.sigma is None else "absolute"
 
     @property
@@ -64,7 +64,10 @@ class Observed(PointTable):
         return np.ones((len(self), 2)) if self.sigma is None else self.sigma
 
     def numbered(self, others: Iterable[str] = ()) -> tuple[list[str], list[str], Index, Index]:
-        """Names of the photos; ids of the points and of others; number (n,) of the photo and point of each row."""
+        """Return names of the photos; ids of the points and of others.
+
+        Number (n,) of the photo and point of each row.
+        """
         names, ids = list(dict.fromkeys(self.photos)), list(dict.fromkeys((*self.ids, *others)))
         rows = ((names, self.photos), (ids, self.ids))
         which, of = (np.array([known.index(one) for one in given], np.intp) for known, given in rows)
@@ -72,7 +75,7 @@ class Observed(PointTable):
 
 
 def read_control(path: Path, sigma: float | None = None) -> Observed:
-    """Control points measured in photos: id, x, y, x_m, y_m, z_m; optional photo, role, sigma_x and sigma_y.
+    """Return the control points measured in photos: id, x, y, x_m, y_m, z_m; optional photo, role, sigma_x and sigma_y.
 
     ``sigma``: default standard deviation.
 
@@ -86,17 +89,17 @@ def read_control(path: Path, sigma: float | None = None) -> Observed:
 
 
 def read_image_points(path: Path, sigma: float | None = None) -> Observed:
-    """Points measured in photos: id, photo, x, y; optional sigma_x and sigma_y. ``sigma``: default."""
+    """Return the points measured in photos: id, photo, x, y; optional sigma_x and sigma_y. ``sigma``: default."""
     return _read(path, [("id", "photo", *IMAGE, *own) for own in ((), SIGMA_IMAGE)], sigma)
 
 
 def read_ground_points(path: Path, sigma_m: float | None = None) -> Observed:
-    """Points in space: id, x_m, y_m, z_m; optional sigma_x_m, sigma_y_m, sigma_z_m. ``sigma_m``: default."""
+    """Return the points in space: id, x_m, y_m, z_m; optional sigma_x_m, sigma_y_m, sigma_z_m. ``sigma_m``: default."""
     return _read(path, [("id", *GROUND, *own) for own in ((), SIGMA_GROUND)], sigma_m)
 
 
 def read_model_points(path: Path) -> tuple[tuple[str, ...], Array]:
-    """Ids and coordinates (n, 3) of a model of any unit: id, x, y, z; optional distance, which is not used.
+    """Return the ids and coordinates (n, 3) of a model of any unit: id, x, y, z; optional distance, which is not used.
 
     Raises
     ------
@@ -120,8 +123,12 @@ def _read(path: Path, layouts: list[tuple[str, ...]], default: float | None) -> 
         sigma = _sigmas(table, names[0])
     photos = tuple(table.cells["photo"]) if "photo" in columns else ("",) * len(table)
     keys = list(zip(table.cells["id"], photos, strict=True))
-    table.refuse_repeated(keys, "rectify.id_twice", "id", value=lambda row: " in photo ".join(
-        filter(None, (row.cells["id"], row.cells.get("photo")))))  # fmt: skip
+    table.refuse_repeated(
+        keys,
+        "rectify.id_twice",
+        "id",
+        value=lambda row: " in photo ".join(filter(None, (row.cells["id"], row.cells.get("photo")))),
+    )
     check = checks(table)
     table.require_valid()
     return Observed(tuple(table.cells["id"]), check, image, ground, photos, sigma, sha256_of(path))
@@ -136,7 +143,7 @@ def _numbers(table: Table, names: Sequence[str]) -> Array:
 
 
 def interiors(photos: Photos) -> dict[str, PhotoInterior]:
-    """Cameras of a photo file by name; InputError for a photo without a focal length."""
+    """Return the cameras of a photo file by name; InputError for a photo without a focal length."""
     return {name: _interior(photos, name, entry) for name, entry in photos.entries.items()}
 
 
@@ -147,14 +154,19 @@ def _interior(photos: Photos, name: str, entry: PhotoEntry) -> PhotoInterior:
 
 
 def oriented_photos(photos: Photos) -> dict[str, Photo]:
-    """Oriented photos of a file by name; InputError without a matrix or without rotation, centre and focal length."""
+    """Return the oriented photos of a file by name."""
     out = {}
     for name, entry in photos.entries.items():
         if entry.matrix is not None:
             matrix, origin = np.array(entry.matrix), np.array(entry.origin_m)
             if abs(np.linalg.det(matrix[:, :3])) <= 1e-12 * np.prod(np.linalg.norm(matrix[:, :3], axis=1)):
-                raise InputError.of("closerange.camera", file=photos.file, place=f"{name}, matrix",
-                                    value="singular", expected="the matrix of a central projection")  # fmt: skip
+                raise InputError.of(
+                    "closerange.camera",
+                    file=photos.file,
+                    place=f"{name}, matrix",
+                    value="singular",
+                    expected="the matrix of a central projection",
+                )
             out[name] = Photo(name, matrix, origin, np.array(entry.principal), np.array(entry.corrections))
         elif entry.focal is not None and entry.rotation is not None and entry.centre_m is not None:
             out[name] = Photo.of(name, _interior(photos, name, entry), entry.rotation, entry.centre_m)
@@ -181,7 +193,7 @@ class Station:
 
 
 def read_stations(path: Path) -> dict[str, Station]:
-    """Stations of a CSV table by photo; InputError with all errors of the table.
+    """Return the stations of a CSV table by photo; InputError with all errors of the table.
 
     Columns: photo, x_m, y_m, z_m, sigma_x_m, sigma_y_m, sigma_z_m; optional omega_deg, phi_deg, kappa_deg,
     sigma_x_deg, sigma_y_deg, sigma_z_deg.

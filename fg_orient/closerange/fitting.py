@@ -1,11 +1,11 @@
-"""Adjustment of a small problem by the loop of the bundle adjustment: rows of any kind, and foot points on quadrics.
+"""Adjustment of small problems by the loop of the bundle adjustment: rows of any kind, and foot points on quadrics.
 
 Unknowns should be of size 1, because the loop compares the largest element of a step with its limit.
 
 A condition ``l^T S l + 2 u^T l + c = 0`` between the observations of one point (a surface in space, the coplanarity of
 two rays) with ``v^T Q^-1 v`` minimal has v in closed form except for one number t. Along the eigenvectors of the
-whitened S, v_i = -t w_i/(1 + t d_i), and the condition is a decreasing function of t. So the foot point is exact and
-the nearest one, where iterated linearisation (Pope) may converge to the far side. :func:`compare_points` compares
+whitened S, v_i = -t w_i/(1 + t d_i), and the condition is a decreasing function of t. So the foot point is exact and is
+the nearest one, whereas iterated linearisation (Pope) may converge to the far side. :func:`compare_points` compares
 adjusted points with a reference.
 """
 
@@ -29,12 +29,12 @@ from fg_orient.model.names import LARGEST, SMALLEST
 Rows = DenseRows
 
 MAX_ITERATIONS: Final = 100
-#: Smallest singular value of a design with columns of unit length, divided by the largest, that gives a covariance.
+#: Least ratio of the smallest to the largest singular value (columns of unit length) for which there is a covariance.
 RANK_LIMIT: Final = 1e-12
-#: Standard deviation, divided by that of a point, above which the points do not determine a parameter.
+#: Ratio of a parameter's standard deviation to that of a point, above which the points do not determine the parameter.
 UNDETERMINED: Final = 1e3
 _STEPS: Final = 200
-#: Remaining part of a condition, relative to its largest term: a few rounding errors.
+#: Remainder of a condition, relative to its largest term, that is rounding.
 _ROUNDING: Final = 1e-15
 
 
@@ -54,7 +54,7 @@ class Minimum:
 
 
 def unit_weight(weighted_squares: float, redundancy: int) -> float | None:
-    """Standard deviation of unit weight; None without redundancy, when it is not defined."""
+    """Return the standard deviation of unit weight; None without redundancy."""
     return float(np.sqrt(weighted_squares / redundancy)) if redundancy > 0 else None
 
 
@@ -65,7 +65,7 @@ class Fit:
     Parameters
     ----------
     cofactors : (u, u) array
-        Of the parameters, for the given sigmas; times m0 squared their covariance.
+        Cofactors of the parameters, for the given sigmas; times m0 squared they are the covariance.
     m0 : float or None
         Standard deviation of unit weight; None without redundancy.
     redundancy : int
@@ -87,11 +87,16 @@ class Fit:
 
 
 def statistics(whitened: Array, assessed: Determination, iterations: int, away: Array) -> dict[str, Any]:
-    """Keyword arguments of a :class:`Fit` from whitened residuals; ``away`` (p, u): user's parameters by unknowns."""
+    """Return keyword arguments of a :class:`Fit` from whitened residuals."""
     assert assessed.cofactors is not None
     redundancy = whitened.size - len(assessed.cofactors)
-    return {"cofactors": away @ assessed.cofactors @ away.T, "m0": unit_weight(float(whitened @ whitened), redundancy),
-            "redundancy": redundancy, "condition": assessed.condition, "iterations": iterations}  # fmt: skip
+    return {
+        "cofactors": away @ assessed.cofactors @ away.T,
+        "m0": unit_weight(float(whitened @ whitened), redundancy),
+        "redundancy": redundancy,
+        "condition": assessed.condition,
+        "iterations": iterations,
+    }
 
 
 def finite_rows(rows: Rows, what: str = "") -> Rows:
@@ -110,17 +115,17 @@ def finite_rows(rows: Rows, what: str = "") -> Rows:
 
 
 def adjust(rows: Rows, start: Array, what: str, *, moved: Callable[[Array, Array], Array] = np.add) -> Minimum:
-    """Minimum of the squares of some rows from a start (u,), by Levenberg-Marquardt.
+    """Minimise the squares of some rows from a start (u,), by Levenberg-Marquardt.
 
     Parameters
     ----------
     rows : callable
-        Whitened residuals (n,) and their derivatives (n, u) at a state.
+        Function that returns whitened residuals (n,) and their derivatives (n, u) at a state.
     start : (u,) array
     what : str
         Name of the fit, for the error.
     moved : callable
-        State after a step, from state and step.
+        Function that returns the state after a step, from state and step.
 
     Raises
     ------
@@ -149,13 +154,13 @@ class Determination:
 
 
 def determination(design: Array, sigma: Array | None = None) -> Determination:
-    """Singular values of a design whose columns have unit length, and cofactors from them.
+    """Assess unknowns from the singular values of a design with columns of unit length; also return cofactors.
 
     ``sigma``: standard deviations of points; unknowns with standard deviations above ``UNDETERMINED`` times their root
     mean square are not determined.
     """
     length = np.linalg.norm(design, axis=0)
-    # a column of rounding noise must not become one of unit length
+    # a column of rounding noise must not be scaled to unit length
     length = np.where(length > RANK_LIMIT * length.max(), length, np.inf)
     none = np.isinf(length)
     _, values, right = np.linalg.svd(design / length, full_matrices=len(design) < design.shape[1])
@@ -172,12 +177,12 @@ def determination(design: Array, sigma: Array | None = None) -> Determination:
 
 
 def determined(design: Array, sigma: Array, code: str, place: str) -> Determination:
-    """Determination of all unknowns; ``sigma`` as in :func:`determination`.
+    """Determine all unknowns; ``sigma`` as in :func:`determination`.
 
     Raises
     ------
     InputError
-        With this code: the rows do not determine all unknowns.
+        Error with this code: the rows do not determine all unknowns.
     """
     assessed = determination(design, sigma)
     if assessed.cofactors is None:
@@ -186,12 +191,12 @@ def determined(design: Array, sigma: Array, code: str, place: str) -> Determinat
 
 
 def plain_rms(values: Array) -> list[float | None]:
-    """Root mean square of each column; None without rows."""
+    """Return the root mean square of each column; None without rows."""
     return list[float | None](np.sqrt(np.mean(values**2, axis=0)).tolist()) if len(values) else [None] * values.shape[1]
 
 
 def as_points(values: npt.ArrayLike, width: int, place: str) -> Array:
-    """Finite numbers (n, width), at most ``LARGEST`` in size; InputError for anything else."""
+    """Return the finite numbers (n, width), at most ``LARGEST`` in size; InputError for anything else."""
     out = np.atleast_2d(array(values, place))
     if out.ndim != 2 or out.shape[1] != width or not len(out):
         raise InputError.of("closerange.points", place=place, value=f"shape {out.shape}", width=width)
@@ -206,14 +211,14 @@ def as_points(values: npt.ArrayLike, width: int, place: str) -> Array:
 
 
 def as_positions(values: npt.ArrayLike, place: str, like: Array, count: int | None = None) -> Index:
-    """Positions of photos or points, one for each row of ``like`` (n, k); below ``count``, if it is given."""
+    """Return positions of photos or points, one for each row of ``like`` (n, k), below ``count`` if it is given."""
     out = array(values, place, (len(like),), np.intp)
     require_positions(out, place, f"{place}s", count)
     return out
 
 
 def as_sigmas(values: npt.ArrayLike, like: Array, place: str = "sigma") -> Array:
-    """Standard deviations of each element of ``like`` (n, k), from an array that fits it; others are refused."""
+    """Return standard deviations of each element of ``like`` (n, k), from an array that fits it; others are refused."""
     given = array(values, place)
     try:
         out = np.broadcast_to(given, like.shape)
@@ -231,8 +236,9 @@ def require_sigmas(sigma: npt.ArrayLike, place: str = "sigma") -> None:
         raise InputError.of("closerange.sigma", place=place, value=float(values[~possible][0]))
     within = (values >= SMALLEST) & (values <= LARGEST)
     if not within.all():
-        raise InputError.of("closerange.sigma_range", place=place, value=float(values[~within][0]), least=SMALLEST,
-                            limit=LARGEST)  # fmt: skip
+        raise InputError.of(
+            "closerange.sigma_range", place=place, value=float(values[~within][0]), least=SMALLEST, limit=LARGEST
+        )
 
 
 # --- conditions of the second degree ---------------------------------------------------------------
@@ -257,17 +263,17 @@ class Conditions:
     constant: Array | float
 
     def value(self, points: Array) -> Array:
-        """Condition (n,) at points (n, d)."""
+        """Return the condition (n,) at points (n, d)."""
         return np.asarray(np.einsum("ni,ni->n", points, self._half_slope(points) + self.linear) + self.constant)
 
     def slope(self, points: Array) -> Array:
-        """Derivatives (n, d) of the condition."""
+        """Return the derivatives (n, d) of the condition."""
         return np.asarray(2.0 * self._half_slope(points))
 
     def central(self, least: float = 1e-9) -> tuple[Array, Array, Array] | None:
-        """Centre (d,), squares of the semi-axes (d,), below 0 for imaginary ones, and their directions as columns.
+        """Return the centre (d,), squared semi-axes (d,), negative for imaginary ones, and their directions as columns.
 
-        None without a centre: a curvature is below ``least`` times the largest. For one condition.
+        None without a centre: a curvature is below ``least`` times the largest. Only for a single condition.
         """
         curvatures, axes = np.linalg.eigh(self.square)
         if np.abs(curvatures).min() <= least * np.abs(curvatures).max():
@@ -281,7 +287,7 @@ class Conditions:
 
 
 def foot_points(conditions: Conditions, points: Array, sigma: Array) -> Array:
-    """Points that fulfil the conditions and are nearest to given points in units of their sigmas.
+    """Return the points that fulfil the conditions and are nearest to given points in units of their sigmas.
 
     Parameters
     ----------
@@ -291,7 +297,7 @@ def foot_points(conditions: Conditions, points: Array, sigma: Array) -> Array:
     Returns
     -------
     (n, d) array
-        nan without a unique nearest point (the centre of a sphere), or if the surface has no point.
+        Foot points; nan without a unique nearest point (the centre of a sphere), or if the surface has no point.
     """
     square = sigma[:, :, None] * np.broadcast_to(conditions.square, (len(points), *conditions.square.shape[-2:]))
     square = square * sigma[:, None, :]
@@ -305,7 +311,7 @@ def foot_points(conditions: Conditions, points: Array, sigma: Array) -> Array:
 
 
 def weighted_distances(conditions: Conditions, points: Array, sigma: Array) -> tuple[Array, Array]:
-    """Distances of points from the conditions in sigmas.
+    """Return the distances of points from the conditions in sigmas.
 
     Parameters
     ----------
@@ -315,7 +321,7 @@ def weighted_distances(conditions: Conditions, points: Array, sigma: Array) -> t
     Returns
     -------
     distances : (n,) array
-        Above 0 where the condition is positive.
+        Distances; positive where the condition is positive.
     foot_points : (n, d) array
     """
     foot = foot_points(conditions, points, sigma)
@@ -329,7 +335,7 @@ def distance_rows(by_unknown: Array, slope: Array, sigma: Array) -> Array:
 
 
 def _multiplier(d: Array, w: Array, c: Array) -> Array:
-    """Root t (n,) of c - sum w^2 t (2 + t d)/(1 + t d)^2 between the poles -1/d, by Newton in a bracket."""
+    """Return the root t (n,) of c - sum w^2 t (2 + t d)/(1 + t d)^2 between the poles -1/d, by Newton in a bracket."""
     with np.errstate(all="ignore"):
         poles = np.where(np.abs(w) > 0.0, -1.0 / d, np.nan)
         low = np.fmax.reduce(np.where(poles < 0.0, poles, -np.inf), axis=1)
@@ -376,9 +382,9 @@ class Measures:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Differences of all points, of control points, and of the others.
+    """Differences of all points, of control points, and of the other points.
 
-    Only the others measure the accuracy of a method, because it uses the control points.
+    Only the other points measure the accuracy of a method, because the method uses the control points.
     """
 
     every: Measures

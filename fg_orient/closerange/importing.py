@@ -32,10 +32,15 @@ CONTENTS: Final = Contents("photos.toml", ("photos.toml", "image.csv", "control.
 
 
 def run_import(
-    *export: Path, source: str = "photomodeler", control: Path | None = None, stations: Path | None = None,
-    sigma_image_px: float | None = None, image_sizes: Mapping[str, tuple[int, int]] | None = None,
-    out: Path, overwrite: bool = False,
-) -> Record:  # fmt: skip
+    *export: Path,
+    source: str = "photomodeler",
+    control: Path | None = None,
+    stations: Path | None = None,
+    sigma_image_px: float | None = None,
+    image_sizes: Mapping[str, tuple[int, int]] | None = None,
+    out: Path,
+    overwrite: bool = False,
+) -> Record:
     """Write the tables of ``closerange bundle`` from a project of another program.
 
     Parameters
@@ -43,13 +48,13 @@ def run_import(
     *export, source
         Files or folder of the project; name of a format with cameras and poses.
     control, stations : Path, optional
-        Control points: lines of id, name, X, Y, Z and, unless exact, one standard deviation or three. Observed
-        projection centres: lines of photo, X, Y, Z and one standard deviation or three. Control points that the
+        Control points: lines of id, name, X, Y, Z and, unless exact, one or three standard deviations. Observed
+        projection centres: lines of photo, X, Y, Z and one or three standard deviations. Control points that the
         project does not have are left out, with a note.
     sigma_image_px : float, optional
         Standard deviation of image coordinates, pixels, added to the table.
     image_sizes : mapping of str to (n_lines, n_samples), optional
-        Sizes of photos that the project does not state.
+        Sizes of photos whose size the project does not state.
     out, overwrite
         Folder of the tables; replace it.
 
@@ -70,8 +75,9 @@ def run_import(
     present = np.isin(np.array(stated, str), model.point_ids)
     ids, known, missing = list(compress(stated, present)), known[present], list(compress(stated, ~present))
     if missing and not ids:
-        raise InputError.of("closerange.not_in_project", file=control, value=", ".join(missing),
-                            known=", ".join(model.point_ids[:10]))  # fmt: skip
+        raise InputError.of(
+            "closerange.not_in_project", file=control, value=", ".join(missing), known=", ".join(model.point_ids[:10])
+        )
     left_out = finding("closerange.control_left_out", file=control, n=len(missing), names=missing)
     notes = (*model.notes, left_out) if missing else model.notes
     weighted = np.isfinite(known[:, 3])
@@ -93,21 +99,29 @@ def run_import(
         for name, columns in tables.items():
             write_records(folder / name, plain(rows_of(columns)))
     return {
-        "kind": "import", "format": source, "photos": len(model.poses), "points": len(np.unique(model.point)),
-        "image_points": len(model.point), "control": len(ids), "stations": len(centres), "shift_m": shift.tolist(),
-        "unit": "px" if _unit(model) == 1.0 else "mm", "files": ["photos.toml", *tables], "out": str(out),
+        "kind": "import",
+        "format": source,
+        "photos": len(model.poses),
+        "points": len(np.unique(model.point)),
+        "image_points": len(model.point),
+        "control": len(ids),
+        "stations": len(centres),
+        "shift_m": shift.tolist(),
+        "unit": "px" if _unit(model) == 1.0 else "mm",
+        "files": ["photos.toml", *tables],
+        "out": str(out),
         **as_record(notes),
-    }  # fmt: skip
+    }
 
 
 def _unit(model: FrameModel) -> float:
-    """Pixels per unit of the image coordinates, which is the common unit of the camera polynomials, else 1."""
+    """Return pixels per unit of the image coordinates, which is the common unit of the camera polynomials, else 1."""
     units = {c.unit_px for c in model.cameras.values() if c.model == MEASURED_TO_IDEAL and c.unit_px}
     return units.pop() if len(units) == 1 else 1.0
 
 
 def _shift(model: FrameModel, ids: Sequence[str], known: Array) -> Array:
-    """Mean difference (3,) of the control points from the project's points, which contain them; 0 without any."""
+    """Return the mean difference (3,) between control points and the project's points; 0 without any."""
     if not len(ids):
         return np.zeros(3)
     place = {name: k for k, name in enumerate(model.point_ids)}
@@ -115,40 +129,54 @@ def _shift(model: FrameModel, ids: Sequence[str], known: Array) -> Array:
 
 
 def _marks(model: FrameModel, sigma_px: float | None) -> dict[str, Any]:
-    """Columns of the table of image points."""
+    """Return the columns of the table of image points."""
     unit = _unit(model)
     columns: dict[str, Any] = {
-        "id": [model.point_ids[j] for j in model.point], "photo": [model.poses[k].name for k in model.image],
+        "id": [model.point_ids[j] for j in model.point],
+        "photo": [model.poses[k].name for k in model.image],
         "{}": np.column_stack([model.sample, model.line]) / unit,
-    }  # fmt: skip
+    }
     return columns if sigma_px is None else columns | {"sigma_{}": np.full((len(model.point), 2), sigma_px / unit)}
 
 
 def _spread(values: Array) -> dict[str, Array]:
-    """Columns of coordinates (n, 3) and, if there are six numbers, their standard deviations."""
+    """Return the columns of coordinates (n, 3) and, if there are six numbers, their standard deviations."""
     return {"{}_m": values[:, :3]} | ({"sigma_{}_m": values[:, 3:]} if values.shape[1] > 3 else {})
 
 
 def _photos(model: FrameModel, shift: Array, file: Path) -> list[str]:
-    """Photo tables; InputError for two photos of one name, or a camera that a photo file cannot contain."""
+    """Return the photo tables; InputError for two photos of one name, or a camera that a photo file cannot contain."""
     names = [pose.name for pose in model.poses]
     if len(set(names)) < len(names):
         twice = next(n for n in names if names.count(n) > 1)
         raise InputError.of("closerange.bundle", file=file, place="photos", value=twice, expected="different names")
     interiors = {key: _interior(c, _unit(model), file) for key, c in model.cameras.items()}
-    return [photo_text(Photo.of(p.name, interiors[p.camera], p.rotation, p.centre_m + shift), interiors[p.camera],
-                       p.rotation) for p in model.poses]  # fmt: skip
+    return [
+        photo_text(
+            Photo.of(p.name, interiors[p.camera], p.rotation, p.centre_m + shift), interiors[p.camera], p.rotation
+        )
+        for p in model.poses
+    ]
 
 
 def _interior(camera: FrameInterior, unit_px: float, file: Path) -> PhotoInterior:
-    """Camera in the unit of the image coordinates; k1 k2 k3 P1 P2 for x right, y down, from measured to ideal ones."""
+    """Convert a camera to the unit of the image coordinates.
+
+    K1 k2 k3 P1 P2 for x right, y down, from measured to ideal.
+    """
     if camera.model != MEASURED_TO_IDEAL and np.any(camera.distortion):
         raise InputError.of("closerange.direction", file=file, place=f"camera {camera.name}", value=camera.model)
-    stretch = 1.0 + camera.aspect  # of x; the principal distance refers to x, and B compresses y
+    stretch = 1.0 + camera.aspect  # factor of x; the principal distance refers to x, and B compresses y
     if camera.aspect and np.any(camera.distortion):
-        raise InputError.of("closerange.camera", file=file, place=f"camera {camera.name}",
-                            value=f"aspect {camera.aspect:g}", expected="aspect 0 with distortion")  # fmt: skip
-    ratio = (camera.unit_px or camera.focal_px) / unit_px  # of the polynomial's unit to the unit of the coordinates
+        raise InputError.of(
+            "closerange.camera",
+            file=file,
+            place=f"camera {camera.name}",
+            value=f"aspect {camera.aspect:g}",
+            expected="aspect 0 with distortion",
+        )
+    # ratio of the polynomial's unit to the unit of the coordinates
+    ratio = (camera.unit_px or camera.focal_px) / unit_px
     k1, k2, k3, first, second = camera.distortion.tolist()
     corrections = np.array([k1 / ratio**2, k2 / ratio**4, k3 / ratio**6, second / ratio, first / ratio, 0.0,
                             1.0 / stretch - 1.0])  # fmt: skip

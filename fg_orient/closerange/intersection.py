@@ -17,7 +17,7 @@ from fg_orient.model.errors import InputError, NoSolutionError
 _ITERATIONS: Final = 50
 #: Largest step, relative to the coordinates, that ends the iteration.
 _TOLERANCE: Final = 1e-13
-#: Angle between rays, divided by its noise, below which it may be noise.
+#: Ratio of the angle between rays to its noise, below which the angle may be noise.
 SURELY: Final = 5.0
 
 
@@ -29,11 +29,11 @@ class Intersection:
     ----------
     points_m : (n, 3) array
     cofactors : (n, 3, 3) array
-        For the given sigmas; times m0 squared their covariance. The photos are treated as exact.
+        Cofactors for the given sigmas; times m0 squared they are the covariance. The photos are treated as exact.
     residuals : (m, 2) array
         Computed minus ideal image coordinates, in the order of the observations.
     m0 : float or None
-        Of all points together; None without redundancy.
+        m0 of all points together; None without redundancy.
     redundancy : int
     iterations : int
     """
@@ -54,9 +54,15 @@ class Intersection:
 
 
 def intersect_photos(
-    photos: Sequence[Photo], photo: npt.ArrayLike, point: npt.ArrayLike, image: npt.ArrayLike, *,
-    sigma: npt.ArrayLike = 1.0, ids: Sequence[str] | None = None, reweighted: bool = False,
-) -> Intersection:  # fmt: skip
+    photos: Sequence[Photo],
+    photo: npt.ArrayLike,
+    point: npt.ArrayLike,
+    image: npt.ArrayLike,
+    *,
+    sigma: npt.ArrayLike = 1.0,
+    ids: Sequence[str] | None = None,
+    reweighted: bool = False,
+) -> Intersection:
     """Intersect points.
 
     Parameters
@@ -67,12 +73,12 @@ def intersect_photos(
     image : (m, 2) array
         Measured x, y.
     sigma : float or array that fits (m, 2)
-        Of the image coordinates.
+        Standard deviations of the image coordinates.
     ids : sequence of str, optional
-        Of the points, for messages.
+        Ids of the points, for messages.
     reweighted : bool
-        True: equations times their denominators, weighted with the previous denominators (Ayhan 1996, eqs. 119-124),
-        instead of least squares of the image coordinates. The results differ by the square of the residuals.
+        True: equations are multiplied by their denominators and weighted with the previous denominators (Ayhan 1996,
+        eqs. 119-124). False: least squares of the image coordinates. The results differ by the square of the residuals.
 
     Returns
     -------
@@ -117,13 +123,13 @@ def intersect_photos(
 
 
 def _refuse(bad: Mask, names: Sequence[str], code: str = "closerange.parallel_rays") -> None:
-    """InputError that names the first of the bad points (n,)."""
+    """Raise InputError that names the first of the bad points (n,)."""
     if bad.any():
         raise InputError.of(code, place=f"point {names[int(np.argmax(bad))]}", value=f"{bad.sum()} point(s)")
 
 
 def _start(matrices: Array, ideal: Array, of: Index, n: int, names: Sequence[str]) -> Array:
-    """Points of the linear equations with weight 1."""
+    """Solve the linear equations with weight 1 for the points."""
     rows = ideal[:, :, None] * matrices[:, 2:, :] - matrices[:, :2, :]
     rows = rows / np.linalg.norm(rows[:, :, :3], axis=2, keepdims=True)
     normal, right = _normals(rows[:, :, :3], rows[:, :, 3], of, n)
@@ -133,7 +139,7 @@ def _start(matrices: Array, ideal: Array, of: Index, n: int, names: Sequence[str
 
 
 def _normals(rows: Array, residuals: Array, of: Index, n: int) -> tuple[Array, Array]:
-    """Normal matrices (n, 3, 3) and right sides (n, 3) of the points from rows (m, 2, 3) and residuals (m, 2)."""
+    """Return normal matrices (n, 3, 3) and right sides (n, 3) of points from rows (m, 2, 3) and residuals (m, 2)."""
     normal, right = np.zeros((n, 3, 3)), np.zeros((n, 3))
     np.add.at(normal, of, np.einsum("mij,mik->mjk", rows, rows))
     np.add.at(right, of, -np.einsum("mij,mi->mj", rows, residuals))
@@ -141,7 +147,7 @@ def _normals(rows: Array, residuals: Array, of: Index, n: int) -> tuple[Array, A
 
 
 def _rows(matrices: Array, ideal: Array, points: Array, at_measured: bool) -> tuple[Array, Array, Array]:
-    """Residuals (m, 2), their derivatives (m, 2, 3) and depths (m,)."""
+    """Return the residuals (m, 2), their derivatives (m, 2, 3) and depths (m,)."""
     q = np.einsum("mij,mj->mi", matrices[:, :, :3], points) + matrices[:, :, 3]
     computed = q[:, :2] / q[:, 2:]
     at = ideal if at_measured else computed
@@ -152,7 +158,7 @@ def _rows(matrices: Array, ideal: Array, points: Array, at_measured: bool) -> tu
 def _iterated(
     matrices: Array, ideal: Array, size: Array, of: Index, points: Array, names: Sequence[str], reweighted: bool
 ) -> tuple[Array, int]:
-    """Gauss-Newton for each point, until all steps are at rounding level or the largest no longer decreases."""
+    """Run Gauss-Newton for each point, until all steps are at rounding level or the largest no longer decreases."""
     before, length = np.inf, np.full(len(points), np.inf)
     for iteration in range(1, _ITERATIONS + 1):
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # divergence of a point ends the loop
@@ -168,12 +174,15 @@ def _iterated(
         before = largest
     lost = int(np.nanargmax(np.where(np.isfinite(length), length, np.inf)))
     _require_angle(matrices[of == lost], ideal[of == lost], size[of == lost], names[lost])
-    raise NoSolutionError.of("closerange.not_converged", place=f"intersection of point {names[lost]}",
-                             reason=f"no convergence within {_ITERATIONS} iterations")  # fmt: skip
+    raise NoSolutionError.of(
+        "closerange.not_converged",
+        place=f"intersection of point {names[lost]}",
+        reason=f"no convergence within {_ITERATIONS} iterations",
+    )
 
 
 def _require_angle(matrices: Array, ideal: Array, size: Array, name: str) -> None:
-    """Refuse a point whose rays are parallel within their noise, for example rays from one place.
+    """Refuse a point whose rays are parallel within their noise, such as rays from one place.
 
     With an angle a between the rays, the sigma of the distance is 1/a times the sigma of a point; the limit of this
     factor is ``UNDETERMINED``.
@@ -190,7 +199,7 @@ def _require_angle(matrices: Array, ideal: Array, size: Array, name: str) -> Non
 
 
 def _solved(normal: Array, right: Array) -> Array:
-    """Solutions (n, 3); nan where a normal matrix is singular or not finite."""
+    """Return the solutions (n, 3); nan where a normal matrix is singular or not finite."""
     try:
         return np.asarray(np.linalg.solve(normal, right[:, :, None])[:, :, 0])
     except np.linalg.LinAlgError:
@@ -204,7 +213,7 @@ def _solved(normal: Array, right: Array) -> Array:
 def _require_depth(
     cofactors: Array, depth: Array, matrices: Array, size: Array, of: Index, names: Sequence[str]
 ) -> None:
-    """Refuse points with a standard deviation above 1000 times the standard deviation of their image points there."""
+    """Refuse points with a standard deviation above 1000 times the standard deviation of their image points."""
     focal = np.linalg.norm(matrices[:, 0, :3], axis=1)  # norm of the depth row times the principal distance
     unit = np.zeros(len(cofactors))
     np.maximum.at(unit, of, np.sqrt(np.mean(size**2, axis=1)) * depth / focal)
@@ -216,10 +225,14 @@ def _require_depth(
 
 
 def normal_case(
-    left: npt.ArrayLike, right: npt.ArrayLike, base_m: float, focal: float, focal_right: float | None = None,
+    left: npt.ArrayLike,
+    right: npt.ArrayLike,
+    base_m: float,
+    focal: float,
+    focal_right: float | None = None,
     station_m: npt.ArrayLike = (0.0, 0.0, 0.0),
-) -> Array:  # fmt: skip
-    """Points of a stereo pair without rotations, with its base along x.
+) -> Array:
+    """Return the points of a stereo pair without rotations, with its base along x.
 
     Axes as in Ayhan 1996: X right, Y away from the cameras, Z up; image x right, z up from the principal points.
 

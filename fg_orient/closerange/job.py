@@ -1,4 +1,4 @@
-"""Work of the commands: read a table, compute, make the record, write the folder."""
+"""Execution of the commands: read a table, compute, make the record, write the folder."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Output:
     command: Sequence[str] = ()
 
     def require_possible(self) -> None:
-        """Refuse outputs that exist and may not be replaced, and a report without folder, before the computation."""
+        """Refuse, before the computation, outputs that exist and may not be replaced, and a report without folder."""
         if self.out is not None:
             require_free(self.out, overwrite=self.overwrite, contents=CONTENTS)
         if self.report is None:
@@ -60,7 +60,7 @@ class Output:
             raise InputError.of("output.unwritable", file=self.report, option="report", value="no such folder")
 
 
-#: No output but the record.
+#: Output that consists of the record only.
 NONE: Final = Output()
 
 
@@ -79,15 +79,25 @@ def run_dlt(path: Path, options: DltOptions, output: Output = NONE) -> Record:
         doubts = [fit.doubt, finding("closerange.little_redundancy") if little else None]
         r, s = fit.recovered, fit.recovered.sigma or dict.fromkeys(RECOVERED, np.nan)
         interior = {
-            "principal": r.principal, "sigma_principal": [s["x0"], s["y0"]], "cx": r.cx, "sigma_cx": s["cx"],
-            "cy": r.cy, "sigma_cy": s["cy"], "skew_rad": r.skew, "sigma_skew_rad": s["skew"], "y_axis": r.y_axis,
-        }  # fmt: skip
+            "principal": r.principal,
+            "sigma_principal": [s["x0"], s["y0"]],
+            "cx": r.cx,
+            "sigma_cx": s["cx"],
+            "cy": r.cy,
+            "sigma_cy": s["cy"],
+            "skew_rad": r.skew,
+            "sigma_skew_rad": s["skew"],
+            "y_axis": r.y_axis,
+        }
         sd = [s[name] for name in RECOVERED]
         record = {
-            "photo": name, **_fit_facts(fit, doubts), "parameters": parameters(fit.names, fit.values, fit.sigma),
-            "origin_m": fit.photo.origin_m, "interior": interior,
+            "photo": name,
+            **_fit_facts(fit, doubts),
+            "parameters": parameters(fit.names, fit.values, fit.sigma),
+            "origin_m": fit.photo.origin_m,
+            "interior": interior,
             "exterior": exterior_record(r.rotation, r.centre_m, sd[8:], sd[5:8]),
-        }  # fmt: skip
+        }
         return record, fit.photo, photo_text(fit.photo)
 
     return _each_photo("dlt", path, options.sigma, output, one)
@@ -126,21 +136,32 @@ def run_intersect(path: Path, photos: Path, options: ImageOptions, output: Outpu
     table, known = files.read_image_points(path, options.sigma), files.oriented_photos(read_photos(photos))
     names, ids, which, of = table.numbered()
     with one_blas_thread():
-        result = intersect_photos([of_name(known, n, photos) for n in names], which, of, table.image,
-                                  sigma=table.image_sigma, ids=ids)  # fmt: skip
+        result = intersect_photos(
+            [of_name(known, n, photos) for n in names], which, of, table.image, sigma=table.image_sigma, ids=ids
+        )
     rays = np.bincount(of)
     misfit = np.sqrt(np.bincount(of, np.sum(result.residuals**2, axis=1)) / rays)
     sigma = {} if table.sigma is None else {"sigma_{}": table.sigma}
     record = {
-        "kind": "intersection", "weights": table.weights, "m0": result.m0, "redundancy": result.redundancy,
+        "kind": "intersection",
+        "weights": table.weights,
+        "m0": result.m0,
+        "redundancy": result.redundancy,
         "iterations": result.iterations,
-        "points": rows_of({"id": ids, **point_columns(result.points_m, result.sigma_m, result.cofactors, result.m0),
-                        "rays": rays, "misfit": misfit}),
-        "residuals": rows_of({"photo": table.photos, "id": table.ids, "{}": table.image,
-                              "residual_{}": result.residuals, **sigma}),
+        "points": rows_of(
+            {
+                "id": ids,
+                **point_columns(result.points_m, result.sigma_m, result.cofactors, result.m0),
+                "rays": rays,
+                "misfit": misfit,
+            }
+        ),
+        "residuals": rows_of(
+            {"photo": table.photos, "id": table.ids, "{}": table.image, "residual_{}": result.residuals, **sigma}
+        ),
         "stations": [{"photo": n, "exterior": {"centre_m": known[n].origin_m}} for n in names if n in known],
         **as_record(no_redundancy(result.m0)),
-    }  # fmt: skip
+    }
     return finished(record, path, table, output, beside=[photos])
 
 
@@ -164,15 +185,29 @@ def run_surface(
     if sigma is not None and method == "geometric":
         ratio["distance_over_sigma"] = np.linalg.norm(fit.deviations_m / sigma, axis=1)
     record: Record = {
-        "kind": "surface", "weights": table.weights, "surface": fit.surface.as_dict(), "method": method,
-        "axis": axis if kind == "spheroid" else None, "m0": fit.m0, "redundancy": fit.redundancy,
-        "condition": fit.condition, "iterations": fit.iterations, "rms_m": fit.rms_m,
+        "kind": "surface",
+        "weights": table.weights,
+        "surface": fit.surface.as_dict(),
+        "method": method,
+        "axis": axis if kind == "spheroid" else None,
+        "m0": fit.m0,
+        "redundancy": fit.redundancy,
+        "condition": fit.condition,
+        "iterations": fit.iterations,
+        "rms_m": fit.rms_m,
         "rms_deviation_m": plain_rms(fit.deviations_m),
         "parameters": parameters(fit.names, fit.values, fit.sigma),
-        "points": rows_of({"id": table.ids, "{}_m": table.ground, "deviation_{}_m": fit.deviations_m,
-                        "distance_m": fit.distances_m, **ratio}),
+        "points": rows_of(
+            {
+                "id": table.ids,
+                "{}_m": table.ground,
+                "deviation_{}_m": fit.deviations_m,
+                "distance_m": fit.distances_m,
+                **ratio,
+            }
+        ),
         **as_record(no_redundancy(fit.m0)),
-    }  # fmt: skip
+    }
     return finished(record, path, table, output)
 
 
@@ -187,15 +222,19 @@ def require_absolute(path: Path, table: Observed, beside: Iterable[tuple[str, st
 
 
 def _each_photo(
-    kind: str, path: Path, sigma: float | None, output: Output,
-    one: Callable[[str, Array, Array, Array | None], tuple[Record, Photo, str]], beside: Sequence[Path] = (),
-) -> Record:  # fmt: skip
-    """Record of the photos of a table of control points, in its order, with residuals of all points of a photo.
+    kind: str,
+    path: Path,
+    sigma: float | None,
+    output: Output,
+    one: Callable[[str, Array, Array, Array | None], tuple[Record, Photo, str]],
+    beside: Sequence[Path] = (),
+) -> Record:
+    """Return the record of photos of a table of control points, in its order, with residuals of all points of a photo.
 
     Residuals are computed minus measured. Errors name the photo.
 
-    ``one`` gives record, photo and its table for a photo file from its name, the ground (n, 3) and image coordinates
-    (n, 2) of the control points and their sigmas (n, 2).
+    ``one`` returns record, photo and its photo-file table from the name, the ground (n, 3) and image coordinates (n, 2)
+    of the control points and their sigmas (n, 2).
     """
     output.require_possible()
     table, texts, photos = files.read_control(path, sigma), list[str](), list[Record]()
@@ -204,17 +243,24 @@ def _each_photo(
             mine = np.flatnonzero(np.array(table.photos, dtype=object) == name)
             used = mine[~table.check[mine]]
             try:
-                record, photo, text = one(name, table.ground[used], table.image[used],
-                                          None if table.sigma is None else table.sigma[used])  # fmt: skip
+                record, photo, text = one(
+                    name, table.ground[used], table.image[used], None if table.sigma is None else table.sigma[used]
+                )
             except InputError as error:
                 of = f"photo {name}, " if name else ""
                 raise InputError(*(replace(p, place=f"{of}{p.place}".rstrip(", ")) for p in error.problems)) from None
             residual, check = photo.project(table.ground[mine]) - table.image[mine], table.check[mine]
             sigmas = {} if table.sigma is None else {"sigma_{}": table.sigma[mine]}
-            points = rows_of({
-                "id": [table.ids[k] for k in mine], "role": np.where(check, "check", "control"),
-                "residual_{}": residual, "{}": table.image[mine], "{}_m": table.ground[mine], **sigmas,
-            })  # fmt: skip
+            points = rows_of(
+                {
+                    "id": [table.ids[k] for k in mine],
+                    "role": np.where(check, "check", "control"),
+                    "residual_{}": residual,
+                    "{}": table.image[mine],
+                    "{}_m": table.ground[mine],
+                    **sigmas,
+                }
+            )
             rms = {"rms": plain_rms(residual[~check]), "check_rms": plain_rms(residual[check])}
             photos.append(record | rms | {"points": points})
             texts.append(text)
@@ -222,43 +268,52 @@ def _each_photo(
 
 
 def of_name(known: Mapping[str, T], name: str, path: Path) -> T:
-    """Photo of a file; its only one if the table has no names."""
+    """Return the photo of a file; its only photo if the table has no names."""
     if not name and len(known) == 1:
         return next(iter(known.values()))
     if name not in known:
-        raise InputError.of("closerange.no_photo", file=path, place="photos", value=name or "no name",
-                            known=", ".join(known))  # fmt: skip
+        raise InputError.of(
+            "closerange.no_photo", file=path, place="photos", value=name or "no name", known=", ".join(known)
+        )
     return known[name]
 
 
 def no_redundancy(m0: float | None) -> list[Finding]:
-    """Warning that standard deviations are undefined, if there is no redundancy."""
+    """Return the warning that standard deviations are undefined, if there is no redundancy."""
     return [] if m0 is not None else [finding("closerange.no_redundancy")]
 
 
 def _fit_facts(fit: Fit, doubts: Sequence[Finding | None]) -> Record:
     return {
-        "m0": fit.m0, "redundancy": fit.redundancy, "condition": fit.condition, "iterations": fit.iterations,
+        "m0": fit.m0,
+        "redundancy": fit.redundancy,
+        "condition": fit.condition,
+        "iterations": fit.iterations,
         **as_record([*no_redundancy(fit.m0), *filter(None, doubts)]),
-    }  # fmt: skip
+    }
 
 
 def exterior_record(rotation: Array, centre: Array, turns: Any, sigma: Any) -> Record:
-    """Orientation of a photo with standard deviations of rotations (3,) and centre (3,), and aerial angles."""
+    """Return orientation of a photo with standard deviations of rotations (3,) and centre (3,), and aerial angles."""
     omega, phi, kappa = np.degrees(aerial_from_rotation(rotation))
     return {
-        "centre_m": centre, "sigma_centre_m": sigma, "rotation": rotation, "sigma_turns_rad": turns,
-        "omega_deg": omega, "phi_deg": phi, "kappa_deg": kappa,
-    }  # fmt: skip
+        "centre_m": centre,
+        "sigma_centre_m": sigma,
+        "rotation": rotation,
+        "sigma_turns_rad": turns,
+        "omega_deg": omega,
+        "phi_deg": phi,
+        "kappa_deg": kappa,
+    }
 
 
 def parameters(names: Sequence[str], values: Array, sigma: Array | None) -> list[Record]:
-    """Values (k,) with standard deviations, None without redundancy."""
+    """Return the values (k,) with standard deviations, None without redundancy."""
     return rows_of({"name": names, "value": values, "sigma": [None] * len(names) if sigma is None else sigma})
 
 
 def point_columns(points_m: Array, sigma_m: Array | None, cofactors: Array, m0: float | None) -> Record:
-    """Columns of points (n, 3), standard deviations (n, 3), m, and covariances, m²; nan without redundancy.
+    """Return the columns of points (n, 3), standard deviations (n, 3), m, and covariances, m²; nan without redundancy.
 
     ``cofactors`` (n, 3, 3), m².
     """
@@ -270,18 +325,27 @@ def point_columns(points_m: Array, sigma_m: Array | None, cofactors: Array, m0: 
 
 
 def finished(
-    record: Record, path: Path, table: Observed, output: Output, photos: Sequence[str] = (),
+    record: Record,
+    path: Path,
+    table: Observed,
+    output: Output,
+    photos: Sequence[str] = (),
     beside: Iterable[Path | None] = (),
-) -> Record:  # fmt: skip
-    """Make a record plain, add its provenance, and write folder and report.
+) -> Record:
+    """Convert a record to plain values, add its provenance, and write folder and report.
 
     ``photos``: tables of ``photos.toml``; ``beside``: inputs in addition to the points of ``path``.
     """
     inputs, out, report = [one for one in beside if one is not None], output.out, output.report
-    record = plain({
-        "schema": SCHEMA, **record, "input": {"file": path.name, "sha256": table.sha256}, **stamp(output.command),
-        "report": {"inputs": [{"file": one.name, "sha256": sha256_of(one)} for one in inputs]},
-    })  # fmt: skip
+    record = plain(
+        {
+            "schema": SCHEMA,
+            **record,
+            "input": {"file": path.name, "sha256": table.sha256},
+            **stamp(output.command),
+            "report": {"inputs": [{"file": one.name, "sha256": sha256_of(one)} for one in inputs]},
+        }
+    )
     record["doubts"] = doubts(record)
     page = "" if out is None and report is None else render(record)
     if out is not None:

@@ -1,10 +1,10 @@
 """Tests of a minimum of weighted squares: other minima, curvature of the unknowns, profiles along one unknown.
 
-Cofactors describe a minimum by its tangent. They do not show:
+Cofactors describe a minimum only by its tangent. They do not show three properties:
 
 - other minima of nearly the same height. An F test of equal redundancies compares them.
 - curvature. If two unknowns are strongly correlated and badly determined (centre and rotations of a far camera), the
-  states that fit form a bent band. Each standard deviation is right, but the error of one unknown also moves a
+  states that fit form a curved band. Each standard deviation is correct, but the error of one unknown also moves a
   well-determined combination of unknowns, by its square. This is the parameter-effects curvature of Bates and Watts
   (1980), here as the displacement at one standard deviation.
 - profiles. Noise can make a narrow minimum near a long valley of nearly the same height. The profile shows how much the
@@ -27,21 +27,23 @@ from fg_orient.model.errors import Finding, NoSolutionError, finding
 
 #: Level of the test that distinguishes two minima.
 RIVAL_LEVEL: Final = 0.05
-#: Two minima are the same if directions differ by less (rad), and centres by less of the object's distance.
+#: Two minima are equal if directions differ by less than this (rad), and centres by less than this share of the
+#: object's distance.
 SAME: Final = 1e-5
-#: Limit of the bend: two standard deviations, which one error in 20 exceeds, move another combination by one.
+#: Limit of the bend: two standard deviations, which one error in 20 exceeds, move another combination by one standard
+#: deviation.
 BENT: Final = 0.25
 #: Error probability of an interval. If the squares grow as a parabola, the decision does not depend on it.
 LEVEL: Final = 1e-3
-#: The sigmas of points may be too small by this factor without a change of the decision: a real surface is not a
+#: Factor by which the sigmas of points may be too small without a change of the decision: a real surface is not a
 #: spheroid. A larger m0 replaces the factor; with a redundancy of one or two, m0 alone is too uncertain. If points do
 #: not determine a semi-axis, noise of f sigmas reduces the squares by at most f^2 times a chi-square of one.
 OPTIMISTIC: Final = 5.0
 #: Fractions of the distance at which the fit is repeated.
 _WAY: Final = (1 / 64, 1 / 8, 1.0)
-#: Change of normalised unknowns if derivatives are not defined.
+#: Change of normalised unknowns at a state without derivatives.
 ASIDE: Final = 1e-5
-#: Iterations of a fit far away, and number of repetitions while it still decreases towards the limit.
+#: Number of iterations of a distant fit, and of repetitions while it still decreases towards the limit.
 _ROUND: Final = 50
 _ROUNDS: Final = 8
 
@@ -56,7 +58,7 @@ class Rival:
     place : (3,) array
         Projection centre, m, or the direction of the base of a relative orientation.
     ratio : float
-        Weighted squares, divided by those of the result.
+        Weighted squares divided by those of the result.
     limit : float
         Ratio at which the test distinguishes them (:func:`rival_of`).
     """
@@ -67,19 +69,19 @@ class Rival:
     limit: float
 
     def warning(self, code: str, name: str, place: str = "") -> Finding:
-        """Warning of this orientation; ``name`` is the name of its place in the message."""
+        """Return the warning of this orientation; ``name`` is the name of its place in the message."""
         return finding(code, place=place, ratio=self.ratio, limit=self.limit, **{name: self.place.tolist()})
 
 
 def ratio_limit(redundancy: int) -> float:
-    """Ratio of weighted squares at which an F test of equal redundancies distinguishes two minima."""
+    """Return the ratio of weighted squares at which an F test of equal redundancies distinguishes two minima."""
     return float(f_quantile(redundancy, redundancy, 1.0 - RIVAL_LEVEL))
 
 
 def rival_of(
     own: float, other: float, redundancy: int, rotation: Array, place: Array, *, known: bool = False
 ) -> Rival | None:
-    """Another minimum, unless the test distinguishes it from the result.
+    """Return another minimum if the test does not distinguish it from the result.
 
     Parameters
     ----------
@@ -89,8 +91,8 @@ def rival_of(
     rotation, place : arrays
         See :class:`Rival`.
     known : bool
-        Whether sigmas are given. The difference of the squares must then also exceed chi-square of one (a ratio of
-        likelihoods), because two minima that both fit far better than the sigmas are both possible.
+        True if sigmas are given. The difference of the squares must then also exceed chi-square of one (a ratio of
+        likelihoods): two minima that both fit far better than the sigmas are both possible.
     """
     limit = ratio_limit(redundancy)
     if known and own > 0.0:
@@ -99,10 +101,10 @@ def rival_of(
 
 
 def bend(rows: Rows, state: Array, m0: float | None) -> float:
-    """Displacement of a combination of unknowns by errors of one standard deviation in others, in its own sigmas.
+    """Return displacement of a combination of unknowns by errors of one standard deviation in others, in its sigmas.
 
     The squares of the errors, weighted by the covariance, exceed the number of unknowns by about ``3 bend**2``, the
-    mean square of second-derivative terms within the tangent. Above ``BENT`` each single standard deviation is right,
+    mean square of second-derivative terms within the tangent. Above ``BENT`` each single standard deviation is correct,
     but the covariance as a whole is optimistic.
 
     Parameters
@@ -110,14 +112,14 @@ def bend(rows: Rows, state: Array, m0: float | None) -> float:
     rows : callable
         Whitened residuals and their derivatives.
     state : (u,) array
-        The minimum; its unknowns must be determined.
+        Minimum; its unknowns must be determined.
     m0 : float or None
         Factor of the given sigmas; None or 0: 1.
 
     Returns
     -------
     float
-        An error e in one combination alone moves others by ``bend e**2``.
+        Bend; an error e in one combination alone moves others by ``bend e**2``.
     """
     residual, design = rows(state, True)
     length = np.linalg.norm(design, axis=0)
@@ -141,17 +143,17 @@ def bend(rows: Rows, state: Array, m0: float | None) -> float:
 
 
 def reach(sigma: float, squares: float, redundancy: int, *, known: bool) -> tuple[float, float] | None:
-    """Distance at which to hold an unknown fixed, and growth of the weighted squares there if it is determined.
+    """Return a distance at which to hold an unknown, and the growth of the weighted squares there if it is determined.
 
     Parameters
     ----------
     sigma : float
-        Of a point, in the unit of the unknown.
+        Standard deviation of a point, in the unit of the unknown.
     squares : float
         Least weighted squares.
     redundancy : int
     known : bool
-        Whether sigmas are given; else m0 replaces them, and the limit is that of F.
+        True if sigmas are given; otherwise m0 replaces them, and the limit is that of F.
 
     Returns
     -------
@@ -172,7 +174,7 @@ def reach(sigma: float, squares: float, redundancy: int, *, known: bool) -> tupl
 class Held(NamedTuple):
     """Fit with one unknown held fixed: state (u,) and least weighted squares.
 
-    If not converged, these are below the limit, or too far above to reach it at their rate of decrease.
+    If not converged, the squares are below the limit, or too far above to reach it at their rate of decrease.
     """
 
     state: Array
@@ -181,10 +183,10 @@ class Held(NamedTuple):
 
 
 def held(rows: Rows, state: Array, k: int, value: float, limit: float = np.inf) -> Held | None:
-    """State with the least weighted squares while one unknown is held fixed.
+    """Return the state with the least weighted squares while one unknown is held fixed.
 
     Far from the shape of the points the iteration may need hundreds of steps at squares thousands of times the limit.
-    So it need not converge if the squares are below the ``limit`` or stay above it. Without a limit it must converge.
+    So it need not converge if the squares are below the ``limit``, or stay above it. Without a limit it must converge.
 
     Parameters
     ----------
@@ -197,12 +199,12 @@ def held(rows: Rows, state: Array, k: int, value: float, limit: float = np.inf) 
     value : float
         Its value.
     limit : float
-        Of the weighted squares.
+        Limit of the weighted squares.
 
     Returns
     -------
     Held or None
-        None: neither converged nor below the limit nor clearly above it.
+        Fit; None if it neither converged nor is below the limit nor clearly above it.
     """
     free = np.arange(len(state)) != k
 
@@ -233,7 +235,7 @@ def held(rows: Rows, state: Array, k: int, value: float, limit: float = np.inf) 
 
 
 def followed(rows: Rows, state: Array, k: int, to: float, limit: float) -> tuple[Array, float] | None:
-    """Fit with an unknown held fixed at ``to``, far from a state; each step starts on the line through the last two.
+    """Fit with an unknown held at ``to``, far from a state; each step starts on the line through the last two.
 
     Parameters
     ----------
@@ -245,8 +247,8 @@ def followed(rows: Rows, state: Array, k: int, to: float, limit: float) -> tuple
     Returns
     -------
     tuple of ((u,) array, float) or None
-        State after the first step, which still has the directions near the start, and weighted squares at the end;
-        None if these may lie on either side of the limit.
+        State after the first step, which still has the directions near the start, and weighted squares at the end. None
+        if the squares may lie on either side of the limit.
     """
     path, squares = [state, state], np.inf
     for part in _WAY:

@@ -14,12 +14,25 @@ MODEL: Final = Group("Model")
 WEIGHTS: Final = Group("Weights")
 #: Smallest and largest standard deviation.
 SIZES: Final = (SMALLEST, LARGEST)
-#: Options of the common adjustment that a bundle has, and defaults that differ from it.
+#: Options of the common adjustment that a bundle also has, and defaults that differ.
 COMMON: Final = (
-    "optimizer", "solver", "datum", "max_iterations", "memory_limit_gb", "loss", "gnc", "inlier_probability",
-    "robust_start", "robust_scale", "snoop", "snoop_kind", "outlier_test", "outlier_level", "multiple_testing",
+    "optimizer",
+    "solver",
+    "datum",
+    "max_iterations",
+    "memory_limit_gb",
+    "loss",
+    "gnc",
+    "inlier_probability",
+    "robust_start",
+    "robust_scale",
+    "snoop",
+    "snoop_kind",
+    "outlier_test",
+    "outlier_level",
+    "multiple_testing",
     "variance_components",
-)  # fmt: skip
+)
 DEFAULTS: Final[dict[str, Any]] = {"optimizer": "levenberg-marquardt", "max_iterations": 100}
 RELATIVE: Final = "without this option weights are relative, and m0 is that standard deviation"
 

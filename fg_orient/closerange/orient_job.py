@@ -1,4 +1,4 @@
-"""Work of the commands ``relative`` and ``absolute``: tables in, model or ground points and oriented photos out."""
+"""Execution of commands ``relative`` and ``absolute``: from tables to model or ground points and oriented photos."""
 
 from __future__ import annotations
 
@@ -24,10 +24,15 @@ from fg_orient.result.plain import plain, rows_of, table_of_rows
 
 
 def run_relative(
-    path: Path, camera: Path, options: ImageOptions, *, out: Path | None = None, photos: Path | None = None,
+    path: Path,
+    camera: Path,
+    options: ImageOptions,
+    *,
+    out: Path | None = None,
+    photos: Path | None = None,
     overwrite: bool = False,
-) -> Record:  # fmt: skip
-    """Relative orientation of the two photos of a table of image points.
+) -> Record:
+    """Return the relative orientation of the two photos of a table of image points.
 
     The system of the model has the first camera as origin and axes, and the base as unit.
 
@@ -59,27 +64,36 @@ def run_relative(
     with one_blas_thread():
         fit = relative_orientation(interior[0], interior[1], table.image[both[0]], table.image[both[1]], sigma=sigma)
     sd = np.full(5, np.nan) if fit.sigma is None else fit.sigma
-    poses = [Photo.of(n, own, r, c) for n, own, r, c in
-             zip(names, interior, (np.eye(3), fit.rotation), (np.zeros(3), fit.base), strict=True)]  # fmt: skip
+    poses = [
+        Photo.of(n, own, r, c)
+        for n, own, r, c in zip(names, interior, (np.eye(3), fit.rotation), (np.zeros(3), fit.base), strict=True)
+    ]
     of_base = fit.base_axes.T @ fit.cofactors[3:, 3:] @ fit.base_axes
     along = (np.nan if fit.m0 is None else fit.m0) * np.sqrt(of_base.diagonal())
     record = {
-        "kind": "relative", "weights": table.weights, "m0": fit.m0, "redundancy": fit.redundancy,
-        "condition": fit.condition, "iterations": fit.iterations, "bend": fit.bend, "photos": names,
+        "kind": "relative",
+        "weights": table.weights,
+        "m0": fit.m0,
+        "redundancy": fit.redundancy,
+        "condition": fit.condition,
+        "iterations": fit.iterations,
+        "bend": fit.bend,
+        "photos": names,
         "exterior": exterior_record(fit.rotation, fit.base, sd[:3], along),
         "points": rows_of({"id": [ids[k] for k in of[both[0]]], "{}": fit.model, "distance": fit.distances}),
         "left_out": sorted(set(ids) - {ids[k] for k in of[both[0]]}),
         **as_record([*no_redundancy(fit.m0), *fit.second_orientation(), *_bent(fit.bend)]),
-    }  # fmt: skip
+    }
     if photos is not None:
-        texts = [photo_text(pose, own, r) for pose, own, r in
-                 zip(poses, interior, (np.eye(3), fit.rotation), strict=True)]  # fmt: skip
+        texts = [
+            photo_text(pose, own, r) for pose, own, r in zip(poses, interior, (np.eye(3), fit.rotation), strict=True)
+        ]
         write_text(photos, "schema = 1\n\n" + "\n".join(texts))
     return _written(record, out, photos)
 
 
 def _in_both(which: Index, of: Index, n_points: int) -> list[Index]:
-    """Rows of both photos for the points that both contain, in the order of the first."""
+    """Return the rows of both photos for the points that both contain, in the order of the first."""
     at = np.full((2, n_points), -1)
     at[which, of] = np.arange(len(of))
     return list(at[:, (at >= 0).all(axis=0)])
@@ -95,7 +109,7 @@ def run_absolute(
     path : Path
         Points of the model: id, x, y, z.
     control : Path
-        Ground coordinates of three or more of them.
+        Ground coordinates of three or more points.
     sigma_m : float, optional
         Default standard deviation of control coordinates.
     out : Path, optional
@@ -117,30 +131,43 @@ def run_absolute(
                                    sigma_m=1.0 if ground.sigma is None else ground.sigma[known])  # fmt: skip
     sd = np.full(7, np.nan) if fit.sigma is None else fit.sigma
     record = {
-        "kind": "absolute", "weights": ground.weights, "m0": fit.m0, "redundancy": fit.redundancy,
-        "condition": fit.condition, "iterations": fit.iterations, "bend": fit.bend, "scale": fit.scale,
-        "sigma_scale": fit.scale * sd[3], "exterior": exterior_record(fit.rotation, fit.shift_m, sd[:3], sd[4:]),
+        "kind": "absolute",
+        "weights": ground.weights,
+        "m0": fit.m0,
+        "redundancy": fit.redundancy,
+        "condition": fit.condition,
+        "iterations": fit.iterations,
+        "bend": fit.bend,
+        "scale": fit.scale,
+        "sigma_scale": fit.scale * sd[3],
+        "exterior": exterior_record(fit.rotation, fit.shift_m, sd[:3], sd[4:]),
         "control": rows_of({"id": [ground.ids[k] for k in known], "residual_{}_m": fit.residuals_m}),
         "left_out": [name for name in ground.ids if name not in row],
         "points": rows_of({"id": ids, "{}_m": fit.apply(model)}),
         **as_record([*no_redundancy(fit.m0), *_bent(fit.bend)]),
-    }  # fmt: skip
+    }
     return _written(record, out, None)
 
 
 def _bent(bend: float) -> Sequence[Finding]:
-    """Warning that the covariance as a whole is optimistic."""
+    """Return the warning that the covariance as a whole is optimistic."""
     if bend <= BENT:
         return []
-    return [finding("closerange.bent (warning): bend {size:.2g} exceeds {limit:g}: each standard deviation is right, "
-                    "but the joint covariance is too small -> add points, or a longer base",
-                    size=bend, limit=BENT)]  # fmt: skip
+    return [
+        finding(
+            "closerange.bent (warning): bend {size:.2g} exceeds {limit:g}: each standard deviation is right, "
+            "but the joint covariance is too small -> add points, or a longer base",
+            size=bend,
+            limit=BENT,
+        )
+    ]
 
 
 def _written(record: dict[str, Any], out: Path | None, photos: Path | None) -> Record:
-    """Plain record, after its points are written."""
-    record = plain({**record, "out": None if out is None else str(out), "photos_out": None if photos is None else
-                    str(photos)})  # fmt: skip
+    """Return the plain record, after its points are written."""
+    record = plain(
+        {**record, "out": None if out is None else str(out), "photos_out": None if photos is None else str(photos)}
+    )
     if out is not None:
         names = tuple(record["points"][0])
         save_table(out, table_of_rows(names, (tuple(point.values()) for point in record["points"])).columns)

@@ -37,7 +37,7 @@ ON_A_LINE: Final = ("closerange.line", "absolute orientation")
 class RelativeOrientation(fitting.Fit):
     """Orientation of the second photo relative to the first.
 
-    Cofactors are those of rotations about the axes of the second camera and of the base along ``base_axes``, rad.
+    Cofactors refer to rotations (rad) about the axes of the second camera, and of the base along ``base_axes``.
 
     Parameters
     ----------
@@ -50,12 +50,12 @@ class RelativeOrientation(fitting.Fit):
     model : (n, 3) array
         Points in axes of the first camera; the base has length 1.
     distances : (n,) array
-        Distance of each pair of image points from coplanarity, in its sigmas.
+        Distance of each pair of image points from coplanarity, in sigmas.
     bend : float
-        Above 0.25 the covariance as a whole is optimistic (:func:`fg_orient.closerange.minima.bend`), but not each
-        standard deviation: few points of a plane, short bases.
+        Bend. Above 0.25 each standard deviation is correct, but the covariance as a whole is optimistic
+        (:func:`fg_orient.closerange.minima.bend`): few points of a plane, short bases.
     rival : Rival or None
-        Few points of a plane fit two orientations; seven or eight points in space may do so, too.
+        Second orientation that fits few points of a plane; seven or eight points in space may also have one.
     """
 
     rotation: Array
@@ -67,7 +67,7 @@ class RelativeOrientation(fitting.Fit):
     rival: Rival | None = None
 
     def second_orientation(self) -> list[Finding]:
-        """Warning of the rival, if there is one."""
+        """Return the warning of the rival, if there is one."""
         return [] if self.rival is None else [self.rival.warning("closerange.second_orientation", "base")]
 
 
@@ -83,9 +83,13 @@ class _Candidate:
 
 
 def relative_orientation(
-    first: PhotoInterior, second: PhotoInterior, image_first: npt.ArrayLike, image_second: npt.ArrayLike, *,
+    first: PhotoInterior,
+    second: PhotoInterior,
+    image_first: npt.ArrayLike,
+    image_second: npt.ArrayLike,
+    *,
     sigma: float | None = None,
-) -> RelativeOrientation:  # fmt: skip
+) -> RelativeOrientation:
     """Orient two photos to each other.
 
     Parameters
@@ -94,12 +98,12 @@ def relative_orientation(
     image_first, image_second : (n, 2) arrays
         Measured coordinates of six points or more in both.
     sigma : float, optional
-        Of all image coordinates, in the unit of the focal lengths; without it m0 is its estimate.
+        Standard deviation of all image coordinates, in the unit of the focal lengths; without it m0 is the estimate.
 
     Returns
     -------
     RelativeOrientation
-        The smallest minimum with all points in front of both cameras, with its rival.
+        Smallest minimum with all points in front of both cameras, with its rival.
 
     Raises
     ------
@@ -143,10 +147,10 @@ def relative_orientation(
 
 
 def _chosen(minima: list[_Candidate], redundancy: int, *, known: bool) -> RelativeOrientation:
-    """Smallest determined minimum with the points in front of both cameras.
+    """Return the smallest determined minimum with the points in front of both cameras.
 
     An undetermined minimum is refused if its squares are smaller. If its points lie behind a camera, which may be due
-    to noise, it is refused if an F test distinguishes the determined minimum from it.
+    to noise, it is refused only if an F test distinguishes the determined minimum from it.
 
     Raises
     ------
@@ -170,15 +174,16 @@ def _chosen(minima: list[_Candidate], redundancy: int, *, known: bool) -> Relati
 
 
 def _record(rotation: Array, base: Array) -> tuple[Array, Array]:
-    """Record of the equation, and the directions at right angles to the base."""
+    """Return the record of the equation, and the directions at right angles to the base."""
     axes = np.linalg.svd(base[None])[2][1:]
     return PAIR.pack(factor=1.0, rotation=rotation.ravel(), base=base, n_1=axes[0], n_2=axes[1]), axes
 
 
 def _adjusted_pair(points: Array, sigma: Array, rotation: Array, base: Array) -> _Candidate:
     record, _ = _record(rotation, base)
-    minimum = fitting.adjust(lambda x, jacobian: _pair_rows(record, points, sigma, x, jacobian), np.zeros(5),
-                     "relative orientation")  # fmt: skip
+    minimum = fitting.adjust(
+        lambda x, jacobian: _pair_rows(record, points, sigma, x, jacobian), np.zeros(5), "relative orientation"
+    )
     turn, moved = turn_and_base(record, minimum.state)
     rotation, base = turn[CAMERA.rotation].reshape(3, 3), moved / np.linalg.norm(moved)
     model = _model(points, rotation, base)
@@ -191,12 +196,13 @@ def _adjusted_pair(points: Array, sigma: Array, rotation: Array, base: Array) ->
     if assessed.cofactors is None:
         return _Candidate(squares, rotation, base, in_front, None)
     facts = fitting.statistics(distances, assessed, len(minimum.log), np.eye(5))
-    return _Candidate(squares, rotation, base, in_front, RelativeOrientation(rotation, base, axes, model, distances,
-                                                                             **facts))  # fmt: skip
+    return _Candidate(
+        squares, rotation, base, in_front, RelativeOrientation(rotation, base, axes, model, distances, **facts)
+    )
 
 
 def _pair_rows(record: Array, points: Array, sigma: Array, x: Array, with_jacobian: bool) -> tuple[Array, Array]:
-    """Weighted distances of the image points from coplanarity, and their derivatives."""
+    """Return the weighted distances of the image points from coplanarity, and their derivatives."""
     turn, base = turn_and_base(record, x)
     g = turn[CAMERA.rotation].reshape(3, 3) @ np.cross(np.eye(3), base)
     square = np.zeros((4, 4))
@@ -211,7 +217,7 @@ def _pair_rows(record: Array, points: Array, sigma: Array, x: Array, with_jacobi
 
 
 def _model(points: Array, rotation: Array, base: Array) -> Array:
-    """Points (n, 3) nearest to both rays; nan for parallel rays."""
+    """Return the points (n, 3) nearest to both rays; nan for parallel rays."""
     n, (first, second) = len(points), rays(points)
     directions = np.concatenate([first, second @ rotation])
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -226,9 +232,9 @@ def _require_base(points: Array, sigma: Array, squares: float, *, known: bool) -
     ----------
     points, sigma : (n, 4) arrays
     squares : float
-        Least weighted squares of coplanarity, one condition for each point: without known sigmas the size of the noise.
+        Least weighted squares of coplanarity, one condition for each point; without known sigmas they define the noise.
     known : bool
-        Whether sigmas are given.
+        True if sigmas are given.
     """
     n, (first, second) = len(points), rays(points)
     unit = [d / np.linalg.norm(d, axis=1, keepdims=True) for d in (first, second)]
@@ -246,8 +252,11 @@ def _require_base(points: Array, sigma: Array, squares: float, *, known: bool) -
     if not known:
         limit = freedom * squares / (n - 5) * float(f_quantile(freedom, n - 5, 1.0 - NO_BASE))
     if turned_only <= limit:
-        raise InputError.of("closerange.no_base", place="relative orientation",
-                            value=f"weighted squares {turned_only:.3g}, {limit:.3g} may be noise")  # fmt: skip
+        raise InputError.of(
+            "closerange.no_base",
+            place="relative orientation",
+            value=f"weighted squares {turned_only:.3g}, {limit:.3g} may be noise",
+        )
 
 
 # --- absolute orientation --------------------------------------------------------------------------
@@ -257,7 +266,7 @@ def _require_base(points: Array, sigma: Array, squares: float, *, known: bool) -
 class Similarity(fitting.Fit):
     """Seven-parameter transformation: ground = shift + scale rotation model.
 
-    Cofactors are those of rotations about the ground axes (rad), of the logarithm of the scale, and of the shift (m).
+    Cofactors refer to rotations about the ground axes (rad), to the logarithm of the scale, and to the shift (m).
 
     Parameters
     ----------
@@ -267,8 +276,9 @@ class Similarity(fitting.Fit):
     residuals_m : (n, 3) array
         Computed minus given.
     bend : float
-        Above 0.25 the covariance as a whole is optimistic (:func:`fg_orient.closerange.minima.bend`), but not each
-        standard deviation: points close to a line. For unknowns about the middle of the points.
+        Bend. Above 0.25 each standard deviation is correct, but the covariance as a whole is optimistic
+        (:func:`fg_orient.closerange.minima.bend`): points close to a line. It is computed for unknowns about the middle
+        of the points.
     """
 
     scale: float
@@ -278,7 +288,7 @@ class Similarity(fitting.Fit):
     bend: float
 
     def apply(self, model: npt.ArrayLike) -> Array:
-        """Ground coordinates (n, 3) of model points."""
+        """Return the ground coordinates (n, 3) of model points."""
         return np.asarray(self.shift_m + self.scale * fitting.as_points(model, 3, "model") @ self.rotation.T)
 
 
@@ -292,7 +302,7 @@ def absolute_orientation(model: npt.ArrayLike, ground_m: npt.ArrayLike, *, sigma
     ground_m : (n, 3) array
         Three points or more, not on a line.
     sigma_m : float or array that fits (n, 3)
-        Of the differences along X, Y, Z.
+        Standard deviations of the differences along X, Y, Z.
 
     Returns
     -------
@@ -332,13 +342,17 @@ def absolute_orientation(model: npt.ArrayLike, ground_m: npt.ArrayLike, *, sigma
     away[4:, :3], away[4:, 3] = np.cross(np.eye(3), offset), -offset
     facts = fitting.statistics(minimum.residual, assessed, len(minimum.log), away)
     return Similarity(
-        physical, rotation, to.offset + size * shift - offset, minimum.residual.reshape(-1, 3) * sigma,
-        bend(rows, np.zeros(7), facts["m0"]), **facts,
-    )  # fmt: skip
+        physical,
+        rotation,
+        to.offset + size * shift - offset,
+        minimum.residual.reshape(-1, 3) * sigma,
+        bend(rows, np.zeros(7), facts["m0"]),
+        **facts,
+    )
 
 
 def _umeyama(a: Array, b: Array) -> tuple[Array, float, Array]:
-    """Rotation (3, 3), scale and shift (3,) with b ~ shift + scale R a for points (n, 3) of equal weight."""
+    """Return the rotation (3, 3), scale and shift (3,) with b ~ shift + scale R a for points (n, 3) of equal weight."""
     mean_a, mean_b = a.mean(axis=0), b.mean(axis=0)
     left, values, right = np.linalg.svd((b - mean_b).T @ (a - mean_a))
     flip = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])

@@ -6,7 +6,7 @@ lead from ground axes to camera axes X right, Y **down**, Z along the view (``se
 Ayhan 1996 multiplies the triple (X, Z, Y): X right, Z up, Y away from the camera. With X right, Y forward, Z up this
 triple is left-handed, so its angles have the opposite sense of an aerial omega, phi, kappa.
 
-Sets of camera parameters have names, and the correction along the radius is computed from them.
+Sets of camera parameters have names; the correction along the radius is computed from the parameters.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ Y_AXES: Final[tuple[YAxis, ...]] = ("up", "down")
 _ORDER: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 #: Camera axes from image axes x right, z up, c along the view.
 _DOWN: Final = np.diag([1.0, -1.0, 1.0])
-#: Camera axes from photogrammetric ones: X right, Y up, view along -Z.
+#: Camera axes from photogrammetric axes: X right, Y up, view along -Z.
 _BACK: Final = np.diag([1.0, -1.0, -1.0])
 
 
@@ -90,7 +90,7 @@ class PhotoInterior:
         return np.array([[self.focal, 0.0, x], [0.0, self.sign * self.focal, y], [0.0, 0.0, 1.0]])
 
     def tangents(self, image: Array) -> Array:
-        """Tangents of measured points in camera axes.
+        """Return the tangents of measured points in camera axes.
 
         Parameters
         ----------
@@ -108,13 +108,14 @@ class PhotoInterior:
 
 @dataclass(frozen=True)
 class Photo:
-    """An oriented photo.
+    """Oriented photo.
 
     Parameters
     ----------
     name : str
     matrix : (3, 4) array
-        Homogeneous ideal image coordinates of ``(ground - origin_m, 1)``; its last row gives the depth, above 0.
+        Matrix from ``(ground - origin_m, 1)`` to homogeneous ideal image coordinates; its last row gives the depth,
+        above 0.
     origin_m : (3,) array
     principal : (2,) array
         Origin of the corrections.
@@ -130,7 +131,7 @@ class Photo:
 
     @classmethod
     def of(cls, name: str, interior: PhotoInterior, rotation: npt.ArrayLike, centre_m: npt.ArrayLike) -> Photo:
-        """Photo of a camera with rotation and projection centre.
+        """Return the photo of a camera with rotation and projection centre.
 
         Raises
         ------
@@ -138,12 +139,12 @@ class Photo:
             Not a rotation matrix, or values that are not finite.
         """
         camera = FrameCamera(np.asarray(rotation, float), np.asarray(centre_m, float), interior.focal)
-        matrix = np.zeros((3, 4))  # about the projection centre: nothing to cancel
+        matrix = np.zeros((3, 4))  # about the projection centre nothing cancels
         matrix[:, :3] = interior.matrix @ camera.rotation
         return cls(name, matrix, camera.centre_m, interior.principal, interior.corrections)
 
     def about(self, origin_m: Array) -> Array:
-        """Matrix (3, 4) for ground coordinates about another origin."""
+        """Return the matrix (3, 4) for ground coordinates relative to another origin."""
         shift = self.matrix[:, :3] @ (origin_m - self.origin_m)
         return np.column_stack([self.matrix[:, :3], self.matrix[:, 3] + shift])
 
@@ -153,7 +154,7 @@ class Photo:
         return np.asarray(lens.ideal_points(self.corrections, given - self.principal) + self.principal)
 
     def measured(self, ideal: Array) -> Array:
-        """Measured coordinates of ideal ones.
+        """Convert ideal to measured coordinates.
 
         Parameters
         ----------
@@ -172,7 +173,7 @@ class Photo:
         return np.asarray(at + self.principal)
 
     def project(self, ground_m: npt.ArrayLike) -> Array:
-        """Measured image coordinates of ground points.
+        """Return the measured image coordinates of ground points.
 
         Parameters
         ----------
@@ -194,14 +195,14 @@ class Photo:
 
 
 def corrections_of(names: Sequence[str], values: npt.ArrayLike) -> Array:
-    """Coefficients (7,) of named values; the others are 0."""
+    """Return the coefficients (7,) of named values; the others are 0."""
     out = np.zeros(lens.AT.size)
     out[[lens.NAMES.index(name) for name in names]] = values
     return out
 
 
 def ayhan_matrix(omega: float, psi: float, kappa: float) -> Array:
-    """M = M_kappa M_psi M_omega (3, 3) of Ayhan 1996, eqs. 56-59, on the triple (X, Z, Y); angles in rad."""
+    """Return M = M_kappa M_psi M_omega (3, 3) of Ayhan 1996, eqs. 56-59, on the triple (X, Z, Y); angles in rad."""
     so, co, sp, cp, sk, ck = (f(a) for a in (omega, psi, kappa) for f in (np.sin, np.cos))
     return np.array([
         [cp * ck, so * sp * ck + co * sk, -co * sp * ck + so * sk],
@@ -211,22 +212,25 @@ def ayhan_matrix(omega: float, psi: float, kappa: float) -> Array:
 
 
 def rotation_from_ayhan(omega: float, psi: float, kappa: float) -> Array:
-    """Camera axes from ground axes (3, 3) of the angles of Ayhan 1996, rad."""
+    """Return the rotation (3, 3) from ground to camera axes for the angles of Ayhan 1996, rad."""
     return np.asarray(_DOWN @ ayhan_matrix(omega, psi, kappa) @ _ORDER)
 
 
 def ayhan_from_rotation(rotation: Array) -> tuple[float, float, float]:
-    """Angles omega, psi, kappa of Ayhan 1996, rad, of camera axes from ground axes."""
+    """Return the angles omega, psi, kappa of Ayhan 1996, rad, for a rotation from ground to camera axes."""
     return aerial_from_rotation(_BACK @ _DOWN @ rotation @ _ORDER)
 
 
 def rotation_from_aerial(omega: float, phi: float, kappa: float) -> Array:
-    """Camera axes from ground axes (3, 3) of aerial angles, rad; camera X right, Y up, view along -Z."""
+    """Return the rotation (3, 3) from ground to camera axes for aerial angles, rad.
+
+    Camera X right, Y up, view along -Z.
+    """
     return np.asarray(_BACK @ ayhan_matrix(omega, phi, kappa))
 
 
 def aerial_from_rotation(rotation: Array) -> tuple[float, float, float]:
-    """Aerial angles omega, phi, kappa, rad: first about X, then the turned Y, then the turned Z."""
+    """Return the aerial angles omega, phi, kappa, rad: first about X, then the turned Y, then the turned Z."""
     omega, phi, kappa = opk_of_rotation(rotation)[0].tolist()
     return omega, phi, kappa
 
@@ -241,7 +245,7 @@ RADII: Final = 33
 DIRECTIONS: Final = 24
 #: First correction in a camera vector, after principal distance and principal point.
 _FIRST: Final = 3
-#: Rounding across the radius of corrections along it, as a share of the radius.
+#: Part of corrections across the radius, relative to the radius, that is rounding.
 _ROUNDING: Final = 1e-13
 #: Camera parameters of a form, by its name. dr is radial, along r; equation numbers refer to Ayhan 1996.
 SETS: Final[dict[str, tuple[str, ...]]] = {
@@ -252,8 +256,8 @@ SETS: Final[dict[str, tuple[str, ...]]] = {
     "radial-orthogonal": ("orthogonal_1", "orthogonal_2", "orthogonal_3"),  # eq. 46
     "decentring": ("p1", "p2"),  # eqs. 48, 72
     "film-affine": ("x0", "y0", "film_xx", "affinity_a", "film_yx", "affinity_b"),  # six parameters, eqs. 49, 50
-    "film-turned": ("film_xx", "affinity_a", "affinity_b"),  # no fiducial marks: the turn is kappa's, eq. 51
-    "film": ("affinity_a", "affinity_b"),  # one scale is the principal distance's, eqs. 53, 54
+    "film-turned": ("film_xx", "affinity_a", "affinity_b"),  # no fiducial marks: kappa contains the rotation, eq. 51
+    "film": ("affinity_a", "affinity_b"),  # the principal distance contains one scale, eqs. 53, 54
     "film-scales": ("film_xx", "affinity_b"),  # two scales, eq. 55
     "brown": brown.NAMES[:15],  # without those equivalent to k1 to k3 and the interior orientation, eq. 2
     "brown-21": brown.NAMES,
@@ -261,14 +265,14 @@ SETS: Final[dict[str, tuple[str, ...]]] = {
 
 
 def camera_of(interior: PhotoInterior) -> Array:
-    """Camera parameters (41,) of an interior orientation."""
+    """Return the camera parameters (41,) of an interior orientation."""
     out = np.zeros(CAMERA.size)
     out[CAMERA.c], out[CAMERA.principal], out[CAMERA.lens] = interior.focal, interior.principal, interior.corrections
     return out
 
 
 def parameters_of(words: Sequence[str], place: str) -> tuple[str, ...]:
-    """Camera parameters for words that name a parameter or a set, each once; InputError for other words."""
+    """Return the camera parameters for words that name a parameter or a set, each once; InputError for other words."""
     out: list[str] = []
     for word in words:
         if word not in SETS and word not in NAMES:
@@ -279,7 +283,7 @@ def parameters_of(words: Sequence[str], place: str) -> tuple[str, ...]:
 
 
 def profile(camera: Array, rim: float, names: Sequence[str], covariance: Array) -> dict[str, Array]:
-    """Corrections of a camera over the radius, as arrays (33,), in image units.
+    """Return the corrections of a camera over the radius, as arrays (33,), in image units.
 
     ``radius``; ``radial``: radial part of the correction, mean over all directions; ``sigma``: its standard deviation;
     ``across``: largest part at right angles to the radius.
@@ -311,7 +315,7 @@ def profile(camera: Array, rim: float, names: Sequence[str], covariance: Array) 
 
 
 def _corrections(camera: Array, radius: Array, along: Array, rim: float) -> Array:
-    """Corrections x, y (r, d, 2) at radii (r,) in directions (d, 2)."""
+    """Return the corrections x, y (r, d, 2) at radii (r,) in directions (d, 2)."""
     at = radius[:, None, None] * along
     further = camera[CAMERA.brown], camera[CAMERA.variants]
     own = lens_of(camera[CAMERA.lens], *further, nominal=camera[CAMERA.c], radius=rim)
@@ -320,10 +324,14 @@ def _corrections(camera: Array, radius: Array, along: Array, rim: float) -> Arra
 
 
 def lens_of(
-    corrections: Array, additional: npt.ArrayLike = 0.0, others: npt.ArrayLike = 0.0, *, nominal: float = 1.0,
+    corrections: Array,
+    additional: npt.ArrayLike = 0.0,
+    others: npt.ArrayLike = 0.0,
+    *,
+    nominal: float = 1.0,
     radius: float = 1.0,
-) -> Array:  # fmt: skip
-    """Corrections as a camera of ``factors.cameras.frame_corrections``."""
+) -> Array:
+    """Convert the corrections to a camera of ``factors.cameras.frame_corrections``."""
     of, out = frame_corrections.CAMERA, np.zeros(frame_corrections.CAMERA.size)
     k1, k2, k3, p1, p2, *affinity = corrections.tolist()
     out[of.distortion], out[of.affinity] = (k1, k2, k3, p2, p1), affinity
@@ -332,7 +340,7 @@ def lens_of(
 
 
 def photo_text(photo: Photo, interior: PhotoInterior | None = None, rotation: Array | None = None) -> str:
-    """One ``[[photos]]`` table: of a camera with its rotation, else with the matrix."""
+    """Return one ``[[photos]]`` table: with the rotation of a camera, else with the matrix."""
     place, terms = photo.origin_m.tolist(), dict(zip(lens.NAMES, photo.corrections.tolist(), strict=True))
     own: dict[str, object] = {"matrix": photo.matrix.tolist(), "origin_m": place}
     if interior is not None and rotation is not None:

@@ -1,7 +1,7 @@
-"""Approximate relative orientations of two photos in closed form, from tangents (n, 4) of points in both.
+"""Approximate relative orientations of two photos in closed form, from tangents (n, 4) of common points.
 
-An orientation is the rotation R from axes of the first camera to those of the second and the base b in axes of the
-first. The essential matrix ``G = R [b]x`` fulfils ``d2^T G d1 = 0`` for the rays d1, d2 of a point.
+An orientation consists of the rotation R from the axes of the first camera to those of the second, and of the base b in
+axes of the first. The essential matrix ``G = R [b]x`` fulfils ``d2^T G d1 = 0`` for the rays d1, d2 of a point.
 """
 
 from __future__ import annotations
@@ -16,24 +16,24 @@ from fg_orient.rectification.transformation import Scaling
 
 Pair = tuple[Array, Array]
 
-#: Fewest points of the linear solution, which has no redundancy then.
+#: Least number of points of the linear solution, which then has no redundancy.
 LEAST_EIGHT_POINT: Final = 8
-#: Largest number of sets of five points.
+#: Maximum number of sets of five points.
 MAX_SETS: Final = 21
-#: Largest number of essential matrices that give starts, and cosine between two matrices that are treated as equal.
+#: Maximum number of essential matrices that give starts, and cosine above which two matrices count as equal.
 MAX_MATRICES: Final = 12
 SIMILAR: Final = 0.999
-#: Difference of the largest and smallest singular values of a homography without base.
+#: Difference of the largest and smallest singular values below which a homography has no base.
 FLAT: Final = 1e-12
-#: Monomials of degree 3 in the four factors of the null space, those without the last factor first.
+#: Monomials of degree 3 in the four factors of the null space; those without the last factor come first.
 _MONOMIALS: Final = sorted(combinations_with_replacement(range(4), 3), key=lambda m: m.count(3))
 _PLACE: Final[dict[tuple[int, ...], int]] = {monomial: k for k, monomial in enumerate(_MONOMIALS)}
-#: Place of the product of three factors.
+#: Position of the product of three factors.
 _PRODUCT: Final = np.array([_PLACE[a, b, c] for a, b, c in (sorted(m) for m in np.ndindex(4, 4, 4))])
 
 
 def start_pairs(points: Array) -> list[Pair]:
-    """Rotations and bases for tangents (n, 4) of six points or more."""
+    """Return the rotations and bases for tangents (n, 4) of six points or more."""
     axes = [(np.eye(3), sign * np.eye(3)[k]) for k in range(3) for sign in (1.0, -1.0)]
     if len(points) > LEAST_EIGHT_POINT:
         return [*eight_points(points), *plane(points), *axes[:2]]
@@ -41,13 +41,13 @@ def start_pairs(points: Array) -> list[Pair]:
 
 
 def rays(points: Array) -> Pair:
-    """Rays (n, 3), (n, 3) of both photos from tangents (n, 4)."""
+    """Return the rays (n, 3), (n, 3) of both photos from tangents (n, 4)."""
     ones = np.ones((len(points), 1))
     return np.hstack([points[:, :2], ones]), np.hstack([points[:, 2:], ones])
 
 
 def plane(points: Array) -> list[Pair]:
-    """The four decompositions of the homography H = R (1 - b n^T) of a plane, which maps rays d1 to d2."""
+    """Return the four decompositions of the homography H = R (1 - b n^T) of a plane, which maps rays d1 to d2."""
     first, second = rays(points)
     # d2 x H d1 = 0
     across = np.cross(second[:, None, :], np.eye(3)[None])
@@ -71,7 +71,7 @@ def plane(points: Array) -> list[Pair]:
 
 
 def eight_points(points: Array) -> list[Pair]:
-    """Decompositions of the linear essential matrix (Longuet-Higgins 1981, normalised as in Hartley 1997)."""
+    """Return the decompositions of linear essential matrix (Longuet-Higgins 1981, normalised as in Hartley 1997)."""
     maps, normalised = [], []
     for pair in (points[:, :2], points[:, 2:]):
         scaling = Scaling.of(pair, shared=True)
@@ -83,7 +83,7 @@ def eight_points(points: Array) -> list[Pair]:
 
 
 def five_points(points: Array) -> list[Pair]:
-    """Orientations of sets of five of the points, those with all points nearest to coplanarity first.
+    """Return orientations of sets of five points, ordered by the distance of all points from coplanarity.
 
     Each set has up to ten essential matrices. If noise makes two of them complex, their real part is close to both.
     """
@@ -103,26 +103,28 @@ def five_points(points: Array) -> list[Pair]:
 
 
 def _foremost(first: Array, second: Array, pairs: list[Pair]) -> Pair:
-    """Orientation with the largest number of points in front of both cameras."""
+    """Return the orientation with the largest number of points in front of both cameras."""
 
     def count(pair: Pair) -> int:
         rotation, base = pair
         turned = second @ rotation
         # depths s, t in s d1 - t R^T d2 = b have the signs of these products
         normal = np.cross(first, turned)
-        return int(np.sum((np.cross(base, turned) * normal).sum(axis=1) > 0.0)
-                   + np.sum((np.cross(base, first) * normal).sum(axis=1) > 0.0))  # fmt: skip
+        return int(
+            np.sum((np.cross(base, turned) * normal).sum(axis=1) > 0.0)
+            + np.sum((np.cross(base, first) * normal).sum(axis=1) > 0.0)
+        )
 
     return max(pairs, key=count)
 
 
 def essential_matrices(products: Array) -> Array:
-    """Matrices (k, 3, 3) of norm 1 from the products d2 d1^T (5, 9) of five pairs of rays; k is 10 or 0.
+    """Return the matrices (k, 3, 3) of norm 1 from the products d2 d1^T (5, 9) of five pairs of rays; k is 10 or 0.
 
     The matrix is a sum of four matrices of the null space with unknown factors. It is essential if ``det G = 0`` and
     ``2 G G^T G - tr(G G^T) G = 0``, ten cubic equations in the factors (Nistér 2004, eqs. 1-9). Elimination of the
     monomials of degree 3 gives the matrix of a multiplication by the first factor. Its eigenvectors contain the factors
-    (Stewénius, Engels, Nistér 2006). Of complex factors the real part is taken.
+    (Stewénius, Engels, Nistér 2006). For complex factors the real part is used.
     """
     null = np.linalg.svd(products)[2][5:].reshape(4, 3, 3)
     cubic = 2.0 * np.einsum("aik,blk,clj->abcij", null, null, null)
@@ -144,7 +146,7 @@ def essential_matrices(products: Array) -> Array:
 
 
 def decompositions(g: Array) -> list[Pair]:
-    """The four orientations of an essential matrix."""
+    """Return the four orientations of an essential matrix."""
     left, _, right = np.linalg.svd(g)
     left, right = left * np.sign(np.linalg.det(left)), right * np.sign(np.linalg.det(right))
     quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

@@ -1,6 +1,6 @@
 """Report of close range: one self-contained HTML file made from the record of a command, and figures for papers.
 
-The page is made from ``closerange.json`` alone, so that ``fg-orient report DIR`` writes it again at any time.
+The page is made only from ``closerange.json``, so that ``fg-orient report DIR`` can write it again at any time.
 """
 
 from __future__ import annotations
@@ -37,17 +37,17 @@ from fg_orient.report.words import printable
 
 Charts = Sequence[Chart | None]
 
-#: Number of photos and cameras on a page; number of photos on paper, those with the most image points.
+#: Maximum number of photos and cameras on a page, and of photos on paper, those with the most image points.
 MAX_PHOTOS: Final = 16
 FEW_PHOTOS: Final = 6
-#: Vectors of one photo.
+#: Maximum number of vectors of one photo.
 MAX_VECTORS: Final = 400
-#: A direction below this singular value is refused as not determined, in units of one image point.
+#: Singular value below which a direction is refused as not determined, in units of one image point.
 REFUSED: Final = 1e-3
 
 
 def by_photo(record: dict[str, Any]) -> dict[str, list[dict[str, Any]]]:
-    """Image points with residuals by photo, in the order of the photos."""
+    """Return the image points with residuals by photo, in the order of the photos."""
     out: dict[str, list[dict[str, Any]]] = {}
     for row in record.get("residuals") or photo_rows(record):
         out.setdefault(row["photo"], []).append(row)
@@ -55,20 +55,27 @@ def by_photo(record: dict[str, Any]) -> dict[str, list[dict[str, Any]]]:
 
 
 def residual_rows(record: dict[str, Any]) -> list[dict[str, Any]]:
-    """Figures of each photo: number of points, RMS of x and y, largest residual and its point."""
+    """Return the figures of each photo: number of points, RMS of x and y, largest residual and its point."""
     out = []
     for name, rows in by_photo(record).items():
         v, w = columns(rows, "residual_x", "residual_y"), columns(rows, "w_x", "w_y")
         worst, (rms_x, rms_y) = int(np.argmax(np.abs(v).max(axis=1))), np.sqrt(np.mean(v**2, axis=0)).tolist()
-        out.append({
-            "photo": name, "n": len(rows), "rms_x": rms_x, "rms_y": rms_y, "largest": float(np.abs(v).max()),
-            "worst": rows[worst]["id"], "w": float(np.nanmax(np.abs(w))) if np.isfinite(w).any() else None,
-        })  # fmt: skip
+        out.append(
+            {
+                "photo": name,
+                "n": len(rows),
+                "rms_x": rms_x,
+                "rms_y": rms_y,
+                "largest": float(np.abs(v).max()),
+                "worst": rows[worst]["id"],
+                "w": float(np.nanmax(np.abs(w))) if np.isfinite(w).any() else None,
+            }
+        )
     return out
 
 
 def residual_panels(record: dict[str, Any]) -> list[dict[str, Any]]:
-    """Charts of the photos with the largest residuals: ``photo``, ``drawings``, ``words``."""
+    """Return the charts of the photos with the largest residuals: ``photo``, ``drawings``, ``words``."""
     photos, rows = by_photo(record), residual_rows(record)
     worst = {row["photo"] for row in sorted(rows, key=lambda row: -row["largest"])[:MAX_PHOTOS]}
     down = y_down(record)
@@ -86,18 +93,18 @@ def residual_panels(record: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def y_down(record: dict[str, Any]) -> dict[str, bool]:
-    """Whether y points down in each photo."""
+    """Return whether y points down in each photo."""
     cameras = {p["photo"]: p.get("camera") or p.get("interior") or {} for p in record.get("photos", [])}
     return {name: camera.get("y_axis") == "down" for name, camera in cameras.items()}
 
 
 def photo_vectors(name: str, rows: list[dict[str, Any]], down: bool) -> Chart:
-    """Residual vectors in a photo with one scale along both axes.
+    """Return the residual vectors in a photo with one scale along both axes.
 
     Parameters
     ----------
     name : str
-        Of the photo.
+        Name of the photo.
     rows : list of dict
         Its image points.
     down : bool
@@ -116,24 +123,31 @@ def photo_vectors(name: str, rows: list[dict[str, Any]], down: bool) -> Chart:
 
 
 def distortions(record: dict[str, Any]) -> list[dict[str, Any]]:
-    """Curves of the cameras: ``photos``, ``determined``, ``drawing``, and ``edge``, the values at the rim."""
+    """Return curves of the cameras: ``photos``, ``determined``, ``drawing``, and ``edge``, the values at the rim."""
     out = []
     for one in record.get("distortion", [])[:MAX_PHOTOS]:
         names = ", ".join(one["photos"][:4]) + (", ..." if len(one["photos"]) > 4 else "")
         edge = {name: one[name][-1] for name in ("radius", "radial", "sigma", "across")}
-        out.append({"photos": names, "n": len(one["photos"]), "determined": one["determined"],
-                    "drawing": distortion(one, names), "edge": edge})  # fmt: skip
+        out.append(
+            {
+                "photos": names,
+                "n": len(one["photos"]),
+                "determined": one["determined"],
+                "drawing": distortion(one, names),
+                "edge": edge,
+            }
+        )
     return out
 
 
 def band_factor(radial: Array, sigma: Array) -> float:
-    """Factor by which a band is enlarged to be visible along the curve; 1 if it is visible without."""
+    """Return the factor by which a band is enlarged to be visible along the curve; 1 if it is visible unchanged."""
     reach, widest = float(np.abs(radial).max()), float(sigma.max())
     return round_down(0.08 * reach / widest) if 0.0 < widest < 0.04 * reach else 1.0
 
 
 def distortion(one: dict[str, Any], names: str) -> Chart:
-    """Radial correction over the radius with a band of one standard deviation, enlarged where it would not be seen."""
+    """Draw the radial correction over the radius with a band of one standard deviation, enlarged if it is invisible."""
     radius, radial, sigma, across = (np.array(one[k]) for k in ("radius", "radial", "sigma", "across"))
     times = band_factor(radial, sigma)
     low, high = radial - times * sigma, radial + times * sigma
@@ -142,9 +156,12 @@ def distortion(one: dict[str, Any], names: str) -> Chart:
     chart = broad(
         f"distortion of {printable(names)}: radial correction over the radius",
         Axis("radius from the principal point, image units", (0.0, float(radius[-1])), about=6),
-        Axis("correction, image units", (ends[0] - margin, ends[1] + margin)), 300.0, left=74.0, title=cut(names),
+        Axis("correction, image units", (ends[0] - margin, ends[1] + margin)),
+        300.0,
+        left=74.0,
+        title=cut(names),
         legend="top" if radial[-1] > 0.0 else "bottom",
-    )  # fmt: skip
+    )
     chart.across("zero", 0.0)
     if sigma.any():
         words = f"± {times:g} σ" if times > 1.0 else "± σ"
@@ -156,7 +173,7 @@ def distortion(one: dict[str, Any], names: str) -> Chart:
 
 
 def directions_chart(record: dict[str, Any]) -> Chart | None:
-    """Singular values of the orientation, weakest first, with the limit of refused directions."""
+    """Return the singular values of the orientation, weakest first, with the limit of refused directions."""
     values = np.array(record.get("directions", {}).get("singular_values", []), float)
     values = values[np.isfinite(values) & (values > 0.0)]
     if not len(values):
@@ -166,8 +183,9 @@ def directions_chart(record: dict[str, Any]) -> Chart | None:
     chart = broad(
         "singular values of the orientation, weakest first",
         Axis("direction, weakest first", (1.0, float(max(len(values), 2))), about=8, whole=True),
-        Axis(f"singular value, refused below {REFUSED:g}", (low, high), log=True), 260.0,
-    )  # fmt: skip
+        Axis(f"singular value, refused below {REFUSED:g}", (low, high), log=True),
+        260.0,
+    )
     chart.across("limit", REFUSED)
     chart.add("dots", "line-dot", np.arange(1, len(values) + 1), values)
     return chart
@@ -198,23 +216,23 @@ PLOTS: Final[dict[str, tuple[Callable[[dict[str, Any]], Charts], str]]] = {
 }  # fmt: skip
 
 
-#: Record that makes a folder one of close range, and the page in it.
+#: Record file that identifies a folder of close range, and its page.
 RECORD_FILE: Final = "closerange.json"
 REPORT_FILE: Final = "report.html"
 PACKAGE: Final = "fg_orient.closerange"
 #: Rows of a table that the page shows; closerange.json and points.csv contain all.
 MANY: Final = 200
-#: Largest residuals that are listed, and photos whose correlations are drawn.
+#: Number of largest residuals that are listed, and of photos whose correlations are drawn.
 WORST: Final = 20
 
 
 def is_closerange(folder: Path) -> bool:
-    """Whether a folder holds a result of close range."""
+    """Return whether a folder holds a result of close range."""
     return (folder / RECORD_FILE).is_file()
 
 
 def read_record(folder: Path) -> dict[str, Any]:
-    """Record of a folder; InputError if it is missing or damaged, or of a version that has no report."""
+    """Return the record of a folder; InputError if it is missing or damaged, or of a version that has no report."""
     path = folder / RECORD_FILE
     record = load_json(path, "report.damaged")
     if not isinstance(record, dict) or "report" not in record:
@@ -248,7 +266,7 @@ def write_figures(
 
 
 def render(record: dict[str, Any]) -> str:
-    """Give the HTML text of a record.
+    """Return the HTML text of a record.
 
     Parameters
     ----------
@@ -259,53 +277,70 @@ def render(record: dict[str, Any]) -> str:
     lists = ("photos", "cameras", "points", "figures", "residuals", "observations", "distortion", "history")
     photo: dict[str, Any] = {"parameters": [], "interior": None, "observed": None}
     photos = [photo | one for one in record.get("photos", [])]
-    # every kind of record has the parts that others have, empty
+    # records of all kinds have the parts of the other kinds, empty
     record = {name: [] for name in lists} | {"check": None, "significance": None} | record | {"photos": photos}
     shell = environment(PACKAGE)
     shell.filters |= {"significant": significant}
     doubts = problems(record)
     is_surface, points = record["kind"] == "surface", record["points"]
     return shell.get_template("closerange.html.j2").render(
-        r=record, kind=KINDS[record["kind"]], verdict=verdict(record, doubts), problems=doubts, many=MANY,
-        accuracy=_accuracy(record), suspects=suspects(record)[:WORST],
+        r=record,
+        kind=KINDS[record["kind"]],
+        verdict=verdict(record, doubts),
+        problems=doubts,
+        many=MANY,
+        accuracy=_accuracy(record),
+        suspects=suspects(record)[:WORST],
         views=deviation_views(record) if is_surface else views_of(scene_of(record)),
         histogram=distance_histogram(record) if is_surface else None,
         deviations=sorted(points, key=lambda p: -abs(p["distance_m"])) if is_surface else [],
-        residuals=residual_rows(record), panels=residual_panels(record), max_photos=MAX_PHOTOS,
-        worst=_worst(record), curves=distortions(record), heat=_heat(record),
+        residuals=residual_rows(record),
+        panels=residual_panels(record),
+        max_photos=MAX_PHOTOS,
+        worst=_worst(record),
+        curves=distortions(record),
+        heat=_heat(record),
         directions=directions_chart(record),
         history=iteration_charts(record["history"], "m, rad or camera steps"),
         redundancy=redundancy_chart(columns(record["residuals"], "redundancy_x", "redundancy_y"), ("x", "y")),
-    )  # fmt: skip
+    )
 
 
 def _accuracy(record: dict[str, Any]) -> dict[str, Any]:
-    """Mean errors of new points, control points and stations; check points: their RMS; one unit for the table."""
+    """Return mean errors of new points, control points and stations, RMS at check points; one unit for the table."""
     points = record["points"] if record["kind"] in ("bundle", "intersection") else []
     spreads = {
         words: columns([p for p in points if p.get("role", "new") == role], *(f"sigma_{a}_m" for a in "xyz"))
-        for role, words in (("check", "check points, standard deviations"), ("new", "new points"),
-                            ("control", "control points"))
-    }  # fmt: skip
+        for role, words in (
+            ("check", "check points, standard deviations"),
+            ("new", "new points"),
+            ("control", "control points"),
+        )
+    }
     spreads["camera stations"] = scene_of(record).station_sigma if record["photos"] else np.zeros((0, 3))
-    rows = [(words, len(v), np.sqrt(np.mean(v**2, axis=0)), v.max(axis=0))
-            for words, v in spreads.items() if np.isfinite(v[:, 0]).any()]  # fmt: skip
+    rows = [
+        (words, len(v), np.sqrt(np.mean(v**2, axis=0)), v.max(axis=0))
+        for words, v in spreads.items()
+        if np.isfinite(v[:, 0]).any()
+    ]
     check = record["check"]
     errors = np.array([check[k] for k in ("rms_mm", "mean_mm", "worst_mm")] if check else []) / 1e3
     unit, factor = unit_of([*(v for _, _, rms, _ in rows for v in rms), *errors.ravel()])
     return {
-        "unit": unit, "factor": factor, "rows": [(w, n, factor * rms, factor * top) for w, n, rms, top in rows],
+        "unit": unit,
+        "factor": factor,
+        "rows": [(w, n, factor * rms, factor * top) for w, n, rms, top in rows],
         "check": {"n": check["n"], "values": factor * errors} if check else None,
-    }  # fmt: skip
+    }
 
 
 def _used(record: dict[str, Any]) -> dict[str, Any]:
-    """The record without image points that a search for gross errors rejected."""
+    """Return the record without image points that a search for gross errors rejected."""
     return record | {"residuals": [row for row in record.get("residuals", []) if row.get("weight") != 0.0]}
 
 
 def _worst(record: dict[str, Any]) -> list[dict[str, Any]]:
-    """Image points with the largest residuals, over their own standard deviations where these are known."""
+    """Return the image points with the largest residuals, over their own standard deviations where these are known."""
     rows = record["residuals"] or photo_rows(record)
 
     def size(row: dict[str, Any]) -> float:
@@ -317,7 +352,7 @@ def _worst(record: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _heat(record: dict[str, Any]) -> list[dict[str, Any]]:
-    """Correlations of the unknowns of each photo and camera as triangles."""
+    """Return the correlations of the unknowns of each photo and camera as triangles."""
     out = []
     for part in record.get("correlations", {}).get("parts", [])[:MAX_PHOTOS]:
         n = len(part["names"])

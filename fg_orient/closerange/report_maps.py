@@ -20,18 +20,18 @@ TALLEST: Final = 480.0
 MARGIN: Final = 40.0
 #: Length of a large ellipse or vector (90 % quantile) as a share of the width.
 SHARE: Final = 0.035
-#: Largest such length as a share of the distance between neighbours; smallest as a share of the width.
+#: Largest such length as a share of the distance between neighbours; least as a share of the width.
 _APART: Final = 0.6
 SHORTEST: Final = 0.007
-#: More points than this are thinned, new ones first.
+#: Maximum number of drawn points; new points are thinned first.
 MAX_POINTS: Final = 800
-#: Stations and points whose names are written.
+#: Maximum number of stations and points whose names are written.
 MAX_NAMES: Final = 24
 #: Views: words, and the axes across and up.
 VIEWS: Final = (("Plan, X and Y", 0, 1), ("Elevation, X and Z", 0, 2), ("Elevation, Y and Z", 1, 2))
 AXES: Final = "XYZ"
 _MIXED: Final = {(0, 1): "cov_xy_m2", (0, 2): "cov_xz_m2", (1, 2): "cov_yz_m2"}
-#: Points on the outline of an ellipse.
+#: Number of points on the outline of an ellipse.
 _OUTLINE: Final = 28
 #: Length of a direction of view as a share of the width.
 _LOOK: Final = 0.04
@@ -39,7 +39,7 @@ _LOOK: Final = 0.04
 SMALLEST: Final = 1.5
 LARGEST: Final = 11.0
 _STEPS: Final = 5
-#: An axis of a quadric with less than this of the largest curvature is open.
+#: Share of the largest curvature below which an axis of a quadric counts as open.
 _FLAT: Final = 1e-6
 
 
@@ -47,8 +47,8 @@ _FLAT: Final = 1e-6
 class Scene:
     """Points and stations of a record; nan for missing values.
 
-    ``at`` (n, 3) with ``covariance`` (n, 3, 3) and ``difference`` (n, 3), adjusted minus given; projection ``centres``
-    (s, 3) with ``looks`` (s, 3), the directions of view, and ``station_sigma`` (s, 3).
+    ``at`` (n, 3) with ``covariance`` (n, 3, 3) and ``difference`` (n, 3), adjusted minus given. Projection ``centres``
+    (s, 3) with ``looks`` (s, 3), the viewing directions, and ``station_sigma`` (s, 3).
     """
 
     ids: list[str]
@@ -75,24 +75,34 @@ def scene_of(record: dict[str, Any]) -> Scene:
     nothing = {"rotation": [[None] * 3] * 3, "sigma_centre_m": [None] * 3}
     exterior = [nothing | p["exterior"] for p in photos]
     centres, looks, spread = (
-        np.array(rows, float).reshape(-1, 3) for rows in (
-            [e["centre_m"] for e in exterior], [e["rotation"][2] for e in exterior],
-            [e["sigma_centre_m"] for e in exterior])
-    )  # fmt: skip
+        np.array(rows, float).reshape(-1, 3)
+        for rows in (
+            [e["centre_m"] for e in exterior],
+            [e["rotation"][2] for e in exterior],
+            [e["sigma_centre_m"] for e in exterior],
+        )
+    )
     return Scene(
-        [p["id"] for p in points], [p.get("role", "new") for p in points], at, covariance,
-        columns(points, *(f"difference_{a}_m" for a in "xyz")), [p["photo"] for p in photos], centres, looks, spread,
-    )  # fmt: skip
+        [p["id"] for p in points],
+        [p.get("role", "new") for p in points],
+        at,
+        covariance,
+        columns(points, *(f"difference_{a}_m" for a in "xyz")),
+        [p["photo"] for p in photos],
+        centres,
+        looks,
+        spread,
+    )
 
 
 def columns(rows: list[dict[str, Any]], *names: str) -> Array:
-    """Numbers (n, k) of rows; nan for None or a missing name."""
+    """Return the numbers (n, k) of rows; nan for None or a missing name."""
     values = [[row.get(name) for name in names] for row in rows]
     return np.array(values, float).reshape(len(rows), len(names))
 
 
 def views_of(scene: Scene) -> list[tuple[str, Chart]]:
-    """Words and charts: plan and elevations; a plan of the points alone where stations make them small."""
+    """Return descriptions and charts: plan, elevations, and a plan without stations if they make points small."""
     if not len(scene.ids):
         return []
     out = [(words, view(scene, words, across, up)) for words, across, up in VIEWS]
@@ -106,13 +116,13 @@ def views_of(scene: Scene) -> list[tuple[str, Chart]]:
 
 
 def view(scene: Scene, words: str, across: int, up: int) -> Chart:
-    """One view of points and stations.
+    """Return one view of points and stations.
 
     Parameters
     ----------
     scene : Scene
     words : str
-        Content of the view, for readers who do not see it.
+        Description of the view for readers who cannot see it.
     across, up : int
         Axes of the drawing, 0 to 2 for X, Y, Z.
     """
@@ -130,8 +140,15 @@ def view(scene: Scene, words: str, across: int, up: int) -> Chart:
     for role, kind in (("new", "tie"), ("control", "control"), ("check", "check")):
         mine = np.flatnonzero(roles == role)
         if len(mine):
-            tips = [_tip(f"{role} {printable(scene.ids[k])}", scene.at[k], np.sqrt(scene.covariance[k].diagonal()),
-                         scene.difference[k]) for k in rows[mine]]  # fmt: skip
+            tips = [
+                _tip(
+                    f"{role} {printable(scene.ids[k])}",
+                    scene.at[k],
+                    np.sqrt(scene.covariance[k].diagonal()),
+                    scene.difference[k],
+                )
+                for k in rows[mine]
+            ]
             chart.add("dots", kind, *at[mine].T, label=role, tips=tips, vectors=vectors[mine])
     known = np.flatnonzero(roles != "new")
     if 0 < len(known) <= MAX_NAMES:
@@ -147,7 +164,7 @@ def view(scene: Scene, words: str, across: int, up: int) -> Chart:
 
 
 def _frame(words: str, places: Array, across: int, up: int) -> Chart:
-    """View without points, with a scale bar."""
+    """Return the view without points, with a scale bar."""
     chart = mapped(words, places, tallest=TALLEST, margin=MARGIN)
     chart.x, chart.y = replace(chart.x, words=f"{AXES[across]}, m"), replace(chart.y, words=f"{AXES[up]}, m")
     chart.title = words
@@ -166,7 +183,7 @@ def _thinned(scene: Scene) -> Index:
 
 
 def _per_width(covariance: Array, vectors: Array, at: Array, wide: float) -> float:
-    """Error in metres that is drawn as long as the view is wide; 0 without any."""
+    """Return the error in metres that is drawn as long as the view is wide; 0 without any."""
     from scipy.spatial import cKDTree
 
     size = np.sqrt(np.maximum(np.trace(covariance, axis1=1, axis2=2), 0.0))
@@ -176,28 +193,32 @@ def _per_width(covariance: Array, vectors: Array, at: Array, wide: float) -> flo
 
 
 def _ellipse(place: Array, covariance: Array, scale: float) -> Array:
-    """Outline (n, 2) of the enlarged standard ellipse about a place."""
+    """Return the outline (n, 2) of the enlarged standard ellipse about a place."""
     values, vectors = np.linalg.eigh(covariance)
     half = scale * np.sqrt(np.maximum(values, 0.0))
     return np.asarray(place + (_circle(_OUTLINE) * half) @ vectors.T)
 
 
 def _tip(name: str, at: Array, sigma: Array, difference: Array) -> str:
-    """Name, coordinates with standard deviations, and adjusted minus given."""
-    parts = [f"{axis} {v:.4f} m" + ("" if np.isnan(s) else f" ± {length(float(s))}")
-             for axis, v, s in zip(AXES, at, sigma, strict=True)]  # fmt: skip
+    """Return the name, coordinates with standard deviations, and adjusted minus given."""
+    parts = [
+        f"{axis} {v:.4f} m" + ("" if np.isnan(s) else f" ± {length(float(s))}")
+        for axis, v, s in zip(AXES, at, sigma, strict=True)
+    ]
     if np.isfinite(difference).all() and difference.any():
         parts.append("adjusted minus given " + ", ".join(length(float(v)) for v in difference))
     return f"{name}: {'; '.join(parts)}"
 
 
 def _stations(chart: Chart, scene: Scene, axes: list[int]) -> None:
-    """Add projection centres as squares with the direction of view, and their names where they are few."""
+    """Add projection centres as squares with the viewing direction, and their names if there are few."""
     if not len(scene.centres):
         return
     names = [printable(name) or "photo" for name in scene.stations]
-    tips = [_tip(f"station {name}", at, sigma, np.zeros(3))
-            for name, at, sigma in zip(names, scene.centres, scene.station_sigma, strict=True)]  # fmt: skip
+    tips = [
+        _tip(f"station {name}", at, sigma, np.zeros(3))
+        for name, at, sigma in zip(names, scene.centres, scene.station_sigma, strict=True)
+    ]
     at = scene.centres[:, axes]
     ends = at + _LOOK * float(np.ptp(chart.x.limits)) * scene.looks[:, axes]
     for start, end in zip(at, ends, strict=True):
@@ -212,12 +233,12 @@ def _stations(chart: Chart, scene: Scene, axes: list[int]) -> None:
 
 
 def deviation_views(record: dict[str, Any]) -> list[tuple[str, Chart]]:
-    """Words and charts of three views with the normal distances of the points from a surface."""
+    """Return the words and charts of three views with the normal distances of the points from a surface."""
     return [(words, _deviations(record, words, across, up)) for words, across, up in VIEWS]
 
 
 def _deviations(record: dict[str, Any], words: str, across: int, up: int) -> Chart:
-    """One view: colour shows the sign of a distance; its strength and the radius show the size."""
+    """Return one view: colour shows the sign of a distance; its strength and the radius show the size."""
     points, axes = record["points"], [across, up]
     at = columns(points, *(f"{a}_m" for a in "xyz"))[:, axes]
     distance = columns(points, "distance_m")[:, 0]
@@ -233,8 +254,14 @@ def _deviations(record: dict[str, Any], words: str, across: int, up: int) -> Cha
             mine = np.flatnonzero((step == k) & ((distance >= 0.0) == (sign == "p")))
             tips = [_deviation_tip(points[n]) for n in mine.tolist()]
             label = f"to {word}{length(k / _STEPS * largest)}" if len(mine) and k in (2, _STEPS) else ""
-            chart.add("dots", f"deviation {sign}{k}", *at[mine].T, label=label, tips=tips,
-                      sizes=SMALLEST + (LARGEST - SMALLEST) * np.sqrt(share[mine]))  # fmt: skip
+            chart.add(
+                "dots",
+                f"deviation {sign}{k}",
+                *at[mine].T,
+                label=label,
+                tips=tips,
+                sizes=SMALLEST + (LARGEST - SMALLEST) * np.sqrt(share[mine]),
+            )
     if len(points) <= MAX_NAMES:
         chart.add("names", "name", *at.T, tips=[printable(p["id"]) for p in points])
     return chart
@@ -246,7 +273,10 @@ def _deviation_tip(point: dict[str, Any]) -> str:
 
 
 def outline(surface: dict[str, Any], axes: list[int]) -> Array:
-    """Outline (n, 2) of a closed surface (``Surface.as_dict``) in axes across and up; no points for open quadrics."""
+    """Return the outline (n, 2) of a closed surface (``Surface.as_dict``) in axes across and up.
+
+    Empty for open quadrics.
+    """
     from fg_orient.closerange.surface import Surface
 
     coefficients = np.array(surface["coefficients"] or [], float)
@@ -261,20 +291,22 @@ def outline(surface: dict[str, Any], axes: list[int]) -> Array:
 
 
 def _circle(n: int) -> Array:
-    """Points (n, 2) of the unit circle."""
+    """Return the points (n, 2) of the unit circle."""
     angle = np.linspace(0.0, 2.0 * np.pi, n, endpoint=False)
     return np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
 def distance_histogram(record: dict[str, Any]) -> Chart:
-    """Histogram of the normal distances, mm."""
+    """Return the histogram of the normal distances, mm."""
     values = 1e3 * columns(record["points"], "distance_m")[:, 0]
     reach = 1.05 * (float(np.abs(values).max()) or 1.0)
     counts, edges = np.histogram(values, np.linspace(-reach, reach, min(21, 2 * math.ceil(math.sqrt(len(values))) + 1)))
     chart = broad(
-        "histogram of the normal distances", Axis("normal distance, mm", (-reach, reach), about=6),
-        Axis("points", (0.0, 1.1 * max(float(counts.max()), 1.0)), about=4, whole=True), 220.0,
-    )  # fmt: skip
+        "histogram of the normal distances",
+        Axis("normal distance, mm", (-reach, reach), about=6),
+        Axis("points", (0.0, 1.1 * max(float(counts.max()), 1.0)), about=4, whole=True),
+        220.0,
+    )
     chart.add("bars", "column", edges, counts)
     chart.upright("zero", 0.0)
     return chart

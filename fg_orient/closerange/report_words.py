@@ -14,11 +14,11 @@ from fg_orient.report.words import check_point_words, number
 #: Size; size divided by its given standard deviation (or the size again without one); redundancy; words.
 Residual = tuple[float, float, int, str]
 
-#: Level of the test of m0, and of the search for the worst residual among all.
+#: Level of the test of m0, and of the search for the worst of all residuals.
 LEVEL: Final = 0.001
 #: Smaller residuals are rounding errors of exact data, in metres or image units; they are not tested.
 ROUNDING: Final = 1e-9
-#: Suspicious observations that the first page names.
+#: Maximum number of suspicious observations that the first page names.
 SUSPECTS: Final = 3
 #: Standard deviation in units of one image point above which a direction is reported; above 1000 it is refused.
 WEAK: Final = 100.0
@@ -31,7 +31,7 @@ KINDS: Final = {
 
 
 def significant(value: float | None, digits: int = 3) -> str:
-    """Number with some significant digits, without an exponent if that is short; a dash for None."""
+    """Return the number with some significant digits, without an exponent if that is short; a dash for None."""
     if value is None or not math.isfinite(value):
         return "–"
     if value != 0.0 and not 1e-4 <= abs(value) < 1e6:
@@ -41,30 +41,30 @@ def significant(value: float | None, digits: int = 3) -> str:
 
 
 def length(metres: float) -> str:
-    """Length in m, mm or µm."""
+    """Return the length in m, mm or µm."""
     unit, factor = next((one for one in LENGTHS[1:] if abs(metres) * one[1] >= 0.1), LENGTHS[-1])
     return f"{significant(metres * factor)} {unit}" if metres else "0 m"
 
 
 def round_length(metres: float) -> str:
-    """Round length of a scale bar."""
+    """Return the round length of a scale bar."""
     unit, factor = next((one for one in LENGTHS if metres * one[1] >= 1.0), LENGTHS[-1])
     return f"{metres * factor:g} {unit}"
 
 
 def unit_of(metres: list[float]) -> tuple[str, float]:
-    """Unit of a column of lengths, and its factor from m: mm where the largest is below 0.2 m."""
+    """Return the unit of a column of lengths, and its factor from m: mm where the largest is below 0.2 m."""
     largest = max((abs(v) for v in metres if v is not None and math.isfinite(v)), default=0.0)
     return ("m", 1.0) if largest >= 0.2 else ("mm", 1e3)
 
 
 def photo_rows(record: dict[str, Any]) -> list[dict[str, Any]]:
-    """Image points of photos that were oriented one by one, with the name of their photo."""
+    """Return the image points of photos that were oriented one by one, with the name of their photo."""
     return [{"photo": photo["photo"]} | row for photo in record.get("photos", []) for row in photo["points"]]
 
 
 def m0_words(record: dict[str, Any]) -> tuple[str, str]:
-    """Kind (good, warn) and a sentence on m0: its comparison with 1, or its unit if no sigmas were given."""
+    """Return the kind (good, warn) and a sentence on m0: its comparison with 1, or its unit if no sigmas were given."""
     m0, f = record["m0"], record["redundancy"]
     if m0 is None:
         return "warn", "Without redundancy nothing was checked: there are no standard deviations."
@@ -87,7 +87,7 @@ def m0_words(record: dict[str, Any]) -> tuple[str, str]:
 
 
 def _assessed(record: dict[str, Any]) -> list[tuple[float | None, str, str]]:
-    """m0 of the adjustment or of each photo, kind (good, warn) and text of its sentence."""
+    """Return m0 of the adjustment or of each photo, kind (good, warn) and text of its sentence."""
     parts = [record] if "m0" in record else record["photos"]
     names = [f"{part['photo'] or 'photo'}: " if len(parts) > 1 else "" for part in parts]
     texts = [m0_words(record | part) for part in parts]
@@ -95,12 +95,12 @@ def _assessed(record: dict[str, Any]) -> list[tuple[float | None, str, str]]:
 
 
 def doubts(record: dict[str, Any]) -> list[str]:
-    """Doubts in addition to the warnings: an m0 that chance does not explain, too large residuals."""
+    """Return the doubts in addition to the warnings: an m0 that chance does not explain, too large residuals."""
     return [text for m0, kind, text in _assessed(record) if kind == "warn" and m0 is not None] + _look_at(record)
 
 
 def verdict(record: dict[str, Any], problems: list[str]) -> dict[str, Any]:
-    """Assessment of the result: ``kind`` (good, warn), ``title``, ``text``."""
+    """Return the assessment of the result: ``kind`` (good, warn), ``title``, ``text``."""
     done = "Fitted" if record["kind"] in ("surface", "dlt") else "Adjusted"
     facts = _assessed(record)
     kind, title = "good", "nothing stands out"
@@ -111,11 +111,13 @@ def verdict(record: dict[str, Any], problems: list[str]) -> dict[str, Any]:
 
 
 def accuracy_words(record: dict[str, Any]) -> list[str]:
-    """Accuracy of the result at check points, else by its standard deviations."""
+    """Return the accuracy of the result at check points, else by its standard deviations."""
     if record["kind"] == "surface":
         worst = max(record["points"], key=lambda p: abs(p["distance_m"]))
-        return [f"Normal distances: root mean square {length(record['rms_m'])}, largest "
-                f"{length(worst['distance_m'])} at point {worst['id']}."]  # fmt: skip
+        return [
+            f"Normal distances: root mean square {length(record['rms_m'])}, largest "
+            f"{length(worst['distance_m'])} at point {worst['id']}."
+        ]
     if record.get("check"):
         along = ", ".join(f"{length(v / 1e3)} {axis}" for v, axis in zip(record["check"]["rms_mm"], "XYZ", strict=True))
         return [check_point_words(record["check"]["n"], along)]
@@ -124,18 +126,24 @@ def accuracy_words(record: dict[str, Any]) -> list[str]:
         return []
     rms = [math.sqrt(float(np.mean([p[f"sigma_{a}_m"] ** 2 for p in new]))) for a in "xyz"]
     text = ", ".join(f"{length(v)} {axis}" for v, axis in zip(rms, "XYZ", strict=True))
-    return [f"Mean standard deviations of {len(new)} new points: {text}. "
-            "There are no check points: the accuracy is not verified."]  # fmt: skip
+    return [
+        f"Mean standard deviations of {len(new)} new points: {text}. "
+        "There are no check points: the accuracy is not verified."
+    ]
 
 
 def suspects(record: dict[str, Any]) -> list[tuple[float, str]]:
-    """Observations with residuals too large for the largest of all by chance, worst first.
+    """Return observations whose residuals are too large for the largest of all by chance, worst first.
 
     Residuals are divided by their standard deviation, and by m0 if it is above 1, because a common factor does not make
     a single observation suspicious.
     """
-    rows = [(abs(r[f"w_{a}"]), f"{a} of point {r['id']} in photo {r['photo']}")
-            for r in record.get("residuals", []) for a in "xy" if r.get(f"w_{a}") is not None]  # fmt: skip
+    rows = [
+        (abs(r[f"w_{a}"]), f"{a} of point {r['id']} in photo {r['photo']}")
+        for r in record.get("residuals", [])
+        for a in "xy"
+        if r.get(f"w_{a}") is not None
+    ]
     rows += [(abs(o["w"]), o["what"]) for o in record.get("observations", []) if o["w"] is not None]
     if not rows:
         return []
@@ -145,7 +153,7 @@ def suspects(record: dict[str, Any]) -> list[tuple[float, str]]:
 
 
 def _look_at(record: dict[str, Any]) -> list[str]:
-    """Sentences on the most suspicious observations."""
+    """Return the sentences on the most suspicious observations."""
     large = suspects(record)
     scaled = record["weights"] == "absolute" and (record.get("m0") or 1.0) > 1.0
     own = "its own standard deviation and m0" if scaled else "its own standard deviation"
@@ -161,11 +169,17 @@ def _look_at(record: dict[str, Any]) -> list[str]:
 
 
 def _groups(record: dict[str, Any]) -> list[tuple[int, list[Residual]]]:
-    """Redundancy and residuals of each adjustment, except of surfaces fitted by other conditions than distances."""
+    """Return redundancy and residuals of each adjustment, except of surfaces that were not fitted by distances."""
     if record["kind"] == "surface":
-        rows = [(abs(p["distance_m"]), p.get("distance_over_sigma", abs(p["distance_m"])), 1,
-                 f"point {p['id']}: its normal distance, {length(p['distance_m'])},")
-                for p in record["points"]]  # fmt: skip
+        rows = [
+            (
+                abs(p["distance_m"]),
+                p.get("distance_over_sigma", abs(p["distance_m"])),
+                1,
+                f"point {p['id']}: its normal distance, {length(p['distance_m'])},",
+            )
+            for p in record["points"]
+        ]
         return [(record["redundancy"], rows)] if record["method"] == "geometric" else []
     if record["kind"] == "intersection":
         squares: dict[str, float] = {}
@@ -174,37 +188,54 @@ def _groups(record: dict[str, Any]) -> list[tuple[int, list[Residual]]]:
             squares[r["id"]] = squares.get(r["id"], 0.0) + own
         free = {p["id"]: 2 * p["rays"] - 3 for p in record["points"]}
         # the misfit of the rays of a point, divided by the root of their redundancy
-        rows = [(p["misfit"], math.sqrt(squares[p["id"]] / free[p["id"]]), free[p["id"]],
-                 f"point {p['id']}: the misfit of its rays, {significant(p['misfit'])},")
-                for p in record["points"]]  # fmt: skip
+        rows = [
+            (
+                p["misfit"],
+                math.sqrt(squares[p["id"]] / free[p["id"]]),
+                free[p["id"]],
+                f"point {p['id']}: the misfit of its rays, {significant(p['misfit'])},",
+            )
+            for p in record["points"]
+        ]
         return [(record["redundancy"], rows)]
     photos = record["photos"] if record["kind"] in ("dlt", "resection") else []
     return [
-        (photo["redundancy"], [
-            (abs(r[f"residual_{a}"]), abs(r[f"residual_{a}"]) / r.get(f"sigma_{a}", 1.0), 1,
-             f"{a} of point {r['id']} in photo {photo['photo'] or '-'}: its residual, "
-             f"{significant(r[f'residual_{a}'])},")
-            for r in photo["points"] for a in "xy" if r.get("role") != "check"])
+        (
+            photo["redundancy"],
+            [
+                (
+                    abs(r[f"residual_{a}"]),
+                    abs(r[f"residual_{a}"]) / r.get(f"sigma_{a}", 1.0),
+                    1,
+                    f"{a} of point {r['id']} in photo {photo['photo'] or '-'}: its residual, "
+                    f"{significant(r[f'residual_{a}'])},",
+                )
+                for r in photo["points"]
+                for a in "xy"
+                if r.get("role") != "check"
+            ],
+        )
         for photo in photos
-    ]  # fmt: skip
+    ]
 
 
 def outlying(redundancy: int, residuals: list[Residual], level: float, *, absolute: bool) -> list[tuple[float, str]]:
-    """Ratios and words of residuals too large for the largest of one adjustment by chance, worst first.
+    """Return the ratios and words of residuals too large for the largest of one adjustment by chance, worst first.
 
-    A residual is divided by its given standard deviation, or by that of the others if this is larger or none is given:
-    externally studentised (Cook and Weisberg 1982, section 2.2.1), with a redundancy number of 1, which makes the ratio
-    too small, never too large. Points of an intersection are independent: each is tested as a whole. The tests of
-    ``fg_orient.quality.hypotheses`` need cofactors, which a record does not contain. No observation is excluded.
+    A residual is divided by its given standard deviation, or by that of the other residuals if this is larger or none
+    is given: externally studentised (Cook and Weisberg 1982, section 2.2.1). The redundancy number is taken as 1, which
+    makes the ratio too small, never too large. Points of an intersection are independent: each is tested as a whole.
+    The tests of ``fg_orient.quality.hypotheses`` need cofactors, which a record does not contain. No observation is
+    excluded.
 
     Parameters
     ----------
     redundancy : int
     residuals : list of Residual
     level : float
-        Probability of any of these among good residuals.
+        Probability of any such residual among good ones.
     absolute : bool
-        Standard deviations were given.
+        True if standard deviations were given.
     """
     if not residuals:
         return []
@@ -224,7 +255,7 @@ def outlying(redundancy: int, residuals: list[Residual], level: float, *, absolu
 
 
 def problems(record: dict[str, Any]) -> list[str]:
-    """Problems of the result, the worst first."""
+    """Return the problems of the result, the worst first."""
     out = _look_at(record)
     for one in record.get("directions", {}).get("weakest", []):
         if one["value"] < 1.0 / WEAK:

@@ -23,9 +23,9 @@ from fg_orient.rectification.transformation import Scaling
 Pose = tuple[Array, Array]
 
 LEAST: Final = 4
-#: Points far apart in the image whose triples start the iteration.
+#: Number of distant image points whose triples start the iteration.
 SPREAD: Final = 6
-#: Starts that are iterated, the best ones of all.
+#: Number of best starts that are iterated.
 TRIED: Final = 4
 #: Code and place of the error for points that do not determine a photo.
 REFUSED: Final = ("closerange.pose", "resection")
@@ -48,10 +48,10 @@ class Resection(fitting.Fit):
     weighted_squares : float
         v'Pv for the given sigmas.
     bend : float
-        Above 0.25 the covariance as a whole is optimistic (:func:`fg_orient.closerange.minima.bend`), but not each
-        standard deviation: far cameras, whose rotations move the centre along an arc.
+        Bend. Above 0.25 each standard deviation is correct, but the covariance as a whole is optimistic
+        (:func:`fg_orient.closerange.minima.bend`): far cameras, whose rotations move the centre along an arc.
     rival : Rival or None
-        Points of a plane far away fit two poses, mirrored in the line of sight.
+        Second pose: distant points of a plane fit two poses, mirrored in the line of sight.
     """
 
     photo: Photo
@@ -63,14 +63,18 @@ class Resection(fitting.Fit):
     rival: Rival | None = None
 
     def second_pose(self, place: str = "") -> list[Finding]:
-        """Warning of the rival, if there is one."""
+        """Return the warning of the rival, if there is one."""
         return [] if self.rival is None else [self.rival.warning("closerange.second_pose", "centre_m", place)]
 
 
 def resect(
-    interior: PhotoInterior, ground_m: npt.ArrayLike, image: npt.ArrayLike, *, sigma: npt.ArrayLike = 1.0,
+    interior: PhotoInterior,
+    ground_m: npt.ArrayLike,
+    image: npt.ArrayLike,
+    *,
+    sigma: npt.ArrayLike = 1.0,
     name: str = "",
-) -> Resection:  # fmt: skip
+) -> Resection:
     """Orient a photo of a known camera by control points.
 
     Parameters
@@ -81,9 +85,9 @@ def resect(
     image : (n, 2) array
         Measured x, y, in the unit of the focal length.
     sigma : float or array that fits (n, 2)
-        Of the image coordinates.
+        Standard deviations of the image coordinates.
     name : str
-        Of the photo.
+        Name of the photo.
 
     Returns
     -------
@@ -92,7 +96,8 @@ def resect(
     Raises
     ------
     InputError
-        Too few points, or points that do not determine the orientation (on a line, on a dangerous cylinder).
+        There are too few points, or they do not determine the orientation (points on a line, or on a dangerous
+        cylinder).
     NoSolutionError
         No start value, or the iteration does not converge.
 
@@ -146,7 +151,7 @@ def _require_off_line(ground: Array) -> None:
 
 
 def _mirrored(pose: Pose, ground: Array) -> Pose:
-    """Pose with nearly the same image of points in a plane: their plane mirrored across the line of sight.
+    """Mirror a plane of points across the line of sight; return this pose, which has nearly the same image.
 
     A reflection in their plane does not change points of the plane. It is followed by a reflection across the line of
     sight to the middle of the points; together they are a rotation.
@@ -162,15 +167,23 @@ def _mirrored(pose: Pose, ground: Array) -> Pose:
 def _adjusted(
     interior: PhotoInterior, ground: Array, tangents: Array, sigma: Array, start: Pose, name: str
 ) -> Resection:
-    """Resection from a start; unknowns are rotations (rad) and the centre in units of the object's distance."""
+    """Adjust from a start; unknowns are rotations (rad) and the centre in units of the object's distance."""
     rotation, centre = start
     distance = float(np.linalg.norm(ground - centre, axis=1).mean())
     # line and sample are tangents here: focal length 1, line down
     records = RECORD.pack(
-        line=tangents[:, 1], sample=tangents[:, 0], a_line=1.0 / sigma[:, 1], a_sample=1.0 / sigma[:, 0],
-        rotation=rotation.ravel(), centre=np.zeros(3), focal=1.0, principal=np.zeros(2), distortion=np.zeros(5),
-        aspect=0.0, unit=0.0,
-    )  # fmt: skip
+        line=tangents[:, 1],
+        sample=tangents[:, 0],
+        a_line=1.0 / sigma[:, 1],
+        a_sample=1.0 / sigma[:, 0],
+        rotation=rotation.ravel(),
+        centre=np.zeros(3),
+        focal=1.0,
+        principal=np.zeros(2),
+        distortion=np.zeros(5),
+        aspect=0.0,
+        unit=0.0,
+    )
     setup = np.stack([np.arange(6.0), np.array([1.0, 1.0, 1.0, distance, distance, distance])])
     rows = fitting.equation_rows(FRAME_COLLINEARITY, records, setup, (ground - centre,))
     try:
@@ -197,7 +210,7 @@ def _adjusted(
 
 
 def start_poses(ground: Array, tangents: Array) -> list[Pose]:
-    """Start poses from ground points (n, 3) and tangents (n, 2), ordered by the median residual of all tangents."""
+    """Return start poses from ground points (n, 3) and tangents (n, 2), ordered by median residual of all tangents."""
     poses = list[Pose]()
     for three in map(list, combinations(_spread(tangents), 3)):
         poses += three_point_poses(ground[three], tangents[three])
@@ -213,7 +226,7 @@ def start_poses(ground: Array, tangents: Array) -> list[Pose]:
 
 
 def _spread(points: Array) -> list[int]:
-    """Some points far apart: each is the farthest from the points before it."""
+    """Return some points far apart: each is the farthest from the points before it."""
     chosen = [int(np.argmax(np.linalg.norm(points - points.mean(axis=0), axis=1)))]
     while len(chosen) < min(SPREAD, len(points)):
         apart = np.linalg.norm(points[:, None] - points[chosen], axis=2).min(axis=1)
@@ -222,7 +235,7 @@ def _spread(points: Array) -> list[int]:
 
 
 def _pose_by_dlt(ground: Array, tangents: Array) -> list[Pose]:
-    """Pose of the linear DLT; an empty list if the points are coplanar."""
+    """Return the pose of the linear DLT; an empty list if the points are coplanar."""
     source, target = Scaling.of(ground, shared=True), Scaling.of(tangents, shared=True)
     p = np.append(direct_dlt(source.normalised(ground), target.normalised(tangents)), 1.0).reshape(3, 4)
     p[:, :3] /= source.scale
@@ -235,7 +248,7 @@ def _pose_by_dlt(ground: Array, tangents: Array) -> list[Pose]:
 
 
 def three_point_poses(ground: Array, tangents: Array) -> list[Pose]:
-    """Up to four poses of a camera from three points in front of it; none for points on a line.
+    """Return up to four poses of a camera from three points in front of it; none for points on a line.
 
     Grunert 1841; coefficients of the quartic as in Haralick et al. 1994, eqs. 9-16.
 
@@ -256,11 +269,18 @@ def three_point_poses(ground: Array, tangents: Array) -> list[Pose]:
     coefficients = [
         (p - 1.0) ** 2 - 4.0 * c / b * cos_a**2,
         4.0 * (p * (1.0 - p) * cos_b - (1.0 - q) * cos_a * cos_c + 2.0 * c / b * cos_a**2 * cos_b),
-        2.0 * (p**2 - 1.0 + 2.0 * p**2 * cos_b**2 + 2.0 * r * cos_a**2 - 4.0 * q * cos_a * cos_b * cos_c
-               + 2.0 * s * cos_c**2),
+        2.0
+        * (
+            p**2
+            - 1.0
+            + 2.0 * p**2 * cos_b**2
+            + 2.0 * r * cos_a**2
+            - 4.0 * q * cos_a * cos_b * cos_c
+            + 2.0 * s * cos_c**2
+        ),
         4.0 * (-p * (1.0 + p) * cos_b + 2.0 * a / b * cos_c**2 * cos_b - (1.0 - q) * cos_a * cos_c),
         (1.0 + p) ** 2 - 4.0 * a / b * cos_c**2,
-    ]  # fmt: skip
+    ]
     poses = []
     # noise can make a double root complex: its real part is a start value
     for v in sorted({float(root.real) for root in np.roots(coefficients) if abs(root.imag) < 0.1 * abs(root)}):
@@ -272,7 +292,7 @@ def three_point_poses(ground: Array, tangents: Array) -> list[Pose]:
 
 
 def _pose(ground: Array, seen: Array) -> Pose | None:
-    """Rotation and centre that lead three ground points to the same points in camera axes."""
+    """Return rotation and centre that transform three ground points to the same points in camera axes."""
     frames = []
     for points in (ground, seen):
         along = points[1] - points[0]

@@ -31,20 +31,21 @@ _QUADRIC: Final = tuple("ABCDEFGHIJ")
 
 @dataclass(frozen=True)
 class Surface:
-    """A sphere, spheroid, ellipsoid or other quadric.
+    """Sphere, spheroid, ellipsoid or other quadric.
 
     Parameters
     ----------
     kind : str
         One of ``KINDS``.
     centre : (3,) array
-        m; of a quadric the point that its coefficients are about.
+        Centre, m; for a quadric the origin of its coefficients.
     semi_axes : (3,) array
-        m, along the rows of ``rotation``; of a quadric the unit of length of its coefficients, three times.
+        Semi-axes, m, along the rows of ``rotation``; for a quadric the unit of length of its coefficients, three times.
     rotation : (3, 3) array
         Axes of the surface from those of the coordinates.
     coefficients : (10,) array
-        Of a quadric: A to J of ``factors.conditions.surfaces`` in ``(p - centre)/semi_axes``; else empty.
+        Coefficients A to J of a quadric, as in ``factors.conditions.surfaces``, in ``(p - centre)/semi_axes``;
+        otherwise empty.
     """
 
     kind: Kind
@@ -72,19 +73,19 @@ class Surface:
         return _ellipsoid_conditions(self.rotation, self.semi_axes)
 
     def foot_points(self, points_m: npt.ArrayLike, sigma_m: npt.ArrayLike = 1.0) -> Array:
-        """Nearest points (n, 3) of the surface, m, weighted by sigmas; nan if not unique."""
+        """Return the nearest points (n, 3) of the surface, m, weighted by sigmas; nan if not unique."""
         points = as_points(points_m, 3, "points")
         sigma = as_sigmas(sigma_m, points, "sigma_m")
         return foot_points(self.conditions, points - self.centre, sigma) + self.centre
 
     def distances(self, points_m: npt.ArrayLike) -> Array:
-        """Normal distances (n,) of points, m, above 0 outside (where the condition is positive)."""
+        """Return the normal distances (n,) of points, m, positive outside (where the condition is positive)."""
         points = as_points(points_m, 3, "points")
         side = np.sign(self.conditions.value(points - self.centre))
         return np.asarray(side * np.linalg.norm(points - self.foot_points(points), axis=1))
 
     def deviations(self, points_m: npt.ArrayLike) -> Array:
-        """Residuals (n, 3) along X, Y, Z from points to the surface, m, to first order.
+        """Return the residuals (n, 3) along X, Y, Z from points to the surface, m, to first order.
 
         Condition adjustment of Ayhan 1996, eqs. 155-171, with equal weights and a fixed surface: ``v = -g W/|g|^2``, W
         the condition and g its slope (the minus is missing in eq. 169).
@@ -94,7 +95,7 @@ class Surface:
         return np.asarray(-slope * (self.conditions.value(points) / np.sum(slope**2, axis=1))[:, None])
 
     def on_rays(self, directions: npt.ArrayLike) -> Array:
-        """Intersections (n, 3) of rays from the centre with an ellipsoid, m.
+        """Return the intersections (n, 3) of rays from the centre with an ellipsoid, m.
 
         Raises
         ------
@@ -110,7 +111,7 @@ class Surface:
         return np.asarray(ray / size[:, None] + self.centre)
 
     def as_dict(self) -> dict[str, Any]:
-        """Content for files."""
+        """Return the content for files."""
         return {
             "kind": self.kind, "centre_m": self.centre.tolist(), "semi_axes_m": self.semi_axes.tolist(),
             "rotation": self.rotation.tolist(), "coefficients": self.coefficients.tolist() or None,
@@ -119,7 +120,7 @@ class Surface:
 
 
 def map_points(points_m: npt.ArrayLike, target: Surface, radius_m: npt.ArrayLike | None = None) -> Array:
-    """Map points to a spheroid about the y axis with the same azimuth and angle from the axis, from its centre.
+    """Map points to a spheroid about the y axis with the same azimuth and the same angle from the axis at its centre.
 
     Parameters
     ----------
@@ -136,7 +137,7 @@ def map_points(points_m: npt.ArrayLike, target: Surface, radius_m: npt.ArrayLike
 
     Notes
     -----
-    Ayhan 1996, eqs. 177-185, but with the sign of Y - Y0, which the root there loses.
+    Ayhan 1996, eqs. 177-185, but with the sign of Y - Y0, which the root in those equations loses.
     """
     away = as_points(points_m, 3, "points") - target.centre
     own = np.hypot(away[:, 0], away[:, 2])
@@ -146,18 +147,18 @@ def map_points(points_m: npt.ArrayLike, target: Surface, radius_m: npt.ArrayLike
 
 
 def _ellipsoid_conditions(rotation: Array, semi: Array) -> Conditions:
-    """Conditions of an ellipsoid about its centre."""
+    """Return the conditions of an ellipsoid about its centre."""
     return Conditions(rotation.T @ np.diag(semi**-2.0) @ rotation, np.zeros(3), -1.0)
 
 
 def quadric_matrices(coefficients: Array) -> tuple[Array, Array, float]:
-    """S (3, 3), u (3,) and c of ten coefficients."""
+    """Return S (3, 3), u (3,) and c of ten coefficients."""
     a, b, c, d, e, f, g, h, i, j = coefficients.tolist()
     return np.array([[a, d, e], [d, b, f], [e, f, c]]), np.array([g, h, i]), j
 
 
 def shape_of(coefficients: Array) -> str:
-    """Name of a quadric by the signs of its eigenvalues; "other" for cones, cylinders and quadrics without points."""
+    """Name a quadric by the signs of its eigenvalues; "other" for cones, cylinders and quadrics without points."""
     central = Conditions(*quadric_matrices(coefficients)).central()
     if central is None:
         return "other"
@@ -185,7 +186,7 @@ class SurfaceModel:
     is_length: Mask
 
     def derivatives(self, x: Array, points: Array, *, with_jacobians: bool = True) -> tuple[Array, Array, Array]:
-        """Value (n,), derivatives with respect to the unknowns (n, u) and to the points (n, 3)."""
+        """Return the value (n,), derivatives with respect to the unknowns (n, u) and to the points (n, 3)."""
         n = len(points)
         value, blocks = evaluate(
             self.equation, np.tile(self.record, (n, 1)), [self.setup] * n, [x] * n, points, jacobian=with_jacobians
@@ -195,33 +196,33 @@ class SurfaceModel:
         return value[:, 0], np.concatenate(blocks[0]), np.concatenate(blocks[1])
 
     def moved(self, x: Array, step: Array) -> Array:
-        """State after a step; the coefficients of a quadric keep length 1."""
+        """Return the state after a step; the coefficients of a quadric keep length 1."""
         out = np.asarray(x + step)
         return out / np.linalg.norm(out) if self.kind == "quadric" else out
 
     def surface(self, x: Array) -> Surface:
-        """Surface of a state."""
+        """Return the surface of a state."""
         if self.kind == "quadric":
             return Surface("quadric", np.zeros(3), np.ones(3), coefficients=x)
         centre, rotation, semi = self._ellipsoid(x)
         return Surface(self.kind, centre, np.abs(semi), rotation)
 
     def _ellipsoid(self, x: Array) -> tuple[Array, Array, Array]:
-        """Centre, rotation (3, 3) and semi-axes of a state of a sphere, spheroid or ellipsoid."""
+        """Return the centre, rotation (3, 3) and semi-axes of a state of a sphere, spheroid or ellipsoid."""
         if self.kind == "sphere":
             return x[:3], np.eye(3), np.full(3, x[3])
         centre, turn, semi = surfaces.shape(self.record, self.setup, x)
         return centre, turn[CAMERA.rotation].reshape(3, 3), semi
 
     def conditions(self, x: Array) -> tuple[Conditions, Array]:
-        """Conditions of a state and their origin."""
+        """Return the conditions of a state and their origin."""
         if self.kind == "quadric":
             return Conditions(*quadric_matrices(x)), np.zeros(3)
         centre, rotation, semi = self._ellipsoid(x)
         return _ellipsoid_conditions(rotation, semi), centre
 
     def values(self, x: Array) -> Array:
-        """Values (u,) for users: centre, semi-axes, rotations from the start; or coefficients."""
+        """Return the values (u,) for users: centre, semi-axes, rotations from the start; or coefficients."""
         if self.kind in ("sphere", "quadric"):
             return x
         semi = self.record[RECORD.semi_axes]
@@ -229,7 +230,7 @@ class SurfaceModel:
         return np.asarray(x * self.setup[1] + of_code[self.setup[0].astype(int)])
 
     def settled(self, x: Array) -> tuple[SurfaceModel, Array]:
-        """Model that starts at a state, and this state: rotations 0, semi-axes above 0, sorted for an ellipsoid."""
+        """Return a model that starts at a state, and this state: rotations 0, semi-axes positive (ellipsoid: sorted)."""
         if self.kind == "quadric":
             return self, x
         if self.kind == "sphere":
@@ -246,7 +247,7 @@ class SurfaceModel:
 
 
 def models_of(kind: Kind, points: Array, axis: str) -> list[SurfaceModel]:
-    """Models of a kind for all possible start values; normalised points (n, 3), axis of a spheroid.
+    """Return the models of a kind for all possible start values; normalised points (n, 3), axis of a spheroid.
 
     Raises
     ------
@@ -262,7 +263,7 @@ def models_of(kind: Kind, points: Array, axis: str) -> list[SurfaceModel]:
         return [SurfaceModel(kind, surfaces.SPHERE, *plain, (*_CENTRE, "a"), ball, np.ones(4, bool))]
     if kind == "spheroid" and axis in AXES:
         return [_spheroid(AXES.index(axis), ball[:3], np.eye(3), np.full(3, ball[3]), free=False)]
-    # rotations have no effect on a sphere: without a quadric the start is oblate
+    # rotations have no effect on a sphere, so the start is oblate without a quadric
     oblate = [(ball[:3], np.eye(3), ball[3] * (1.0 - OBLATE * np.eye(3)[k])) for k in range(3)]
     starts = _from_quadric(points)
     if kind == "ellipsoid":
@@ -280,7 +281,7 @@ def models_of(kind: Kind, points: Array, axis: str) -> list[SurfaceModel]:
 
 
 def _spheroid(k: int, centre: Array, turn: Array, semi: Array, *, free: bool) -> SurfaceModel:
-    """Spheroid about axis number ``k``; a across it, b along it (Ayhan 1996, eq. 142)."""
+    """Return the spheroid about axis number ``k``; a across it, b along it (Ayhan 1996, eq. 142)."""
     across = float(np.delete(semi, k).mean())
     semi = np.where(np.arange(3) == k, semi[k], across)
     tilts = tuple(j for j in range(3) if j != k) if free else ()
@@ -299,14 +300,14 @@ def _ellipsoid(
 
 
 def _algebraic_quadric(points: Array) -> Array:
-    """Coefficients (10,) of length 1 with the smallest sum of squared conditions."""
+    """Return the coefficients (10,) of length 1 with the smallest sum of squared conditions."""
     x, y, z = points.T
     terms = [x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z, 2 * x, 2 * y, 2 * z, np.ones(len(x))]
     return np.asarray(np.linalg.svd(np.column_stack(terms), full_matrices=True)[2][-1])
 
 
 def _from_quadric(points: Array) -> list[tuple[Array, Array, Array]]:
-    """Centre, rotation and semi-axes of the best quadric, if that is an ellipsoid."""
+    """Return the centre, rotation and semi-axes of the best quadric, if that is an ellipsoid."""
     if len(points) < 10:
         return []
     central = Conditions(*quadric_matrices(_algebraic_quadric(points))).central()

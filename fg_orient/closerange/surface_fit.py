@@ -1,7 +1,7 @@
 """Fits of surfaces to points: by normal distances (weights of the points) or by conditions (Ayhan 1996).
 
-Points, sigmas and unknowns are normalised; all results are in metres. Undetermined parameters are refused by name:
-without priors a parameter whose standard deviation exceeds 1000 sigmas of a point follows from the noise alone, and the
+Points, sigmas and unknowns are normalised; all results are in metres. Undetermined parameters are refused by name.
+Without priors, noise alone determines a parameter whose standard deviation exceeds 1000 sigmas of a point, and the
 iteration may converge to any value. Noise may also make a narrow minimum, so semi-axes are additionally held fixed at
 very different values (``closerange.minima``).
 """
@@ -29,7 +29,7 @@ Priors = Mapping[str, tuple[float, float]]
 
 SEMI_AXES: Final = ("a", "b", "c")
 METHODS: Final = ("geometric", "algebraic")
-#: Parts of a direction below this share of its largest are not named.
+#: Share of the largest part of a direction below which other parts are not named.
 NAMED: Final = 0.1
 
 
@@ -42,12 +42,12 @@ class SurfaceFit(fitting.Fit):
     surface : Surface
     method : str
     names : tuple of str
-        Of the parameters: lengths in m; coefficients of a quadric without unit; rotations and tilts in rad about the
-        axes of ``surface.rotation``, whose values are 0 by definition.
+        Names of the parameters: lengths in m; coefficients of a quadric without unit; rotations and tilts in rad about
+        the axes of ``surface.rotation``, whose values are 0 by definition.
     values : (u,) array
     deviations_m : (n, 3) array
-        Along X, Y, Z from the points to the surface: to their foot points, or first-order residuals of the algebraic
-        method (:meth:`Surface.deviations`).
+        Deviations along X, Y, Z from the points to the surface: to their foot points, or first-order residuals of the
+        algebraic method (:meth:`Surface.deviations`).
     distances_m : (n,) array
         Normal distances, above 0 outside.
     """
@@ -72,7 +72,7 @@ class SurfaceFit(fitting.Fit):
 
 @dataclass(frozen=True)
 class _Task:
-    """Model, priors and normalised points: ``p = offset + size * points``; known: sigmas were given."""
+    """Model, priors and normalised points: ``p = offset + size * points``; ``known``: sigmas were given."""
 
     model: SurfaceModel
     priors: Priors
@@ -104,7 +104,7 @@ class _Task:
         return [k for k, n in enumerate(self.model.names) if n in SEMI_AXES and n not in self.priors][::-1]
 
     def geometric(self, x: Array, with_jacobian: bool) -> tuple[Array, Array]:
-        """Rows of normal distances divided by their sigmas, then of priors; derivatives at the foot points."""
+        """Return rows of normal distances divided by their sigmas, then of priors; derivatives at the foot points."""
         model = self.model
         conditions, centre = model.conditions(x)
         residual, foot = fitting.weighted_distances(conditions, self.points - centre, self.sigma)
@@ -120,22 +120,33 @@ class _Task:
         return residual, np.vstack([fitting.distance_rows(by_unknown, slope, self.sigma), extra])
 
     def refusal(self, direction: Array, condition: float) -> FgOrientError:
-        """Error that names the parameters of a direction (u,)."""
+        """Return the error that names the parameters of a direction (u,)."""
         words = _words(self.model.names, direction * self.scale)
-        return InputError.of("closerange.undetermined", place=self.model.kind, value=f"condition {condition:.2g}",
-                             limit=fitting.UNDETERMINED, **words)  # fmt: skip
+        return InputError.of(
+            "closerange.undetermined",
+            place=self.model.kind,
+            value=f"condition {condition:.2g}",
+            limit=fitting.UNDETERMINED,
+            **words,
+        )
 
     def unverified(self, k: int, value: float) -> FgOrientError:
-        """Error for a semi-axis that may or may not be determined."""
+        """Return the error for a semi-axis that may or may not be determined."""
         name = self.model.names[k]
-        return InputError.of("closerange.unverified", place=self.model.kind, name=name,
-                             value=f"{name} held at {value * self.size:.4g} m")  # fmt: skip
+        return InputError.of(
+            "closerange.unverified", place=self.model.kind, name=name, value=f"{name} held at {value * self.size:.4g} m"
+        )
 
 
 def fit_surface(
-    points_m: npt.ArrayLike, kind: Kind, *, axis: str = "y", sigma_m: npt.ArrayLike | None = None,
-    method: Method = "geometric", priors: Priors | None = None,
-) -> SurfaceFit:  # fmt: skip
+    points_m: npt.ArrayLike,
+    kind: Kind,
+    *,
+    axis: str = "y",
+    sigma_m: npt.ArrayLike | None = None,
+    method: Method = "geometric",
+    priors: Priors | None = None,
+) -> SurfaceFit:
     """Fit a surface to points.
 
     Parameters
@@ -144,7 +155,7 @@ def fit_surface(
     kind : "sphere", "spheroid", "ellipsoid" or "quadric"
         Spheroid: semi-axis a across the axis of revolution, b along it.
     axis : str
-        Of a spheroid: "x", "y", "z" or "free" (two tilts more).
+        Axis of a spheroid: "x", "y", "z" or "free" (two additional tilts).
     sigma_m : float or array that fits (n, 3), optional
         Standard deviations of the points. By default all have weight 1, and m0 estimates their sigma, in m; priors are
         then weighted relative to 1 m.
@@ -179,8 +190,9 @@ def fit_surface(
     for name, (value, spread) in observed.items():
         possible = abs(value) <= LARGEST and SMALLEST <= spread <= LARGEST and (value > 0.0 or name not in SEMI_AXES)
         if name not in lengths or method != "geometric" or not possible:
-            raise InputError.of("closerange.prior", place=f"prior {name}", value=f"{value} +- {spread}",
-                                known=", ".join(lengths))  # fmt: skip
+            raise InputError.of(
+                "closerange.prior", place=f"prior {name}", value=f"{value} +- {spread}", known=", ".join(lengths)
+            )
     if len(points) + len(observed) < unknowns:
         raise InputError.of("closerange.few", place=kind, value=len(points), least=unknowns - len(observed))
     tried, failures = list[tuple[_Task, fitting.Minimum]](), list[FgOrientError]()
@@ -196,7 +208,7 @@ def fit_surface(
 
 
 def _minimum(task: _Task, method: str) -> fitting.Minimum:
-    """Minimum from one start; without convergence undetermined parameters are refused at the last possible state."""
+    """Minimise from one start; without convergence undetermined parameters are refused at the last possible state."""
     model = task.model
 
     def rows(x: Array, with_jacobian: bool) -> tuple[Array, Array]:
@@ -223,7 +235,7 @@ def _minimum(task: _Task, method: str) -> fitting.Minimum:
 
 
 def _require_determined(task: _Task, x: Array) -> fitting.Determination:
-    """Determination by the weighted normal distances; see the module docstring.
+    """Determine the unknowns by the weighted normal distances; see the module docstring.
 
     Raises
     ------
@@ -280,14 +292,17 @@ def _require_steep(task: _Task, base: tuple[Array, float] | None, k: int) -> Non
 
 
 def _tangent(model: SurfaceModel, x: Array) -> Array:
-    """Free directions (u, f) of the unknowns: all; for quadrics only changes of the ratios of coefficients."""
+    """Return the free directions (u, f) of the unknowns: all.
+
+    For quadrics only changes of the ratios of coefficients.
+    """
     if model.kind != "quadric":
         return np.eye(len(x))
     return np.asarray(np.linalg.svd(x[None])[2][1:].T)
 
 
 def _words(names: tuple[str, ...], direction: Array) -> dict[str, str]:
-    """Parameters of a direction, largest first, and the direction relative to the first one."""
+    """Return the parameters of a direction, largest first, and the direction relative to the first one."""
     order = np.argsort(-np.abs(direction), kind="stable")
     first, *others = order[np.abs(direction[order]) >= NAMED * np.abs(direction[order[0]])].tolist()
     if not others:
@@ -319,7 +334,11 @@ def _result(task: _Task, minimum: fitting.Minimum, method: str) -> SurfaceFit:
     points = task.points * task.size + task.offset
     foot = surface.foot_points(points, task.sigma)
     return SurfaceFit(
-        surface, method, model.names, model.values(state) * task.scale + task.shift,
-        foot - points if method == "geometric" else surface.deviations(points), surface.distances(points),
+        surface,
+        method,
+        model.names,
+        model.values(state) * task.scale + task.shift,
+        foot - points if method == "geometric" else surface.deviations(points),
+        surface.distances(points),
         **fitting.statistics(residual, own, len(minimum.log), task.scale[:, None] * tangent),
-    )  # fmt: skip
+    )
