@@ -8,17 +8,20 @@ from __future__ import annotations
 
 from fg_orient.model.public import names_of, on_first_use
 
-_HOME = names_of(__name__, {
-    "fit": "Observations TransformationFit",
-    "options": "AccuracyOptions OrthoOptions PointOptions",
-    "ortho": "orthorectify",
-    "outliers": "PointTests point_tests",
-    "points": "MapPoints PointFit fit_points read_map_points",
-    "projections": "perimeter_m planar_area_m2",
-    "radiometry": "ClassificationErrors classification_errors destripe subtract_dark_object",
-    "standards": "check_accuracy nmas_limit_m nssda_m",
-    "transformation": "Transformation find_model read_transformation",
-    "grid": "MapGrid",
-})  # fmt: skip
+_HOME = names_of(
+    __name__,
+    {
+        "fit": "Observations TransformationFit",
+        "options": "AccuracyOptions OrthoOptions PointOptions",
+        "ortho": "orthorectify",
+        "outliers": "PointTests point_tests",
+        "points": "MapPoints PointFit fit_points read_map_points",
+        "projections": "perimeter_m planar_area_m2",
+        "radiometry": "ClassificationErrors classification_errors destripe subtract_dark_object",
+        "standards": "check_accuracy nmas_limit_m nssda_m",
+        "transformation": "Transformation find_model read_transformation",
+        "grid": "MapGrid",
+    },
+)
 __all__ = sorted(_HOME)
 __getattr__ = on_first_use(globals(), _HOME)

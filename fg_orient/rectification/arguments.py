@@ -13,7 +13,7 @@ from fg_orient.model.errors import InputError
 
 
 def numbers(place: str, values: npt.ArrayLike) -> Array:
-    """One number or more as an array, finite or not; InputError for anything else."""
+    """Return one number or more as an array, finite or not; InputError for anything else."""
     out = array(values, place)
     if not out.size:
         raise InputError.of("rectify.numbers", place=place, value="none")
@@ -21,7 +21,7 @@ def numbers(place: str, values: npt.ArrayLike) -> Array:
 
 
 def finite(place: str, values: npt.ArrayLike) -> Array:
-    """One finite number or more as an array; InputError for anything else."""
+    """Return one finite number or more as an array; InputError for anything else."""
     out = numbers(place, values)
     if not np.isfinite(out).all():
         raise InputError.of("rectify.numbers", place=place, value=f"{np.sum(~np.isfinite(out))} not finite")
@@ -29,7 +29,7 @@ def finite(place: str, values: npt.ArrayLike) -> Array:
 
 
 def number(place: str, value: float, unit: str, *, least: float = -math.inf) -> float:
-    """Finite number not below ``least``; InputError for anything else."""
+    """Return the finite number not below ``least``; InputError for anything else."""
     out = numbers(place, value)
     if out.ndim or not math.isfinite(out) or out < least:
         words = f"a finite number of {unit}" + (f", not below {least:g}" if least > -math.inf else "")
@@ -38,7 +38,7 @@ def number(place: str, value: float, unit: str, *, least: float = -math.inf) -> 
 
 
 def positive(place: str, value: float, unit: str) -> float:
-    """Finite number above 0; InputError for anything else."""
+    """Return the finite number above 0; InputError for anything else."""
     out = numbers(place, value)
     if out.ndim or not math.isfinite(out) or out <= 0.0:
         raise InputError.of("rectify.positive", place=place, value=value, unit=unit)
@@ -46,7 +46,7 @@ def positive(place: str, value: float, unit: str) -> float:
 
 
 def whole(place: str, value: int, least: int) -> int:
-    """Whole number not below ``least``; InputError for anything else."""
+    """Return the whole number not below ``least``; InputError for anything else."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
         raise InputError.of("options.value", place=place, value=value, expected=f"a whole number from {least}")
     return int(value)

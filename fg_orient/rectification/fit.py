@@ -4,10 +4,10 @@ Residuals are computed minus given, the sign of İpbüker 1994. m0 is per coordi
 ``m0 = sqrt(sum (v/sigma)^2 / (2n - u))``; it is not the plain RMSE, which divides by n.
 
 If the control points lie on a straight line within their noise, the adjustment converges, but the transformation is
-useless away from the line. For each principal direction of the points in the source system (centred, one scale) the
-standard deviation of the scale of the transformation is therefore compared with that in the longest direction. For an
-affine transformation their ratio is the ratio of the extents, the condition number of the centred design. It depends
-neither on the unit nor on the size of the scene.
+useless away from this line. Therefore the standard deviation of the scale is computed for each principal direction of
+the points in the source system (centred, one scale). It is compared with the standard deviation in the longest
+direction. For an affine transformation their ratio is the ratio of the extents, the condition number of the centred
+design. It depends neither on the unit nor on the size of the scene.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ from fg_orient.rectification.arguments import finite, numbers
 from fg_orient.rectification.transformation import Scaling, Transformation, TransformationModel
 
 MAX_ITERATIONS: Final = 100
-#: Smallest singular value of the design (columns of unit length) divided by the largest, below which points do not
+#: Least ratio of the smallest to the largest singular value of the design (columns of unit length) for which points
 #: determine a transformation. Coordinates on 10 km of a straight line, rounded to 1 mm, have 1e-7.
 RANK_LIMIT: Final = 1e-6
-#: Largest ratio of sigmas; the weights of larger ratios exceed the precision of a double in an adjustment.
+#: Largest ratio of sigmas; larger ratios of weights exceed the precision of a double in an adjustment.
 SIGMA_SPAN: Final = 1e8
-#: Ratio of standard deviations beyond which a direction is weak: a strip 20 times longer than wide.
+#: Ratio of standard deviations above which a direction is weak: a strip 20 times longer than wide.
 WEAK_RATIO: Final = 20.0
-#: Ratio of noise to the root mean square width of the points beyond which a weak direction is not determined at all.
-#: For points on a line it is 0.7 on average for any number of points, if all noise is that of the source; the limit
-#: is half of that.
+#: Ratio of noise to the root mean square width of the points above which a weak direction is not determined at all. For
+#: points on a line it is 0.7 on average for any number of points, if all noise is in the source; the limit is half of
+#: this.
 NOISE_SHARE: Final = 1.0 / 3.0
-#: Component of a direction below which the coordinate is not named: 3 degrees.
+#: Component of a direction below which its coordinate is not named: 3 degrees.
 LEAST_SHARE: Final = 0.05
-#: Half the step of differences, as a share of the extent of the points.
+#: Half the step of difference quotients, relative to the extent of the points.
 STEP: Final = 1e-3
 
 
@@ -76,8 +76,9 @@ class Observations:
         for name, fits, size in (
             ("target", self.target.shape == (n, 2) and n > 0, self.target.shape),
             ("source", self.source.shape in ((n, 2), (n, 3)), self.source.shape),
-            ("sigma", self.sigma.shape == (n, 2), self.sigma.shape), ("ids", len(ids) == n, len(ids)),
-        ):  # fmt: skip
+            ("sigma", self.sigma.shape == (n, 2), self.sigma.shape),
+            ("ids", len(ids) == n, len(ids)),
+        ):
             if not fits:
                 raise InputError.of("rectify.points", place=name, value=f"{size}, {n} targets")
         for name, values in (("source", self.source), ("target", self.target), ("sigma", self.sigma)):
@@ -87,10 +88,13 @@ class Observations:
 
     @classmethod
     def of(
-        cls, source: npt.ArrayLike, target: npt.ArrayLike, sigma: npt.ArrayLike | None = None,
+        cls,
+        source: npt.ArrayLike,
+        target: npt.ArrayLike,
+        sigma: npt.ArrayLike | None = None,
         ids: Sequence[str] | None = None,
-    ) -> Observations:  # fmt: skip
-        """Observations of array-likes.
+    ) -> Observations:
+        """Return the observations of array-likes.
 
         Parameters
         ----------
@@ -124,14 +128,14 @@ class Observations:
         return len(self.ids)
 
     def take(self, index: Index | Mask) -> Observations:
-        """Some of the points."""
+        """Return some of the points."""
         ids = tuple(np.array(self.ids, dtype=object)[index])
         return Observations(self.source[index], self.target[index], self.sigma[index], ids)
 
 
 @dataclass(frozen=True)
 class Reach:
-    """Principal direction of the control points, not the longest one.
+    """Principal direction of the control points, other than the longest.
 
     Parameters
     ----------
@@ -152,16 +156,16 @@ class Reach:
 
     @property
     def is_weak(self) -> bool:
-        """Whether the points are narrow in this direction."""
+        """True if the points are narrow in this direction."""
         return self.ratio > WEAK_RATIO
 
     @property
     def is_unknown(self) -> bool:
-        """Whether the points are so narrow that their noise exceeds their extent."""
+        """True if the points are so narrow that their noise exceeds their extent."""
         return self.is_weak and self.noise > NOISE_SHARE
 
     def describe(self, names: tuple[str, ...]) -> str:
-        """Direction in the names of the source coordinates: "line", or "0.71 sample - 0.71 line"."""
+        """Return the direction in the names of the source coordinates: "line", or "0.71 sample - 0.71 line"."""
         first = self.direction[np.argmax(np.abs(self.direction))]
         parts = [
             (v, name) for v, name in zip(self.direction * np.sign(first), names, strict=True) if abs(v) >= LEAST_SHARE
@@ -174,7 +178,7 @@ class Reach:
 
 @dataclass(frozen=True)
 class TransformationFit:
-    """An adjusted transformation.
+    """Adjusted transformation.
 
     Parameters
     ----------
@@ -189,7 +193,7 @@ class TransformationFit:
         Derivatives of the whitened residuals, two rows per point.
     log : tuple of IterationRecord
     condition : float
-        Of the design with columns of unit length.
+        Condition number of the design with columns of unit length.
     """
 
     transformation: Transformation
@@ -227,7 +231,7 @@ class TransformationFit:
 
     @cached_property
     def cofactors(self) -> Array:
-        """Cofactors (u, u) of the normalised coefficients; times m0 squared their covariance."""
+        """Cofactors (u, u) of the normalised coefficients; times m0 squared they are the covariance."""
         root = np.linalg.inv(np.linalg.qr(self.design, mode="r"))
         return np.asarray(root @ root.T)
 
@@ -244,7 +248,7 @@ class TransformationFit:
         slopes = (rows[0] - rows[1]) / (2.0 * step)
         sigma = np.sqrt(0.5 * np.einsum("kij,jl,kil->k", slopes, self.cofactors, slopes))
         share = self.m0 * sigma[1:] / scale
-        # the standard deviation of a slope is the noise, divided by the extent and the root of the number of points
+        # the standard deviation of a slope is the noise divided by the extent and the root of the number of points
         noise = np.sqrt(len(source)) * share
         return tuple(map(Reach, axes[1:], (sigma[1:] / sigma[0]).tolist(), share.tolist(), noise.tolist()))
 
@@ -260,7 +264,7 @@ class TransformationFit:
         return np.asarray(np.einsum("nii->ni", self.residual_cofactors))
 
     def prediction_sigma(self, source: npt.ArrayLike) -> Array:
-        """Standard deviations (n, 2) of transformed points from those of the coefficients, in the target's unit.
+        """Return standard deviations (n, 2) of transformed points from those of the coefficients, in the target's unit.
 
         Parameters
         ----------
@@ -271,18 +275,18 @@ class TransformationFit:
         return np.asarray(self.m0 * np.sqrt(np.maximum(variance, 0.0)))
 
     def prediction_cofactors(self, source: npt.ArrayLike) -> Array:
-        """Cofactors (n, 2, 2) of transformed points from those of the coefficients; times m0 squared, target's unit.
+        """Return cofactors (n, 2, 2) of transformed points from those of the coefficients, in the target's unit.
 
         Parameters
         ----------
         source : (n, 2) array_like
-            Coordinates in the source system.
+            Coordinates in the source system. Times m0 squared the cofactors are the covariance.
         """
         rows = self._rows_at(np.atleast_2d(finite("source", source)))
         return np.asarray(rows @ self.cofactors @ rows.transpose(0, 2, 1))
 
     def _rows_at(self, given: Array) -> Array:
-        """Derivatives (n, 2, u) of transformed points with respect to the coefficients, in the target's unit."""
+        """Return derivatives (n, 2, u) of transformed points with respect to the coefficients, in the target's unit."""
         t, zero = self.transformation, np.zeros((len(given), 2))
         records = _records(t, Observations.of(given, t.target.offset + zero))
         _, rows = equation_rows(self.model.equation, records, self.model.setup)(t.coefficients, True)
@@ -290,7 +294,7 @@ class TransformationFit:
 
 
 def plain_rmse(residuals: Array) -> tuple[float, float, float]:
-    """RMSE of both axes and radial of residuals (n, 2); nan without points."""
+    """Return the RMSE of both axes and radial of residuals (n, 2); nan without points."""
     if not len(residuals):
         return np.nan, np.nan, np.nan
     x, y = np.sqrt(np.mean(residuals**2, axis=0))
@@ -298,9 +302,13 @@ def plain_rmse(residuals: Array) -> tuple[float, float, float]:
 
 
 def fit(
-    points: Observations, model: TransformationModel, *, source_names: Sequence[str] = (),
-    target_names: Sequence[str] = ("X", "Y"), crs: str = "",
-) -> TransformationFit:  # fmt: skip
+    points: Observations,
+    model: TransformationModel,
+    *,
+    source_names: Sequence[str] = (),
+    target_names: Sequence[str] = ("X", "Y"),
+    crs: str = "",
+) -> TransformationFit:
     """Adjust a transformation.
 
     Parameters
@@ -345,10 +353,15 @@ def fit(
     whitened = residual.reshape(-1, 2)
     done = replace(blank, coefficients=run.state)
     result = TransformationFit(done, points, whitened * points.sigma, whitened, design, run.log, condition)
-    for reach in result.reaches if model.dimension == 2 else ():  # for heights this is a warning only
+    for reach in result.reaches if model.dimension == 2 else ():  # for models with heights this is only a warning
         if reach.is_unknown:
-            raise InputError.of("rectify.narrow", place=model.title, value=f"{len(points)} points",
-                                direction=reach.describe(names), times=1.0 / reach.noise)  # fmt: skip
+            raise InputError.of(
+                "rectify.narrow",
+                place=model.title,
+                value=f"{len(points)} points",
+                direction=reach.describe(names),
+                times=1.0 / reach.noise,
+            )
     return result
 
 
@@ -361,8 +374,14 @@ def require_redundancy(model: TransformationModel, n_points: int) -> None:
         2n <= unknowns.
     """
     if 2 * n_points <= model.n_unknowns:
-        raise InputError.of("rectify.few_points", place=model.title, points=n_points, equations=2 * n_points,
-                            unknowns=model.n_unknowns, least=model.least_points)  # fmt: skip
+        raise InputError.of(
+            "rectify.few_points",
+            place=model.title,
+            points=n_points,
+            equations=2 * n_points,
+            unknowns=model.n_unknowns,
+            least=model.least_points,
+        )
 
 
 def _require_sigmas(points: Observations) -> None:
@@ -373,13 +392,17 @@ def _require_sigmas(points: Observations) -> None:
     if bad.any():
         k = int(np.argmax(bad))
         raise InputError.of(
-            "rectify.sigma_absurd", place=f"sigma of point {points.ids[k]}", value=float(points.sigma[k].min()),
-            least=float(least.max()), largest=float(points.sigma.max()), span=SIGMA_SPAN,
-        )  # fmt: skip
+            "rectify.sigma_absurd",
+            place=f"sigma of point {points.ids[k]}",
+            value=float(points.sigma[k].min()),
+            least=float(least.max()),
+            largest=float(points.sigma.max()),
+            span=SIGMA_SPAN,
+        )
 
 
 def _require_determined(points: Observations, model: TransformationModel, design: Array) -> float:
-    """Condition number of the scaled design; InputError if the points do not determine the transformation."""
+    """Return the condition number of the scaled design; InputError if points do not determine the transformation."""
     length = np.linalg.norm(design, axis=0)
     values = np.linalg.svd(design / np.where(length > 0.0, length, 1.0), compute_uv=False)
     if values[-1] > RANK_LIMIT * values[0]:
@@ -392,12 +415,13 @@ def _require_determined(points: Observations, model: TransformationModel, design
     figure = "on a curve of its degree" if model.dimension == 2 else "on a surface of its form"
     if model.dimension == 3 and narrow[2]:
         figure = "in a plane: heights must differ from it"
-    raise InputError.of("rectify.degenerate", place=model.title, value=f"{len(points)} points", model=model.title,
-                        figure=figure)  # fmt: skip
+    raise InputError.of(
+        "rectify.degenerate", place=model.title, value=f"{len(points)} points", model=model.title, figure=figure
+    )
 
 
 def _records(t: Transformation, points: Observations) -> Array:
-    """Records (n, 8) of the equation: normalised coordinates, whitening by sigma in normalised units."""
+    """Return the records (n, 8) of the equation: normalised coordinates, whitening by sigma in normalised units."""
     source, scale = np.zeros((len(points), 3)), t.target.scale / points.sigma
     source[:, : t.model.dimension] = t.source.normalised(points.source[:, : t.model.dimension])
     target = t.target.normalised(points.target)

@@ -1,4 +1,4 @@
-"""Map rasters: their grid and files, and the image pixels of map pixels and heights by interpolation between knots.
+"""Map rasters: grid, files, and the image pixels of map pixels and heights by interpolation between knots.
 
 At every ``step``-th map pixel the model is evaluated at three heights of the surface. The interpolation between these
 knots is bilinear, and quadratic in the height. The model is evaluated again half-way between knots and at intermediate
@@ -26,7 +26,7 @@ from fg_orient.sensors.dem import RasterDem, range_below
 
 Bounds = tuple[float, float, float, float]
 
-#: Maximum number of pixels along an axis; with more the resolution has the wrong unit.
+#: Maximum number of pixels along an axis; above it the resolution must have the wrong unit.
 LARGEST: Final = 1_000_000
 #: Edge of the tiles inside a file.
 TILE: Final = 512
@@ -36,12 +36,12 @@ CACHE_BYTES: Final = 128 * 2**20
 
 @dataclass(frozen=True)
 class MapGrid:
-    """A north-up raster of square pixels.
+    """North-up raster of square pixels.
 
     Parameters
     ----------
     crs : str
-        WKT of its coordinate system.
+        WKT of the coordinate system.
     left, top : float
         Corner of the first pixel (not its centre), units of the CRS.
     resolution : float
@@ -58,7 +58,7 @@ class MapGrid:
 
     @classmethod
     def over(cls, bounds: Bounds, resolution: float, crs: str) -> MapGrid:
-        """Grid over bounds (left, bottom, right, top), widened to whole multiples of the resolution.
+        """Return the grid over bounds (left, bottom, right, top), widened to whole multiples of the resolution.
 
         Raises
         ------
@@ -71,15 +71,20 @@ class MapGrid:
         positive("<resolution>", resolution, "units of the map")
         sides = right - left, top - bottom
         if not all(math.isfinite(side) and 0.0 < side <= LARGEST * resolution for side in sides):
-            raise InputError.of("ortho.grid", option="bounds, resolution", value=f"{sides[0]:g} x {sides[1]:g}",
-                                resolution=resolution, most=LARGEST)  # fmt: skip
+            raise InputError.of(
+                "ortho.grid",
+                option="bounds, resolution",
+                value=f"{sides[0]:g} x {sides[1]:g}",
+                resolution=resolution,
+                most=LARGEST,
+            )
         # bounds given as multiples must not gain a pixel by rounding
         west, south = (math.floor(v / resolution + 1e-6) for v in (left, bottom))
         east, north = (math.ceil(v / resolution - 1e-6) for v in (right, top))
         return cls(crs, west * resolution, north * resolution, resolution, north - south, east - west)
 
     def centres(self, row: npt.ArrayLike, column: npt.ArrayLike) -> tuple[Array, Array]:
-        """Map coordinates x, y of pixel centres; fractions allowed."""
+        """Return map coordinates x, y of pixel centres; fractions are allowed."""
         x = self.left + (np.asarray(column, float) + 0.5) * self.resolution
         return np.asarray(x), np.asarray(self.top - (np.asarray(row, float) + 0.5) * self.resolution)
 
@@ -90,15 +95,26 @@ class MapGrid:
         return self.left, bottom, right, self.top
 
     def profile(self, *, bands: int, dtype: str, nodata: float | None, compress: str) -> dict[str, Any]:
-        """Creation options of a tiled GeoTIFF on this grid."""
+        """Return the creation options of a tiled GeoTIFF on this grid."""
         from rasterio import Affine
 
         corners = Affine(self.resolution, 0.0, self.left, 0.0, -self.resolution, self.top)
         return {
-            "driver": "GTiff", "width": self.columns, "height": self.rows, "count": bands, "dtype": dtype,
-            "crs": self.crs, "transform": corners, "nodata": nodata, "tiled": True, "blockxsize": TILE,
-            "blockysize": TILE, "compress": compress, "interleave": "band", "BIGTIFF": "IF_SAFER",
-        }  # fmt: skip
+            "driver": "GTiff",
+            "width": self.columns,
+            "height": self.rows,
+            "count": bands,
+            "dtype": dtype,
+            "crs": self.crs,
+            "transform": corners,
+            "nodata": nodata,
+            "tiled": True,
+            "blockxsize": TILE,
+            "blockysize": TILE,
+            "compress": compress,
+            "interleave": "band",
+            "BIGTIFF": "IF_SAFER",
+        }
 
 
 #: Points along a side of a map that bound its part of a DEM.
@@ -143,7 +159,7 @@ class Lattice:
     scaling : (2,) array
         Offset and scale of heights.
     error_px : float
-        Largest difference between knots inside the image, pixels of the image or cells of the DEM; nan if the image
+        Largest error of the interpolation inside the image, pixels of the image or cells of the DEM. nan if the image
         contains no middle of four knots.
     """
 
@@ -243,7 +259,7 @@ def _knots(grid: MapGrid, model: MapModel, surface: Surface, scaling: Array, ste
 
 
 def _meets(knots: Array, limits: Array) -> bool:
-    """Whether the pixels between the outermost knots, at all heights, overlap the image."""
+    """Return whether the pixels between the outermost knots, at all heights, overlap the image."""
     for (low, high), axis in zip(limits.reshape(2, 2), (KNOT.line, KNOT.sample), strict=True):
         middle, linear, square = np.moveaxis(knots[..., axis], -1, 0)
         reach = np.abs(linear) + np.abs(square)
@@ -254,7 +270,7 @@ def _meets(knots: Array, limits: Array) -> bool:
 
 
 def _cells(grid: MapGrid, surface: Surface, x: Array, y: Array) -> Array:
-    """Row and column (n, 2) of the surface's raster."""
+    """Return the row and column (n, 2) of the surface's raster."""
     if isinstance(surface, LevelSurface):
         return np.full((len(x), 2), 0.5)
     lon, lat = to_geographic(grid.crs, x, y)
@@ -264,7 +280,7 @@ def _cells(grid: MapGrid, surface: Surface, x: Array, y: Array) -> Array:
 def _error(
     grid: MapGrid, model: MapModel, surface: Surface, scaling: Array, step: int, knots: Array, limits: Array
 ) -> float:
-    """Largest difference at the middles of cells inside the image; nan without any."""
+    """Return the largest difference at the middles of cells inside the image; nan without any."""
     rows, columns = ((np.arange(n - 1.0) + 0.5) * step for n in knots.shape[:2])
     r, c = (a.ravel() for a in np.meshgrid(rows, columns, indexing="ij"))
     x, y = grid.centres(r, c)

@@ -1,4 +1,4 @@
-"""Work of the commands: fit and plan a table of points, read tested points."""
+"""Execution of the commands: fit a table of points, study designs, read tested points."""
 
 from __future__ import annotations
 
@@ -61,9 +61,10 @@ def rectify_fit(
         distances = pair_distances(points.image[rows] * options.pixel_size_m, points.ground[rows, :2])
     record = record_of(fitted, distances)
     record |= {
-        "input": {"file": path.name, "sha256": points.sha256}, **stamp(command),
+        "input": {"file": path.name, "sha256": points.sha256},
+        **stamp(command),
         "out": None if out is None else str(out),
-    }  # fmt: skip
+    }
     if out is not None:
         with staged_folder(out, overwrite=overwrite, contents=CONTENTS) as folder, writing(out):
             write_folder(folder, fitted, record)
@@ -71,7 +72,7 @@ def rectify_fit(
 
 
 def read_differences(path: Path) -> tuple[Array, str]:
-    """Differences (n, 2), m, of tested points from a table or a result folder, and their origin in words.
+    """Return the differences (n, 2), m, of tested points from a table or a result folder, and their origin in words.
 
     A table has the columns id and easting_m, northing_m, true_easting_m, true_northing_m, or residual_easting_m,
     residual_northing_m. A result folder gives its check points, or its control points if it has no check points.
@@ -114,7 +115,7 @@ def _of_folder(path: Path) -> tuple[Array, str]:
 
 
 def study_points(path: Path, counts: Sequence[int], degrees: Sequence[int], options: StudyOptions) -> tuple[Cell, ...]:
-    """Design study over the control points of a table, compared at its check points.
+    """Study designs over the control points of a table, compared at its check points.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Work of the commands ``rectify area``, ``projection`` and ``scanner``."""
+"""Execution of the commands ``rectify area``, ``projection`` and ``scanner``."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ STEPS: Final = 5
 def measure_outlines(
     path: Path, *, projection: str = "", ellipsoid: str = "WGS84", pixel_m: float | None = None
 ) -> dict[str, Any]:
-    """Areas and perimeters of the closed outlines of a table.
+    """Return the areas and perimeters of the closed outlines of a table.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def measure_outlines(
     Returns
     -------
     dict
-        ``outlines``: a record of each, None for measures that the input does not give.
+        Record with ``outlines``: measures of each outline, None if the input does not give them.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def _plane_measures(vertices: Array | None, pixel_m: float | None) -> dict[str, 
 def project_points(
     path: Path, projection: str, *, inverse: bool = False, out: Path | None = None, overwrite: bool = False
 ) -> dict[str, Any]:
-    """Plane coordinates of a table of longitudes and latitudes, or the inverse, with scale factors.
+    """Return the plane coordinates of a table of longitudes and latitudes, or the inverse, with scale factors.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def scanner_record(
     swath_m: float | None = None, relief_m: float = 0.0, overlap: float = 0.0, focal_m: float | None = None,
     speed_m_s: float | None = None, rotation_s: float | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """Geometry of a scanner at some scan angles (İpbüker 1994, section 3.3.1).
+    """Return the geometry of a scanner at some scan angles (İpbüker 1994, section 3.3.1).
 
     Parameters
     ----------

@@ -52,10 +52,19 @@ from fg_orient.sensors.dem import RasterDem
 
 
 def orthorectify(
-    image: str | Path, model: MapModel, surface: Surface, out: str | Path, *, crs: str,
-    resolution: float | None = None, bounds: Bounds | None = None, nodata: float | None = None,
-    options: OrthoOptions | None = None, overwrite: bool = False, progress: Progress | None = None,
-) -> dict[str, Any]:  # fmt: skip
+    image: str | Path,
+    model: MapModel,
+    surface: Surface,
+    out: str | Path,
+    *,
+    crs: str,
+    resolution: float | None = None,
+    bounds: Bounds | None = None,
+    nodata: float | None = None,
+    options: OrthoOptions | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
     """Rectify an image to a GeoTIFF.
 
     Parameters
@@ -63,7 +72,7 @@ def orthorectify(
     image : path
         Raster in sensor geometry, all its bands.
     model : MapModel
-        Gives pixels of map coordinates in ``crs`` and heights.
+        Model that returns the pixels of map coordinates in ``crs`` and heights.
     surface : RasterDem or LevelSurface
     out : path
         GeoTIFF to write.
@@ -80,7 +89,7 @@ def orthorectify(
     overwrite : bool
         Replace an existing file once the new one is complete.
     progress : callable, optional
-        Called with the number of finished windows, the number of all windows, and a text.
+        Function that receives the number of finished windows, the number of all windows, and a text.
 
     Returns
     -------
@@ -129,10 +138,18 @@ def orthorectify(
                 if chosen.cog:
                     target.unlink(missing_ok=True)
     return {
-        "out": str(out), "crs": grid.crs, "rows": grid.rows, "columns": grid.columns, "resolution": grid.resolution,
-        "bounds": list(grid.bounds), "filled": filled / (grid.rows * grid.columns), "knots": knots.step,
-        "error_px": knots.error_px, "resampling": chosen.resampling, "nodata": empty,
-    }  # fmt: skip
+        "out": str(out),
+        "crs": grid.crs,
+        "rows": grid.rows,
+        "columns": grid.columns,
+        "resolution": grid.resolution,
+        "bounds": list(grid.bounds),
+        "filled": filled / (grid.rows * grid.columns),
+        "knots": knots.step,
+        "error_px": knots.error_px,
+        "resampling": chosen.resampling,
+        "nodata": empty,
+    }
 
 
 def _require_writable(out: Path, *, overwrite: bool) -> None:
@@ -153,17 +170,27 @@ def _require_fitting(source: Any, model: MapModel, image: str | Path) -> None:
     if any(np.dtype(name).kind not in "iuf" for name in source.dtypes):
         raise InputError.of("ortho.kind", file=image, value=", ".join(source.dtypes))
     if model.size is not None and model.size != (source.height, source.width):
-        raise InputError.of("ortho.size", file=image, value=f"{source.height} x {source.width}",
-                            lines=model.size[0], samples=model.size[1])  # fmt: skip
+        raise InputError.of(
+            "ortho.size",
+            file=image,
+            value=f"{source.height} x {source.width}",
+            lines=model.size[0],
+            samples=model.size[1],
+        )
 
 
 def _nodata(source: Any, wanted: float | None, image: str | Path) -> float:
-    """Value of empty pixels."""
+    """Return the value of empty pixels."""
     kind = np.dtype(source.dtypes[0])
     if wanted is not None and not _holds(kind, wanted):
         limits = np.iinfo(kind) if kind.kind in "iu" else np.finfo(kind)
-        raise InputError.of("options.value", file=image, place="nodata", value=wanted,
-                            expected=f"a value of {kind}, {limits.min} to {limits.max}")  # fmt: skip
+        raise InputError.of(
+            "options.value",
+            file=image,
+            place="nodata",
+            value=wanted,
+            expected=f"a value of {kind}, {limits.min} to {limits.max}",
+        )
     for value in (wanted, source.nodata):
         if value is not None and _holds(kind, value):
             return float(value)
@@ -171,7 +198,7 @@ def _nodata(source: Any, wanted: float | None, image: str | Path) -> float:
 
 
 def _holds(kind: np.dtype[Any], value: float) -> bool:
-    """Whether a type can store a value; floating point also rounds."""
+    """Return whether a type can store a value; floating point also rounds."""
     if kind.kind in "iu":
         return math.isfinite(value) and float(value).is_integer() and np.iinfo(kind).min <= value <= np.iinfo(kind).max
     return not math.isfinite(value) or abs(value) <= float(np.finfo(kind).max)
@@ -203,7 +230,7 @@ def _box(x: Array, y: Array) -> Bounds:
 
 
 def _pixel_size(x: Array, y: Array, size: tuple[int, int]) -> float:
-    """Root of the area of a pixel on the map at the lower height, rounded to two digits."""
+    """Return the root of the area of a pixel on the map at the lower height, rounded to two digits."""
     a, b = (v[: BORDER * BORDER].reshape(BORDER, BORDER) for v in (x, y))
     (down_x, across_x), (down_y, across_y) = ((v[-1, 0] - v[0, 0], v[-1, -1] - v[-1, 0]) for v in (a, b))
     area = abs(down_x * across_y - across_x * down_y)
@@ -221,10 +248,21 @@ RESAMPLING: Final = {
 
 
 def fill(
-    rasterio: Any, source: Any, target: Path, grid: MapGrid, knots: Lattice, surface: Surface, limits: Array,
-    nodata: float, options: OrthoOptions, progress: Progress | None,
-) -> tuple[int, int]:  # fmt: skip
-    """Write all windows; number of map pixels inside the image, and of those with a value in its first band."""
+    rasterio: Any,
+    source: Any,
+    target: Path,
+    grid: MapGrid,
+    knots: Lattice,
+    surface: Surface,
+    limits: Array,
+    nodata: float,
+    options: OrthoOptions,
+    progress: Progress | None,
+) -> tuple[int, int]:
+    """Write all windows.
+
+    Return the number of map pixels inside the image, and of those with a value in its first band.
+    """
     settings = grid.profile(bands=source.count, dtype=source.dtypes[0], nodata=nodata, compress=options.compress)
     edge = window_edge(options.window, knots)
     corners = [(r, c) for r in range(0, grid.rows, edge) for c in range(0, grid.columns, edge)]
@@ -271,7 +309,7 @@ def _heights(surface: Surface, knots: Lattice, first: tuple[int, int], shape: tu
 def _window(
     rasterio: Any, source: Any, sink: Any, place: Any, line: Array, sample: Array, nodata: float, resampling: str
 ) -> int:
-    """Resample all bands into one window; number of pixels of the first band that have a value."""
+    """Resample all bands into one window; return the number of pixels of the first band with a value."""
     if np.isnan(line).all():
         empty = np.full(line.shape, nodata).astype(source.dtypes[0])
         for band in source.indexes:
@@ -291,7 +329,7 @@ def _window(
 
 
 def _needed(positions: Array, n: int) -> tuple[int, int]:
-    """First line that a kernel may use, and the line after the last one."""
+    """Return the first line that a kernel may use, and the line after the last one."""
     low, high = math.floor(np.nanmin(positions)), math.floor(np.nanmax(positions))
     return min(max(low - REACH, 0), n - 1), max(min(high + REACH + 1, n), 1)
 
@@ -299,9 +337,13 @@ def _needed(positions: Array, n: int) -> tuple[int, int]:
 def _read(rasterio: Any, source: Any, band: int, part: Any) -> Array:
     try:
         grey = source.read(band, window=part).astype(float)
-    except rasterio.RasterioIOError as error:  # as an OSError it would be reported as one of the output
-        raise InputError.of("ortho.image", file=source.name, place=f"band {band}, from line {part.row_off}",
-                            value=error.__cause__ or error) from error  # fmt: skip
+    except rasterio.RasterioIOError as error:  # as an OSError it would be reported as an error of the output
+        raise InputError.of(
+            "ortho.image",
+            file=source.name,
+            place=f"band {band}, from line {part.row_off}",
+            value=error.__cause__ or error,
+        ) from error
     nodata = source.nodatavals[band - 1]
     if nodata is not None and not math.isnan(nodata):
         grey[grey == nodata] = np.nan
@@ -309,7 +351,7 @@ def _read(rasterio: Any, source: Any, band: int, part: Any) -> Array:
 
 
 def _stored(values: Array, dtype: str, nodata: float) -> npt.NDArray[Any]:
-    """Values rounded and limited to the type of the file; values equal to nodata become the next one."""
+    """Return the values rounded and limited to the type of the file; values equal to nodata become the next one."""
     kind, empty = np.dtype(dtype), np.isnan(values)
     if kind.kind == "f":
         out = values.astype(kind)
@@ -348,7 +390,7 @@ def rectify_image(
     result : Path, optional
         Result folder of ``adjust`` whose orientation is used; ``image_id``: the image in it.
     crs : str
-        Coordinate system of the map; default that of the transformation or of the DEM.
+        Coordinate system of the map; default: that of the transformation or of the DEM.
     resolution, bounds, options, overwrite, progress
         See :func:`fg_orient.rectification.ortho.orthorectify`.
     extrapolate_attitude_s, light
@@ -416,7 +458,7 @@ def _require_other(out: Path, *inputs: Path) -> None:
 
 
 def _system(crs: str, image: Path) -> str:
-    """Coordinate system of the map as WKT; InputError if it is missing or unknown to rasterio."""
+    """Return the coordinate system of the map as WKT; InputError if it is missing or unknown to rasterio."""
     if not crs:
         raise InputError.of("ortho.no_crs", option="crs")
     rasterio = rasterio_of(image)

@@ -33,9 +33,9 @@ def read_correction(folder: Path, sensor: Sensor, image: str = "") -> Any:
     folder : Path
         Result folder: table ``eop`` and ``result.json``.
     sensor : Sensor
-        Of this image.
+        Sensor of this image.
     image : str
-        Image id; default the image with the sensor's metadata file, compared by content if the result recorded it,
+        Image id. Default: the image with the sensor's metadata file, compared by content if the result recorded it,
         else by name.
 
     Raises
@@ -66,7 +66,7 @@ def read_correction(folder: Path, sensor: Sensor, image: str = "") -> Any:
 
 
 def _files(record: dict[str, Any]) -> dict[str, tuple[str, str]]:
-    """Name and SHA-256 of the metadata file of each image; "" if unavailable.
+    """Return the name and SHA-256 of the metadata file of each image; "" if unavailable.
 
     The inputs of a run are its project file, then one metadata file per image.
     """
@@ -77,21 +77,28 @@ def _files(record: dict[str, Any]) -> dict[str, tuple[str, str]]:
 
 
 def _chosen(files: dict[str, tuple[str, str]], folder: Path, metadata: Path, image: str) -> str:
-    """Image id by content, because products of one mission often have the same file name; else by name."""
+    """Return the image id by content, because products of one mission often have the same file name; else by name."""
     digest = sha256_of(metadata) if metadata.is_file() else ""
-    same = [key for key, (file, known) in files.items()
-            if (known == digest if known and digest else file == metadata.name)]  # fmt: skip
+    same = [
+        key for key, (file, known) in files.items() if (known == digest if known and digest else file == metadata.name)
+    ]
     if image in files:
         if image not in same:
-            raise InputError.of("ortho.other_image", file=metadata, option="image_id", image=image,
-                                known=files[image][0])  # fmt: skip
+            raise InputError.of(
+                "ortho.other_image", file=metadata, option="image_id", image=image, known=files[image][0]
+            )
         return image
     named = [key for key, (file, _) in files.items() if file == metadata.name]
     if image or not (same or named):
         raise InputError.of("ortho.result", file=folder, value=image or metadata.name, known=", ".join(files))
     if not same:
-        raise InputError.of("ortho.other_image", file=metadata, option="result", image=named[0],
-                            known=f"{files[named[0]][0]} of another content")  # fmt: skip
+        raise InputError.of(
+            "ortho.other_image",
+            file=metadata,
+            option="result",
+            image=named[0],
+            known=f"{files[named[0]][0]} of another content",
+        )
     if len(same) > 1:
         raise InputError.of("ortho.which_image", file=metadata, option="image_id", known=" or ".join(same))
     return same[0]
@@ -105,25 +112,25 @@ LAST_STEP: Final = 1e-9
 
 
 class MapModel(Protocol):
-    """Image geometry as rectification sees it."""
+    """Image geometry for rectification."""
 
     needs_heights: bool
-    #: Lines and samples of the image; None if unavailable.
+    #: Number of lines and samples of the image; None if unavailable.
     size: tuple[int, int] | None
     #: Approximate height of the ground.
     mean_height_m: float
 
     def pixels(self, x: Array, y: Array, height_m: Array) -> Array:
-        """Line and sample (n, 2) of n points of the map; nan if there is no such pixel."""
+        """Return line and sample (n, 2) of n points of the map; nan if there is no such pixel."""
         ...
 
     def outline(self, size: tuple[int, int], heights_m: tuple[float, float]) -> tuple[Array, Array]:
-        """Map coordinates of the border pixels of an image of this size, at both heights."""
+        """Return the map coordinates of the border pixels of an image of this size, at both heights."""
         ...
 
 
 def border_pixels(size: tuple[int, int]) -> tuple[Array, Array]:
-    """Lines and samples of a regular grid up to the outer border of an image."""
+    """Return the lines and samples of a regular grid up to the outer border of an image."""
     lines, samples = (np.linspace(-0.5, n - 0.5, BORDER) for n in size)
     grid_l, grid_s = (a.ravel() for a in np.meshgrid(lines, samples, indexing="ij"))
     return grid_l, grid_s
@@ -136,11 +143,11 @@ class SensorModel:
     ----------
     sensor : Sensor
     correction : Correction, (6,) or (15,) array, optional
-        As ``sensor.project`` takes it.
+        Correction for ``sensor.project``.
     crs : str
-        Of the map.
+        Coordinate system of the map.
     top_m : float
-        Largest common height: up to it the quick projection is used.
+        Largest common height, up to which the quick projection is used.
     """
 
     needs_heights = True
@@ -224,7 +231,7 @@ class PointModel:
         return x, y
 
     def _ground(self, pixel: Array, height_m: float) -> Array:
-        """Map coordinates (n, 2) of (sample, line) at a height, iterated from the centre of the control points."""
+        """Return map coordinates (n, 2) of (sample, line) at a height, iterated from the centre of control points."""
         t = self._t
 
         def image(place: Array) -> Array:
@@ -239,12 +246,12 @@ class PointModel:
 
 
 def solved(map_of: Callable[[Array], Array], wanted: Array, start: Array, scale: Array) -> Array:
-    """Arguments of given values of a function, by Newton's method with central differences.
+    """Return the arguments of given values of a function, by Newton's method with central differences.
 
     Parameters
     ----------
     map_of : callable
-        Values (n, 2) of arguments (n, 2).
+        Function that returns values (n, 2) of arguments (n, 2).
     wanted : (n, 2) array
         Values.
     start, scale : (2,) arrays
@@ -253,7 +260,7 @@ def solved(map_of: Callable[[Array], Array], wanted: Array, start: Array, scale:
     Returns
     -------
     (n, 2) array
-        nan where the iteration does not converge, or the derivatives vanish.
+        Arguments; nan if the iteration does not converge, or the derivatives vanish.
     """
     out = np.tile(start, (len(wanted), 1))
     todo = np.arange(len(wanted))

@@ -1,11 +1,11 @@
-"""Tests of points for gross errors; pruning of İpbüker 1994.
+"""Tests of points for gross errors; pruning as in İpbüker 1994.
 
 A control point is tested against all others, a check point against the fit.
 
-With the whitened residuals v of a point and their cofactors Q: ``T = v^T Q^-1 v`` and
-``F = (T/d)/((S - T)/(f - d))``, S the sum of all squares, f the redundancy, d the rank of Q: F(d, f - d) without a
-gross error, the scale estimated without the suspect (``fg_orient.quality.hypotheses``, test "t"). The table of points
-has one column for the statistic, so it is F also for d = 1, where the bundle adjustment gives its root t.
+v are the whitened residuals of a point, Q their cofactors, S the sum of all squares, f the redundancy, d the rank of Q.
+``T = v^T Q^-1 v`` and ``F = (T/d)/((S - T)/(f - d))``. Without a gross error F has the distribution F(d, f - d); the
+scale is estimated without the suspect (``fg_orient.quality.hypotheses``, test "t"). The table of points has one column
+for the statistic. Therefore it is F also for d = 1, for which the bundle adjustment gives its root t.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ LEVEL: Final = 0.001
 
 @dataclass(frozen=True)
 class PointTests:
-    """Test of every point; nan for points that the others do not check.
+    """Test of every point; nan for points that the other points do not check.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class PointTests:
 
     @property
     def suspicious(self) -> Mask:
-        """Whether a point exceeds its limit (n,)."""
+        """True for each point that exceeds its limit (n,)."""
         return np.asarray(self.statistic > self.critical)
 
 
@@ -91,7 +91,7 @@ def check_tests(fitted: TransformationFit, check: Observations, residuals: Array
     fitted : TransformationFit
     check : Observations
     residuals : (n, 2) array
-        Computed minus given, of the check points.
+        Residuals of the check points, computed minus given.
     """
     n, f = len(check), fitted.redundancy
     cofactors = fitted.prediction_cofactors(check.source[:, : fitted.model.dimension])
@@ -104,7 +104,7 @@ def check_tests(fitted: TransformationFit, check: Observations, residuals: Array
 
 
 class Pruning(NamedTuple):
-    """Fit of the remaining points, ids that were left out in this order, radial RMSE before each and at the end."""
+    """Fit of the remaining points, ids of the excluded points in order, radial RMSE before each one and at the end."""
 
     fit: TransformationFit
     dropped: tuple[str, ...]
@@ -119,7 +119,7 @@ def prune(first: TransformationFit, target_rms: float, *, rule: Rule = "residual
     Parameters
     ----------
     first : TransformationFit
-        Of all points.
+        Fit of all points.
     target_rms : float
         Radial RMSE to reach, in the unit of the target.
     rule : "residual" or "test"
@@ -149,13 +149,14 @@ def prune(first: TransformationFit, target_rms: float, *, rule: Rule = "residual
 
     end = reject(first, again, worst, len(points) - t.model.least_points)
     if end.worst is not None:
-        raise NoSolutionError.of("rectify.prune", place=t.model.title, value=target_rms, reached=history[-1],
-                                 points=len(end.fit.points))  # fmt: skip
+        raise NoSolutionError.of(
+            "rectify.prune", place=t.model.title, value=target_rms, reached=history[-1], points=len(end.fit.points)
+        )
     return Pruning(end.fit, tuple(points.ids[k] for k in end.out), tuple(history))
 
 
 def _worst(fitted: TransformationFit, rule: Rule) -> int:
-    """Index of the worst point; without redundancy for the test, of the longest residual."""
+    """Return the index of the worst point; if the test has no redundancy, of the longest residual."""
     tests = point_tests(fitted) if rule == "test" else None
     if tests is None or np.isnan(tests.statistic).all():
         return int(np.argmax(np.linalg.norm(fitted.residuals, axis=1)))

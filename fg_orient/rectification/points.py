@@ -1,7 +1,7 @@
 """Points in the image and on the map from a CSV file.
 
-Columns: id, line, sample (pixels), easting_m, northing_m (or lon_deg, lat_deg: then a projection is needed); and, if
-wanted, height_m, role (control or check), sigma_easting_m and sigma_northing_m, or sigma_line_px and sigma_sample_px.
+Columns: id, line, sample (pixels), easting_m, northing_m (or lon_deg, lat_deg: then a projection is needed). Optional:
+height_m, role (control or check), sigma_easting_m and sigma_northing_m, or sigma_line_px and sigma_sample_px.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ class MapPoints(PointTable):
     Parameters
     ----------
     sigma_map : (n, 2) array or None
-        Of easting and northing, m.
+        Standard deviations of easting and northing, m.
     sigma_image : (n, 2) array or None
-        Of line and sample, pixels.
+        Standard deviations of line and sample, pixels.
     crs : str
-        Of the ground coordinates; "" if it is not known.
+        Coordinate system of the ground coordinates; "" if it is not known.
     sha256 : str
-        Of the file.
+        SHA-256 of the file.
     """
 
     sigma_map: Array | None
@@ -90,13 +90,13 @@ def read_map_points(path: Path, crs: str = "") -> MapPoints:
 
 
 def _layouts() -> list[tuple[str, ...]]:
-    """All allowed sets of columns."""
+    """Return all allowed sets of columns."""
     parts = product((MAP, GEOGRAPHIC), ((), ("height_m",)), ((), ("role",)), ((), SIGMA_MAP, SIGMA_IMAGE))
     return [("id", *IMAGE, *plane, *height, *role, *sigma) for plane, height, role, sigma in parts]
 
 
 def _projected(path: Path, crs: str, table: Table, ground: Array) -> Array:
-    """Easting and northing (n, 2) of WGS84 longitudes and latitudes."""
+    """Return easting and northing (n, 2) of WGS84 longitudes and latitudes."""
     plane = np.column_stack(from_geographic(crs, ground[:, 0], ground[:, 1]))
     bad = ~np.isfinite(plane).all(axis=1)
     if bad.any():
@@ -106,7 +106,7 @@ def _projected(path: Path, crs: str, table: Table, ground: Array) -> Array:
 
 
 def require_direction(model: TransformationModel, direction: str | None) -> Direction:
-    """Direction of a fit, by default image to map; spatial models allow only map to image, others are refused."""
+    """Return the direction of a fit, by default image to map; spatial models allow only map to image."""
     usual: Direction = DIRECTIONS[0] if model.dimension == 2 else DIRECTIONS[1]
     for known in DIRECTIONS:
         if direction == known and (model.dimension == 2 or known == usual):
@@ -117,7 +117,7 @@ def require_direction(model: TransformationModel, direction: str | None) -> Dire
 
 
 def observations(points: MapPoints, model: TransformationModel, direction: Direction) -> Observations:
-    """Source and target of a fit.
+    """Return the source and target of a fit.
 
     Image coordinates of plane models are (sample, line) = (x, y), of spatial models (line, sample).
 
@@ -149,14 +149,14 @@ class PointFit:
     Parameters
     ----------
     fit : TransformationFit
-        Of the control points.
+        Fit of the control points.
     direction : str
     check : Observations or None
         Check points.
     check_residuals : (n, 2) array
         Computed minus given, in the unit of the target.
     pruning : Pruning or None
-        If points were left out until an RMSE was reached.
+        Record of the pruning, if points were left out until an RMSE was reached.
     """
 
     fit: TransformationFit
@@ -177,9 +177,13 @@ class PointFit:
 
 
 def fit_points(
-    points: MapPoints, model: TransformationModel, direction: str | None = None, *, prune_to: float | None = None,
+    points: MapPoints,
+    model: TransformationModel,
+    direction: str | None = None,
+    *,
+    prune_to: float | None = None,
     prune_by: Rule = "residual",
-) -> PointFit:  # fmt: skip
+) -> PointFit:
     """Adjust a transformation between image and map, and compare it with the check points.
 
     Parameters

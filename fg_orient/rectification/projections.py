@@ -31,7 +31,7 @@ PIXEL_VARIANCE = 0.0728
 
 
 def outline(vertices: npt.ArrayLike) -> Array:
-    """Checked vertices (n, 2) of a closed outline, without a last vertex equal to the first.
+    """Return the checked vertices (n, 2) of a closed outline, without a last vertex equal to the first.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def outline(vertices: npt.ArrayLike) -> Array:
 
 
 def planar_area_m2(vertices: npt.ArrayLike) -> float:
-    """Area of a polygon in a plane, ``|sum (x_i y_i+1 - x_i+1 y_i)|/2`` about its centre.
+    """Return the area of a polygon in a plane, ``|sum (x_i y_i+1 - x_i+1 y_i)|/2`` about its centre.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def planar_area_m2(vertices: npt.ArrayLike) -> float:
 
 
 def perimeter_m(vertices: npt.ArrayLike) -> float:
-    """Sum of the chords of a closed outline, m.
+    """Return the sum of the chords of a closed outline, m.
 
     Parameters
     ----------
@@ -72,17 +72,17 @@ def perimeter_m(vertices: npt.ArrayLike) -> float:
 
 
 def mean_spacing_m(length_m: float, n_vertices: float) -> float:
-    """Mean distance of the vertices of a closed outline, m; InputError if an argument is not above 0."""
+    """Return the mean distance of the vertices of a closed outline, m; InputError if an argument is not above 0."""
     return positive("length", length_m, "m") / positive("number of vertices", n_vertices, "vertices")
 
 
 def pixel_area_m2(n_pixels: float, pixel_m: float) -> float:
-    """Area of a number (0 or more) of square pixels of a size above 0; InputError for other arguments."""
+    """Return the area of a number (0 or more) of square pixels of a size above 0; InputError for other arguments."""
     return number("number of pixels", n_pixels, "pixels", least=0.0) * positive("pixel size", pixel_m, "m") ** 2
 
 
 def pixel_area_sigma_m2(perimeter: float, pixel_m: float) -> float:
-    """Standard deviation of a pixel-count area over random positions and orientations of the grid, m2.
+    """Return the standard deviation of a pixel-count area over random positions and orientations of the grid, m2.
 
     Raises InputError if an argument is not above 0.
     """
@@ -91,7 +91,7 @@ def pixel_area_sigma_m2(perimeter: float, pixel_m: float) -> float:
 
 
 def count_pixels(vertices: npt.ArrayLike, pixel_m: float, offset_m: npt.ArrayLike = (0.0, 0.0)) -> int:
-    """Number of pixels whose centres lie inside an outline.
+    """Return the number of pixels whose centres lie inside an outline.
 
     Parameters
     ----------
@@ -129,27 +129,30 @@ SOM_LANDSAT: Final = {1: 251, 2: 251, 3: 251, 4: 233, 5: 233}
 
 
 def utm(zone: int, *, south: bool = False, ellipsoid: str = "WGS84") -> str:
-    """Definition of a UTM zone, 1 to 60; InputError for other zones."""
+    """Return the definition of a UTM zone, 1 to 60; InputError for other zones."""
     if not 1 <= whole("UTM zone", zone, 1) <= 60:
         raise InputError.of("options.value", place="UTM zone", value=zone, expected="1 to 60")
     return f"+proj=utm +zone={zone} +ellps={ellipsoid}" + (" +south" if south else "")
 
 
 def gauss_krueger(central_meridian_deg: float, *, scale: float = 1.0) -> str:
-    """Transverse Mercator projection of Hayford's ellipsoid, no false easting; InputError for invalid numbers."""
+    """Define a transverse Mercator projection of Hayford's ellipsoid, no false easting.
+
+    InputError for invalid numbers.
+    """
     number("central meridian", central_meridian_deg, "degrees")
     positive("scale on the meridian", scale, "units of 1")
     return f"+proj=tmerc +lat_0=0 +lon_0={central_meridian_deg!r} +k={scale!r} +ellps={HAYFORD}"
 
 
 def lambert_cylindrical(radius_m: float) -> str:
-    """Definition of the equal-area cylinder of a sphere, ``R lambda, R sin phi``; InputError for a radius of 0."""
+    """Define the equal-area cylinder of a sphere, ``R lambda, R sin phi``; InputError for a radius of 0."""
     positive("radius", radius_m, "m")
     return f"+proj=cea +lon_0=0 +lat_ts=0 +R={radius_m!r}"
 
 
 def lambert_polar(radius_m: float) -> str:
-    """Definition of the polar equal-area azimuthal projection of a sphere: ``rho = 2R sin(45 deg - phi/2)``.
+    """Return the definition of the polar equal-area azimuthal projection of a sphere: ``rho = 2R sin(45 deg - phi/2)``.
 
     Raises InputError if the radius is not above 0.
     """
@@ -158,16 +161,20 @@ def lambert_polar(radius_m: float) -> str:
 
 
 def space_oblique_mercator(satellite: int, path: int, *, ellipsoid: str = "clrk66") -> str:
-    """Definition of the Space Oblique Mercator of Landsat 1 to 5 (Snyder 1981); InputError for other orbits."""
+    """Define the Space Oblique Mercator of Landsat 1 to 5 (Snyder 1981); InputError for other orbits."""
     paths = SOM_LANDSAT.get(satellite, 0)
     if not 1 <= path <= paths:
-        raise InputError.of("options.value", place="Landsat, path", value=f"{satellite}, {path}",
-                            expected="Landsat 1 to 3 and path 1 to 251, or 4 and 5 and path 1 to 233")  # fmt: skip
+        raise InputError.of(
+            "options.value",
+            place="Landsat, path",
+            value=f"{satellite}, {path}",
+            expected="Landsat 1 to 3 and path 1 to 251, or 4 and 5 and path 1 to 233",
+        )
     return f"+proj=lsat +lsat={satellite} +path={path} +ellps={ellipsoid}"
 
 
 def find_projection(text: str) -> str:
-    """Definition of a projection by its short name, or a definition of PROJ or EPSG as it is.
+    """Return the definition of a projection by its short name, or a definition of PROJ or EPSG unchanged.
 
     Short names are ``utm:36``, ``utm:36S``, ``gauss-krueger:30`` (central meridian), ``lambert-cylindrical:R`` and
     ``lambert-polar:R`` (radius, m) and ``som:5,180`` (Landsat, path). InputError for anything else.
@@ -191,7 +198,7 @@ def find_projection(text: str) -> str:
 
 
 def project(definition: str, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> Array:
-    """Plane coordinates (n, 2), m, of longitudes and latitudes.
+    """Return the plane coordinates (n, 2), m, of longitudes and latitudes.
 
     Raises
     ------
@@ -203,7 +210,7 @@ def project(definition: str, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> 
 
 
 def unproject(definition: str, plane_m: npt.ArrayLike) -> Array:
-    """Longitude and latitude (n, 2), degrees, of plane coordinates (n, 2).
+    """Return longitude and latitude (n, 2), degrees, of plane coordinates (n, 2).
 
     Raises
     ------
@@ -217,7 +224,7 @@ def unproject(definition: str, plane_m: npt.ArrayLike) -> Array:
 
 
 def scale_factors(definition: str, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> Array:
-    """Scale along the meridian, along the parallel, and of areas (n, 3).
+    """Return the scale along the meridian, along the parallel, and of areas (n, 3).
 
     Raises
     ------
@@ -231,7 +238,7 @@ def scale_factors(definition: str, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLik
 
 
 def _lon_lat(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> tuple[Array, Array]:
-    """Checked longitudes and latitudes (n,)."""
+    """Return the checked longitudes and latitudes (n,)."""
     lon, lat = (np.atleast_1d(finite(name, a)) for name, a in (("longitude", lon_deg), ("latitude", lat_deg)))
     if lon.ndim > 1 or lon.shape != lat.shape:
         raise InputError.of("rectify.numbers", place="longitude, latitude", value=f"{lon.shape}, {lat.shape}")
@@ -239,7 +246,7 @@ def _lon_lat(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> tuple[Array, Arr
 
 
 def ellipsoidal_area(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike, ellipsoid: str = "WGS84") -> tuple[float, float]:
-    """Area (m2) and perimeter (m) of a polygon whose edges are geodesics (Karney 2013).
+    """Return the area (m2) and perimeter (m) of a polygon whose edges are geodesics (Karney 2013).
 
     Parameters
     ----------

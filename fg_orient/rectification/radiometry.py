@@ -21,7 +21,7 @@ DETECTORS: Final = 6
 
 
 def _band(image: npt.ArrayLike, valid: npt.ArrayLike | None) -> tuple[Array, Mask]:
-    """Grey values (rows, columns), and pixels with a finite value that the mask does not exclude."""
+    """Return grey values (rows, columns), and pixels with a finite value that the mask does not exclude."""
     band = numbers("image", image)
     if band.ndim != 2:
         raise InputError.of("rectify.numbers", place="image", value=f"shape {band.shape}")
@@ -39,9 +39,9 @@ def destripe(
 ) -> Array:
     """Equalise the detectors of a scanner by the mean and the standard deviation of their lines.
 
-    Line k is of detector ``(first_detector + k) mod detectors``. Its grey values are transformed linearly to the mean
-    and standard deviation of the whole band. This assumes that all detectors see the same distribution of radiances, so
-    the image must be large compared with its objects.
+    Line k belongs to detector ``(first_detector + k) mod detectors``. Its grey values are transformed linearly to the
+    mean and standard deviation of the whole band. This assumes that all detectors see the same distribution of
+    radiances, so the image must be large compared with its objects.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def destripe(
     Returns
     -------
     (rows, columns) array
-        Not rounded.
+        Grey values, not rounded.
 
     Raises
     ------
@@ -81,14 +81,14 @@ def destripe(
 def subtract_dark_object(
     image: npt.ArrayLike, *, least_pixels: int = 1, valid: npt.ArrayLike | None = None
 ) -> tuple[Array, float]:
-    """Subtract the grey value of the darkest object of a band, which is that of the scattered light.
+    """Subtract the grey value of the darkest object of a band, which is the scattered light.
 
     Parameters
     ----------
     image : (rows, columns) array
         Grey values of a band.
     least_pixels : int
-        The dark object has at least so many pixels; darker ones are noise, and become 0.
+        Least number of pixels of the dark object; darker pixels are noise, and become 0.
     valid : (rows, columns) bool array, optional
         Pixels that count; others and those that are not finite do not change.
 
@@ -145,7 +145,7 @@ class ClassificationErrors:
 
 
 def classification_errors(assigned: npt.ArrayLike, truth: npt.ArrayLike) -> ClassificationErrors:
-    """Omission and commission errors of a classification at pixels of known class.
+    """Compute the omission and commission errors of a classification at pixels of known class.
 
     Parameters
     ----------

@@ -27,8 +27,9 @@ from fg_orient.report.words import printable, scientific
 from fg_orient.result.plain import dumps, write_records
 
 SCHEMA: Final = 1
-#: Condition number of the scaled design beyond which the points hardly determine a transformation: 50 times the median
-#: of random layouts with three points more than terms, by degree of a polynomial; one limit for all others.
+#: Condition number of the scaled design above which the points hardly determine a transformation. It is 50 times the
+#: median of random layouts with three points more than terms, by degree of a polynomial; one limit for all other
+#: models.
 TYPICAL_CONDITION: Final = {1: 1.5, 2: 8.0, 3: 25.0, 4: 125.0, 5: 500.0}
 WEAK_FACTOR: Final = 50.0
 WEAK_CONDITION: Final = 1e4
@@ -36,16 +37,16 @@ WEAK_CONDITION: Final = 1e4
 HARDLY_CHECKED: Final = 0.1
 #: Probability below which check points are worse than the control points predict.
 WORSE: Final = 0.001
-#: m0 of weighted points outside this range contradicts the sigmas.
+#: Range of m0 of weighted points; outside it m0 contradicts the sigmas.
 SIGMA_FACTOR: Final = 100.0
-#: Ratio of sigmas beyond which points with the larger sigmas carry negligible weight.
+#: Ratio of sigmas above which points with the larger sigmas carry negligible weight.
 NEGLIGIBLE: Final = 1e4
 #: Largest distance from the area of use of a map projection, divided by its width: half a zone of UTM.
 FAR: Final = 0.5
 
 
 def record_of(fitted: PointFit, distances: PairDistances | None = None) -> dict[str, Any]:
-    """Record of a fit; ``distances`` of the control points, image in metres minus map, if they were compared."""
+    """Return the record of a fit; ``distances`` of control points: image in metres minus map, if compared."""
     fit, tests, check, pruning = fitted.fit, point_tests(fitted.fit), fitted.check, fitted.pruning
     checks = None if check is None else check_tests(fit, check, fitted.check_residuals)
     t, axes = fit.transformation, fit.transformation.target_names
@@ -54,21 +55,37 @@ def record_of(fitted: PointFit, distances: PairDistances | None = None) -> dict[
         rows += _rows(fitted, "check", check, fitted.check_residuals, [None] * len(check), checks)
     return {
         "schema": SCHEMA,
-        "model": t.model.name, "title": t.model.title, "degree": t.model.degree or None,
-        "direction": fitted.direction, "crs": t.crs or None, "unit": fitted.unit, "axes": list(axes),
-        "n_control": len(fit.points), "n_check": len(fitted.check_residuals), "n_unknowns": t.model.n_unknowns,
-        "redundancy": fit.redundancy, "weighted": bool((fit.points.sigma != 1.0).any()),
-        "m0": fit.m0, "rmse": _named(axes, fit.rmse), "check_rmse": _named(axes, fitted.check_rmse),
-        "condition": fit.condition, "iterations": len(fit.log),
-        "coefficients": _coefficients(fitted), "cofactors": fit.cofactors, "points": rows,
+        "model": t.model.name,
+        "title": t.model.title,
+        "degree": t.model.degree or None,
+        "direction": fitted.direction,
+        "crs": t.crs or None,
+        "unit": fitted.unit,
+        "axes": list(axes),
+        "n_control": len(fit.points),
+        "n_check": len(fitted.check_residuals),
+        "n_unknowns": t.model.n_unknowns,
+        "redundancy": fit.redundancy,
+        "weighted": bool((fit.points.sigma != 1.0).any()),
+        "m0": fit.m0,
+        "rmse": _named(axes, fit.rmse),
+        "check_rmse": _named(axes, fitted.check_rmse),
+        "condition": fit.condition,
+        "iterations": len(fit.log),
+        "coefficients": _coefficients(fitted),
+        "cofactors": fit.cofactors,
+        "points": rows,
         "pruning": None if pruning is None else {"dropped": list(pruning.dropped), "rmse": list(pruning.history)},
-        "pair_distances": None if distances is None else {
-            "standard_deviation_m": distances.standard_deviation, "mean_m": distances.mean,
+        "pair_distances": None
+        if distances is None
+        else {
+            "standard_deviation_m": distances.standard_deviation,
+            "mean_m": distances.mean,
             "pairs": len(distances.differences),
             "of_point_m": dict(zip(fit.points.ids, distances.of_point.tolist(), strict=True)),
         },
         **as_record(findings_on(fitted, tests, checks)),
-    }  # fmt: skip
+    }
 
 
 def _named(axes: Sequence[str], values: tuple[float, float, float]) -> dict[str, float]:
@@ -76,7 +93,7 @@ def _named(axes: Sequence[str], values: tuple[float, float, float]) -> dict[str,
 
 
 def _coefficients(fitted: PointFit) -> list[dict[str, Any]]:
-    """Normalised coefficients with standard deviations, and plain coefficients if there are any."""
+    """Return the normalised coefficients with standard deviations, and plain coefficients if there are any."""
     t = fitted.fit.transformation
     sigma = fitted.fit.m0 * np.sqrt(np.diag(fitted.fit.cofactors))
     plain = t.plain_coefficients() or {}
@@ -87,10 +104,14 @@ def _coefficients(fitted: PointFit) -> list[dict[str, Any]]:
 
 
 def _rows(
-    fitted: PointFit, role: str, points: Observations, residuals: Array, redundancy: Sequence[float | None],
+    fitted: PointFit,
+    role: str,
+    points: Observations,
+    residuals: Array,
+    redundancy: Sequence[float | None],
     tests: PointTests,
-) -> list[dict[str, Any]]:  # fmt: skip
-    """One row per point: given target coordinates, residuals, tests."""
+) -> list[dict[str, Any]]:
+    """Return one row per point: given target coordinates, residuals, tests."""
     names = [f"{axis}_{fitted.unit}" for axis in fitted.fit.transformation.target_names]
 
     def pair(prefix: str, values: Array) -> dict[str, float]:
@@ -98,17 +119,23 @@ def _rows(
 
     return [
         {
-            "id": name, "role": role, **pair("", points.target[k]), **pair("residual_", residuals[k]),
+            "id": name,
+            "role": role,
+            **pair("", points.target[k]),
+            **pair("residual_", residuals[k]),
             f"residual_{fitted.unit}": float(np.hypot(*residuals[k])),
-            "redundancy": redundancy[k], "F": float(tests.statistic[k]), "F_limit": float(tests.critical[k]),
-            "suspicious": bool(tests.suspicious[k]), **pair("error_", tests.error[k]),
+            "redundancy": redundancy[k],
+            "F": float(tests.statistic[k]),
+            "F_limit": float(tests.critical[k]),
+            "suspicious": bool(tests.suspicious[k]),
+            **pair("error_", tests.error[k]),
         }
         for k, name in enumerate(points.ids)
-    ]  # fmt: skip
+    ]
 
 
 def findings_on(fitted: PointFit, tests: PointTests, checks: PointTests | None) -> list[Finding]:
-    """Findings on a fit, from the tests of the control points and of the check points, if any."""
+    """Return the findings on a fit, from the tests of the control points and of the check points, if any."""
     out = _suspicious("point", fitted.fit.points.ids, tests, fitted.unit)
     out += _layout(fitted) + _sigmas(fitted) + _far_from_zone(fitted)
     if fitted.pruning is not None and fitted.pruning.dropped:
@@ -119,36 +146,56 @@ def findings_on(fitted: PointFit, tests: PointTests, checks: PointTests | None) 
 
 
 def _suspicious(kind: str, ids: tuple[str, ...], tests: PointTests, unit: str) -> list[Finding]:
-    """Each point beyond its limit, with the size of its error."""
+    """Report each point beyond its limit, with the size of its error."""
     return [
-        finding("rectify.gross_error", kind=kind, point=ids[k], error=list(tests.error[k]), unit=unit,
-                statistic=tests.statistic[k], limit=tests.critical[k])
+        finding(
+            "rectify.gross_error",
+            kind=kind,
+            point=ids[k],
+            error=list(tests.error[k]),
+            unit=unit,
+            statistic=tests.statistic[k],
+            limit=tests.critical[k],
+        )
         for k in np.flatnonzero(tests.suspicious)
-    ]  # fmt: skip
+    ]
 
 
 def _layout(fitted: PointFit) -> list[Finding]:
-    """Points that the others hardly check, and directions in which the points hardly extend."""
+    """Report points that the other points hardly check, and directions in which the points hardly extend."""
     fit, out = fitted.fit, list[Finding]()
-    weak = [name for name, r in zip(fit.points.ids, fit.redundancy_numbers.mean(axis=1), strict=True)
-            if r < HARDLY_CHECKED]  # fmt: skip
+    weak = [
+        name for name, r in zip(fit.points.ids, fit.redundancy_numbers.mean(axis=1), strict=True) if r < HARDLY_CHECKED
+    ]
     if weak:
         out.append(finding("rectify.hardly_checked", limit=HARDLY_CHECKED, points=weak))
     names, spatial = fit.transformation.source_names, fit.model.dimension == 3
     for reach in fit.reaches:
-        # heights always extend less than the plan: only what they fail to determine is reported
+        # heights always extend less than the plan, so only undetermined directions are reported
         if reach.is_unknown or (reach.is_weak and not spatial):
-            out.append(finding("rectify.little_reach", direction=reach.describe(names), ratio=reach.ratio,
-                               percent=100.0 * reach.sigma))  # fmt: skip
+            out.append(
+                finding(
+                    "rectify.little_reach",
+                    direction=reach.describe(names),
+                    ratio=reach.ratio,
+                    percent=100.0 * reach.sigma,
+                )
+            )
     typical = TYPICAL_CONDITION.get(fit.model.degree, WEAK_CONDITION / WEAK_FACTOR)
     if fit.condition > WEAK_FACTOR * typical and not out[bool(weak) :]:
-        out.append(finding("rectify.hardly_determined", condition=fit.condition, typical=typical,
-                           what="a surface" if spatial else "a curve"))  # fmt: skip
+        out.append(
+            finding(
+                "rectify.hardly_determined",
+                condition=fit.condition,
+                typical=typical,
+                what="a surface" if spatial else "a curve",
+            )
+        )
     return out
 
 
 def _sigmas(fitted: PointFit) -> list[Finding]:
-    """Sigmas that the residuals contradict by orders of magnitude, or that give some points negligible weight."""
+    """Report sigmas that the residuals contradict by orders of magnitude, or that give points negligible weight."""
     sigma, m0, out = fitted.fit.points.sigma, fitted.fit.m0, list[Finding]()
     if not (sigma != 1.0).any():
         return out
@@ -161,7 +208,7 @@ def _sigmas(fitted: PointFit) -> list[Finding]:
 
 
 def _far_from_zone(fitted: PointFit) -> list[Finding]:
-    """Points far outside the area of use of the map projection."""
+    """Return the points far outside the area of use of the map projection."""
     t, fit = fitted.fit.transformation, fitted.fit
     area = area_of_use(t.crs) if t.crs else None
     if area is None:
@@ -177,12 +224,23 @@ def _far_from_zone(fitted: PointFit) -> list[Finding]:
         return []
     k = int(np.argmax(np.where(np.isnan(beyond), np.inf, beyond)))
     where = f"longitude {lon[k]:.1f}, latitude {lat[k]:.1f}" if np.isfinite(lon[k] + lat[k]) else "no place on Earth"
-    return [finding("rectify.far_from_zone", n=far.sum(), crs=t.crs, west=west, east=east, south=south, north=north,
-                    point=fit.points.ids[k], where=where)]  # fmt: skip
+    return [
+        finding(
+            "rectify.far_from_zone",
+            n=far.sum(),
+            crs=t.crs,
+            west=west,
+            east=east,
+            south=south,
+            north=north,
+            point=fit.points.ids[k],
+            where=where,
+        )
+    ]
 
 
 def _worse(fitted: PointFit, check: Observations) -> list[Finding]:
-    """F test of the squares of the check points, with the variance of the prediction, against m0."""
+    """Test the squares of the check points against m0 by F, with the variance of the prediction."""
     fit = fitted.fit
     variance = (fit.m0 * check.sigma) ** 2 + fit.prediction_sigma(check.source[:, : fit.model.dimension]) ** 2
     n = 2 * len(check)
@@ -194,15 +252,15 @@ def _worse(fitted: PointFit, check: Observations) -> list[Finding]:
 
 # --- result folder ----------------------------------------------------------------------------------
 
-#: Contents of the folder; transformation.json is its mark.
+#: Contents of the folder; transformation.json identifies it.
 CONTENTS: Final = Contents(
     "transformation.json",
     ("transformation.json", "result.json", "points.csv", "coefficients.csv", "residuals.svg", "report.html"),
 )
-#: Length of a large residual (90 % quantile), and of the longest one at most, as shares of the width.
+#: Length of a large residual (90 % quantile), and maximum length of a residual, as shares of the width.
 SHARE: Final = 0.07
 MOST: Final = 0.3
-#: More points than this are thinned.
+#: Number of points above which they are thinned.
 MAX_POINTS: Final = 3000
 
 
@@ -219,17 +277,25 @@ def write_folder(folder: Path, fitted: PointFit, record: dict[str, Any]) -> None
 
 
 def _report(record: dict[str, Any]) -> str:
-    """HTML report, with the shell of all reports."""
+    """Return the HTML report, with the shell of all reports."""
     from fg_orient.report.page import environment
 
     heads = [f"residual {axis}, {record['unit']}" for axis in record["axes"]]
-    return environment("fg_orient.rectification").get_template("rectify.html.j2").render(
-        r=record, figure=residual_chart(record), heads=heads, verdict=_verdict(record), problems=sentences(record),
-    )  # fmt: skip
+    return (
+        environment("fg_orient.rectification")
+        .get_template("rectify.html.j2")
+        .render(
+            r=record,
+            figure=residual_chart(record),
+            heads=heads,
+            verdict=_verdict(record),
+            problems=sentences(record),
+        )
+    )
 
 
 def _verdict(record: dict[str, Any]) -> dict[str, str]:
-    """Assessment of the fit: ``kind`` (good, warn), ``title`` and ``text``."""
+    """Return the assessment of the fit: ``kind`` (good, warn), ``title`` and ``text``."""
     unit = "" if record["weighted"] else f" {record['unit']}"
     text = (
         f"{record['n_control']} control points, {record['n_unknowns']} unknowns, redundancy {record['redundancy']}. "
@@ -243,7 +309,7 @@ def _verdict(record: dict[str, Any]) -> dict[str, str]:
 
 
 def residual_chart(record: dict[str, Any]) -> Chart:
-    """Points in the target system with their residuals, enlarged.
+    """Return the points in the target system with their residuals, enlarged.
 
     Parameters
     ----------
@@ -253,7 +319,7 @@ def residual_chart(record: dict[str, Any]) -> Chart:
     Returns
     -------
     Chart
-        Maps have north up, images lines downwards.
+        Chart; maps have north up, images have lines downwards.
     """
     (first, second), unit = record["axes"], record["unit"]
     rows = record["points"][:: max(1, math.ceil(len(record["points"]) / MAX_POINTS))]
@@ -270,8 +336,10 @@ def residual_chart(record: dict[str, Any]) -> Chart:
     for role in ("control", "check"):
         mine = np.flatnonzero(roles == role)
         if len(mine):
-            tips = [f"{printable(rows[k]['id'])}: residual {scientific(float(np.linalg.norm(vector[k])))} {unit}"
-                    for k in mine.tolist()]  # fmt: skip
+            tips = [
+                f"{printable(rows[k]['id'])}: residual {scientific(float(np.linalg.norm(vector[k])))} {unit}"
+                for k in mine.tolist()
+            ]
             chart.add("dots", role, *at[mine].T, label=role, tips=tips, vectors=vector[mine])
     suspicious = np.array([bool(row["suspicious"]) for row in rows])
     if suspicious.any():
@@ -287,11 +355,12 @@ def residual_chart(record: dict[str, Any]) -> Chart:
 
 
 def residual_file(record: dict[str, Any]) -> str:
-    """Text of the chart as an SVG file."""
+    """Return the text of the chart as an SVG file."""
     looks = "".join(
         f".{kind}{{fill:{ink.colour if ink.filled else 'none'};stroke:{ink.colour}}}"
-        for kind, ink in INKS.items() if kind in ("control", "check", "ring")
-    )  # fmt: skip
+        for kind, ink in INKS.items()
+        if kind in ("control", "check", "ring")
+    )
     others = "text{font:14px sans-serif}.bar-line{stroke:#566069}.vector,.bar-line{fill:none}"
     head, _, rest = str(svg(residual_chart(record))).partition(">")
     return f'{head} xmlns="http://www.w3.org/2000/svg"><style>{looks}{others}</style>{rest}'

@@ -24,12 +24,12 @@ class Scanner:
     Parameters
     ----------
     height_m : float
-        Above the datum, Z_c.
+        Height above the datum, Z_c.
     ifov_along_rad, ifov_across_rad : float
         Angular resolution beta and gamma.
     focal_length_m : float
     speed_m_s : float
-        Of the ground track.
+        Speed of the ground track.
     overlap : float
         Overlap S of a strip with the next one, as a share.
     rotation_s : float
@@ -50,8 +50,14 @@ class Scanner:
     rotation_s: float = 1.0
 
     def __post_init__(self) -> None:
-        units = {"height_m": "m", "ifov_along_rad": "rad", "ifov_across_rad": "rad", "focal_length_m": "m",
-                 "speed_m_s": "m/s", "rotation_s": "s"}  # fmt: skip
+        units = {
+            "height_m": "m",
+            "ifov_along_rad": "rad",
+            "ifov_across_rad": "rad",
+            "focal_length_m": "m",
+            "speed_m_s": "m/s",
+            "rotation_s": "s",
+        }
         for name, unit in units.items():
             positive(name, getattr(self, name), unit)
         if not 0.0 <= self.overlap < 1.0:
@@ -73,11 +79,11 @@ class Scanner:
         return (1.0 - self.overlap) * self.strip_m / self.speed_m_s
 
     def scan_angle_rad(self, image_y_m: npt.ArrayLike) -> Array:
-        """Scan angle theta = y/f of a distance along the scan line in the image."""
+        """Return the scan angle theta = y/f of a distance along the scan line in the image."""
         return np.asarray(finite("image y", image_y_m) / self.focal_length_m)
 
     def ground(self, image_x_m: npt.ArrayLike, image_y_m: npt.ArrayLike, height_m: npt.ArrayLike = 0.0) -> Array:
-        """Ground X, Y (n, 2) from the first strip and the track: ``(1 - S)(Z_c/f) x`` and ``(Z_c - Z_j) tan theta``.
+        """Return ground X, Y (n, 2) from first strip and track: ``(1 - S)(Z_c/f) x`` and ``(Z_c - Z_j) tan theta``.
 
         The time of the mirror adds :meth:`mirror_shift_m` to X.
         """
@@ -87,43 +93,50 @@ class Scanner:
         return np.stack(np.broadcast_arrays(x, y), axis=-1)
 
     def element_m(self, theta_rad: npt.ArrayLike, height_m: npt.ArrayLike = 0.0) -> Array:
-        """Size of an element on the ground (n, 2): along ``beta h sec theta``, across ``gamma h sec^2 theta``."""
+        """Return the ground size of an element (n, 2): along ``beta h sec theta``, across ``gamma h sec^2 theta``."""
         secant = 1.0 / np.cos(_angle(theta_rad))
         above = self.height_m - finite("height", height_m)
         sizes = self.ifov_along_rad * above * secant, self.ifov_across_rad * above * secant**2
         return np.stack(np.broadcast_arrays(*sizes), axis=-1)
 
     def panoramic_shift_m(self, theta_rad: npt.ArrayLike) -> Array:
-        """Displacement on the ground if the scan is used as a plane image: ``Z_c (tan theta - theta)``."""
+        """Return the displacement on the ground if the scan is used as a plane image: ``Z_c (tan theta - theta)``."""
         theta = _angle(theta_rad)
         return np.asarray(self.height_m * (np.tan(theta) - theta))
 
     def mirror_shift_m(self, theta_rad: npt.ArrayLike) -> Array:
-        """Advance of the platform while the mirror turns to theta: ``theta/(2 pi) t_r V``."""
+        """Return the advance of the platform while the mirror turns to theta: ``theta/(2 pi) t_r V``."""
         return np.asarray(finite("scan angle", theta_rad) / (2.0 * math.pi) * self.rotation_s * self.speed_m_s)
 
 
 def relief_shift_m(height_m: npt.ArrayLike, theta_rad: npt.ArrayLike) -> Array:
-    """Outward displacement of a point above the datum: ``Z_j tan theta``, m; InputError for invalid numbers."""
+    """Return the outward displacement of a point above the datum: ``Z_j tan theta``, m.
+
+    InputError for invalid numbers.
+    """
     return np.asarray(finite("height", height_m) * np.tan(_angle(theta_rad)))
 
 
 def _angle(theta_rad: npt.ArrayLike) -> Array:
-    """Checked scan angles, below the horizontal on both sides."""
+    """Return the checked scan angles, below the horizontal on both sides."""
     angle = finite("scan angle", theta_rad)
     if (np.abs(angle) >= 0.5 * math.pi).any():
-        raise InputError.of("options.value", place="scan angle", value=float(np.abs(angle).max()),
-                            expected="an angle from nadir, rad, between -pi/2 and pi/2")  # fmt: skip
+        raise InputError.of(
+            "options.value",
+            place="scan angle",
+            value=float(np.abs(angle).max()),
+            expected="an angle from nadir, rad, between -pi/2 and pi/2",
+        )
     return angle
 
 
 def total_angle_rad(swath_m: float, height_m: float) -> float:
-    """Total scan angle over flat ground, ``2 arctan(W/(2H))``; InputError if an argument is not above 0."""
+    """Return the total scan angle over flat ground, ``2 arctan(W/(2H))``; InputError if an argument is not above 0."""
     return 2.0 * math.atan2(positive("swath", swath_m, "m"), 2.0 * positive("height", height_m, "m"))
 
 
 def swath_m(angle_rad: float, height_m: float, off_nadir_rad: float = 0.0, radius_m: float | None = None) -> float:
-    """Swath of a field of view, off nadir or at nadir.
+    """Return the swath of a field of view, off nadir or at nadir.
 
     Parameters
     ----------
@@ -161,9 +174,9 @@ def swath_m(angle_rad: float, height_m: float, off_nadir_rad: float = 0.0, radiu
 
 
 def error_budget(*parts: float) -> float:
-    """Root of the sum of squares of independent errors: pointing, digitising, relief (İpbüker 1994, conclusions).
+    """Return the root of the sum of squares of errors: pointing, digitising, relief (İpbüker 1994, conclusions).
 
-    Raises InputError without errors, or if one is below 0 or not finite.
+    The errors must be independent. Raises InputError without errors, or if one is below 0 or not finite.
     """
     finite("errors", parts)
     return math.sqrt(sum(number("error", part, "its unit", least=0.0) ** 2 for part in parts))

@@ -28,11 +28,11 @@ NMAS_LARGE_M: Final = INCH_M / 30.0
 NMAS_LIMIT_SCALE: Final = 20_000.0
 #: Share of points that may lie beyond the limit of NMAS.
 NMAS_SHARE: Final = 0.1
-#: Radius of 90 % and of 95 % by the standard deviation of each axis of a circular normal distribution.
+#: Factors from the standard deviation of each axis of a circular normal distribution to the radius of 90 % and of 95 %.
 CMAS_FACTOR: Final = 2.1460
 NSSDA_FACTOR: Final = 2.4477
 ASPRS_1990_M: Final = 0.25e-3
-#: NSSDA's formula for a circle holds from this ratio of the axes' RMSEs on.
+#: Least ratio of the axes' RMSEs for which NSSDA's formula for a circle is valid.
 CIRCULAR_RATIO: Final = 0.6
 #: Least numbers of check points.
 NSSDA_POINTS: Final = 20
@@ -76,7 +76,7 @@ class StandardCompliance:
 
 
 def nmas_limit_m(scale: float) -> float:
-    """Limit of NMAS on the ground at 1:scale, m; InputError if the scale is not above 0.
+    """Return the limit of NMAS on the ground at 1:scale, m; InputError if the scale is not above 0.
 
     Parameters
     ----------
@@ -88,17 +88,17 @@ def nmas_limit_m(scale: float) -> float:
 
 
 def effective_resolution_m(scale: float) -> float:
-    """Half a millimetre at map scale (İpbüker 1994, summary), m; InputError if the scale is not above 0."""
+    """Return the effective resolution, half a millimetre at map scale (İpbüker 1994, summary), m."""
     return 0.5e-3 * positive("scale", scale, "denominator")
 
 
 def cmas_m(rmse_x_m: float, rmse_y_m: float) -> float:
-    """Radius of 90 %: 2.1460 (RMSE_x + RMSE_y)/2, m; InputError if an RMSE is below 0 or not finite."""
+    """Return the radius of 90 %: 2.1460 (RMSE_x + RMSE_y)/2, m; InputError if an RMSE is below 0 or not finite."""
     return CMAS_FACTOR * 0.5 * sum(number("RMSE", v, "m", least=0.0) for v in (rmse_x_m, rmse_y_m))
 
 
 def nssda_m(rmse_x_m: float, rmse_y_m: float) -> float:
-    """Radius of 95 %: 2.4477 (RMSE_x + RMSE_y)/2, m; InputError if an RMSE is below 0 or not finite.
+    """Return the radius of 95 %: 2.4477 (RMSE_x + RMSE_y)/2, m; InputError if an RMSE is below 0 or not finite.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def nssda_m(rmse_x_m: float, rmse_y_m: float) -> float:
 
 
 def _largest_nmas_scale(limit_at_90_m: float) -> tuple[float, str]:
-    """Denominator of the largest scale at which an error is within NMAS, and intermediate scales that fail."""
+    """Return the denominator of the largest scale at which an error is within NMAS, and intermediate failing scales."""
     if limit_at_90_m == 0.0:
         return np.nan, ""
     large, small = limit_at_90_m / NMAS_LARGE_M, limit_at_90_m / NMAS_SMALL_M
@@ -181,7 +181,7 @@ def _compliance(name: str, value: float, remarks: tuple[str, ...], options: Accu
 
 
 def _smallest_class(value_m: float) -> str:
-    """Smallest class that is met: four digits, rounded up, because a class below the value is not met."""
+    """Return the smallest class that is met: four digits, rounded up, because a class below the value is not met."""
     text = f"{100.0 * value_m:.4g}"
     text = text if float(text) >= 100.0 * value_m else f"{100.05 * value_m:.4g}"
     return f"{text} cm is the smallest class that is met"

@@ -1,10 +1,10 @@
 """Studies of numbers of control points and degrees (İpbüker 1994, tables 6.1, 7.1), checks of m0, pairwise distances.
 
-One check of printed m0s needs no points. Least squares over the same points cannot give a larger sum of squares with
-more terms: ``m0^2 (2n - 2p)`` must not grow with the degree.
+One check of printed m0 values needs no points. Least squares over the same points cannot give a larger sum of squares
+with more terms: ``m0^2 (2n - 2p)`` must not grow with the degree.
 
-The simulations replace figures of İpbüker 1994 that no formula gives: digitised sheets, distances compared with m0. The
-points of that work are not published; these are simulated from its description.
+The simulations replace figures of İpbüker 1994 that no formula gives: digitised sheets, and distances compared with m0.
+The points of that work are not published; these are simulated from its description.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ from fg_orient.rectification.transformation import find_model
 RUNS: Final = 400
 #: Number of runs of a reproduction.
 REPRODUCED_RUNS: Final = 60
-#: Scene of 30 km with 30 points, noise of one coordinate in m; the ratio depends on neither size nor noise.
+#: Scene of 30 km with 30 points, and noise of one coordinate in m; the ratio does not depend on size or noise.
 SCENE_M: Final = 30_000.0
 SCENE_POINTS: Final = 30
 SCENE_SIGMA_M: Final = 20.0
 #: The calibration of the sheets (section 7.2): points, noise, the printed affine transformation (northing, easting).
 SHEET_POINTS: Final = 24
 SHEET_SIGMA_M: Final = 4.34
-#: Extent of the nodes about the islands, east and north, assumed.
+#: Assumed extent of the nodes around the islands, east and north.
 SHEET_EXTENT_KM: Final = (9, 6)
 SHEET_MATRIX: Final = ((1.0010, 0.0007), (-0.0001, 1.0007))
 SHEET_ORIGIN_M: Final = (4_525_000.0, 678_000.0)
 
 
 def terms(degree: int) -> int:
-    """Coefficients per axis of a polynomial: (q + 1)(q + 2)/2.
+    """Return the number of coefficients per axis of a polynomial: (q + 1)(q + 2)/2.
 
     Raises
     ------
@@ -61,9 +61,9 @@ class Cell:
     median, low, high : float
         Radial RMSE at the test points over the layouts, in the unit of the target; nan where nothing was fitted.
     layouts : int
-        Layouts that had a solution.
+        Number of layouts that had a solution.
     reason : str
-        Reason why there is no solution; "" if there is one.
+        Reason why there is no solution; "" if there is a solution.
     """
 
     n_points: int
@@ -76,9 +76,14 @@ class Cell:
 
 
 def design_study(
-    control: Observations, test: Observations, counts: Sequence[int], degrees: Sequence[int], *, layouts: int = 30,
+    control: Observations,
+    test: Observations,
+    counts: Sequence[int],
+    degrees: Sequence[int],
+    *,
+    layouts: int = 30,
     seed: int = 1,
-) -> tuple[Cell, ...]:  # fmt: skip
+) -> tuple[Cell, ...]:
     """Fit polynomials to random choices of control points and compare at independent test points.
 
     Parameters
@@ -89,13 +94,13 @@ def design_study(
         Numbers of control points, at most all of them.
     degrees : sequence of int
     layouts : int
-        Random choices per number, the same ones for all degrees; all points are one choice.
+        Number of random choices per count, the same for all degrees; all points are one choice.
     seed : int
 
     Returns
     -------
     tuple of Cell
-        For each count, each degree.
+        Cells of each degree for each count.
 
     Raises
     ------
@@ -121,7 +126,7 @@ def _cell(control: Observations, test: Observations, chosen: Sequence[Index], de
     for rows in chosen:
         try:
             t = fit(control.take(rows), model).transformation
-        except InputError as error:  # too few points, or on a line
+        except InputError as error:  # too few points, or points on a line
             reason = error.problems[0].message
             continue
         rmse.append(plain_rmse(t.apply(test.source[:, :2]) - test.target)[2])
@@ -131,7 +136,7 @@ def _cell(control: Observations, test: Observations, chosen: Sequence[Index], de
 
 
 def growing_degrees(m0_by_degree: Mapping[int, float], n_points: int) -> tuple[int, ...]:
-    """Degrees whose sum of squares is larger than that of a lower one over the same points: impossible values.
+    """Return degrees whose sum of squares exceeds that of a lower degree over the same points: impossible values.
 
     Parameters
     ----------
@@ -150,17 +155,21 @@ def growing_degrees(m0_by_degree: Mapping[int, float], n_points: int) -> tuple[i
     lacking = [q for q in degrees if n_points <= terms(q)]  # 2n <= (q + 1)(q + 2)
     if lacking:
         raise InputError.of(
-            "rectify.few_points", place=f"degree {lacking[0]}", points=n_points, equations=2 * n_points,
-            unknowns=2 * terms(lacking[0]), least=terms(lacking[0]) + 1,
-        )  # fmt: skip
+            "rectify.few_points",
+            place=f"degree {lacking[0]}",
+            points=n_points,
+            equations=2 * n_points,
+            unknowns=2 * terms(lacking[0]),
+            least=terms(lacking[0]) + 1,
+        )
     squares = [m0_by_degree[q] ** 2 * 2 * (n_points - terms(q)) for q in degrees]
     return tuple(q for k, q in enumerate(degrees) if k and squares[k] > min(squares[:k]))
 
 
 def admissible_points(m0_by_degree: Mapping[int, float], most: int = 200) -> tuple[int, ...]:
-    """Numbers of points up to and including ``most`` for which a row of m0s is possible.
+    """Return the numbers of points up to ``most`` for which a row of m0 values is possible.
 
-    m0s that do not grow with the degree are possible with any number; the last number is then ``most``.
+    m0 values that do not grow with the degree are possible with any number; the last number is then ``most``.
 
     Raises
     ------
@@ -173,7 +182,7 @@ def admissible_points(m0_by_degree: Mapping[int, float], most: int = 200) -> tup
 
 
 class Ratios(NamedTuple):
-    """Simulated runs of a scene with noise only, (runs,) arrays.
+    """Simulated runs of a scene that contains only noise, (runs,) arrays.
 
     ``ratio``: standard deviation of the pairwise distance differences, divided by m0 of the affine transformation;
     ``spread_m``: standard deviation of the distances themselves, the effect of a scale error of 1.
@@ -185,7 +194,7 @@ class Ratios(NamedTuple):
 
 @cache
 def distance_ratios(runs: int = RUNS, seed: int = 1) -> Ratios:
-    """Pairwise distances compared with m0 for 30 points with noise alone; InputError without runs or seed."""
+    """Compare pairwise distances with m0 for 30 points with noise alone; InputError without runs or seed."""
     whole("runs", runs, 2)
     rng, model = np.random.default_rng(whole("seed", seed, 0)), find_model("affine")
     ratio, spread = np.empty(runs), np.empty(runs)
@@ -232,9 +241,11 @@ def digitised_sheets(extent_km: tuple[int, int] = SHEET_EXTENT_KM, runs: int = R
         fitted = fit(points, affine)
         x = fitted.transformation.plain_coefficients() or {}
         out[k] = (
-            fitted.m0, pair_distances(table, plane).standard_deviation, np.sqrt(2.0) * fit(points, helmert).m0,
+            fitted.m0,
+            pair_distances(table, plane).standard_deviation,
+            np.sqrt(2.0) * fit(points, helmert).m0,
             x["a_10"] * x["b_01"] - x["a_01"] * x["b_10"],
-        )  # fmt: skip
+        )
     return Digitised(*out.T)
 
 

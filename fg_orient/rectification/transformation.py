@@ -29,19 +29,19 @@ class TransformationModel:
     Parameters
     ----------
     name, title : str
-        Name in commands; in words.
+        Name in commands; description.
     equation : Equation
         Registered observation equation.
     dimension : int
         Number of source coordinates, 2 or 3.
     degree : int
-        Of a polynomial; 0 for all others.
+        Degree of a polynomial; 0 for all other models.
     names : tuple of str
-        Of the unknowns, in order.
+        Names of the unknowns, in order.
     quotient : slice, optional
         Unknowns of the denominator, whose constant is 1 (none for linear models).
     shared_scale : bool
-        Whether both axes must be normalised with one scale.
+        True if both axes must be normalised with one scale.
     """
 
     name: str
@@ -70,16 +70,15 @@ class TransformationModel:
 
     @property
     def linear(self) -> bool:
-        """Whether the target is linear in the unknowns."""
+        """True if the target is linear in the unknowns."""
         return self.quotient is None
 
     def start(self, source: Array, target: Array) -> Array:
-        """Start values (u,) from normalised coordinates: zeros for linear models.
+        """Return the start values (u,) from normalised coordinates: zeros for linear models.
 
-        Other models start from the least squares of ``numerator - target (denominator - 1) = target``. Both rows of
-        the projective transformation have the denominator, of the line-scanner DLT only the sample has it. Where that
-        denominator is not above 0 at all points, and for the parallel projection, the affine model (denominator 1) is
-        the start.
+        Other models start from the least squares of ``numerator - target (denominator - 1) = target``. Both rows of the
+        projective transformation have the denominator; in the line-scanner DLT only the sample has it. The affine model
+        (denominator 1) is the start for the parallel projection, and if the denominator is not above 0 at all points.
         """
         x = np.zeros(self.n_unknowns)
         if self.linear:
@@ -100,7 +99,7 @@ class TransformationModel:
         return x
 
     def denominator(self, source: Array, x: Array) -> Array:
-        """Denominator (n,) at normalised source coordinates; 1 for linear models."""
+        """Return the denominator (n,) at normalised source coordinates; 1 for linear models."""
         if self.quotient is None:
             return np.ones(len(source))
         flat = source[:, : self.dimension]
@@ -134,14 +133,14 @@ NAMES: Final = ("polynomial", *_MODELS)
 
 
 def find_model(name: str, degree: int | None = None) -> TransformationModel:
-    """Transformation of a name.
+    """Return the transformation of a name.
 
     Parameters
     ----------
     name : str
         One of ``NAMES``.
     degree : int, optional
-        Of the polynomial, 1 to 5; no other transformation has one.
+        Degree of the polynomial, 1 to 5; no other transformation has a degree.
 
     Raises
     ------
@@ -171,7 +170,7 @@ class Scaling:
 
     @classmethod
     def of(cls, values: Array, *, shared: bool = False) -> Scaling:
-        """Centre on the mean; largest distance from it, per axis or shared, becomes 1 (an axis without extent: 1)."""
+        """Centre on the mean and scale the largest distance, per axis or shared, to 1 (an axis without extent: 1)."""
         offset = values.mean(axis=0)
         scale = np.abs(values - offset).max(axis=0)
         if shared:
@@ -179,11 +178,11 @@ class Scaling:
         return cls(offset, np.where(scale > 0.0, scale, 1.0))
 
     def normalised(self, values: Array) -> Array:
-        """Normalised values, about -1 to 1."""
+        """Return the normalised values, about -1 to 1."""
         return np.asarray((values - self.offset) / self.scale)
 
     def physical(self, values: Array) -> Array:
-        """Values of normalised ones."""
+        """Convert normalised to physical values."""
         return np.asarray(values * self.scale + self.offset)
 
 
@@ -195,12 +194,12 @@ class Transformation:
     ----------
     model : TransformationModel
     coefficients : (u,) array
-        Of normalised source and target coordinates, in the order of ``model.names``.
+        Coefficients of normalised source and target coordinates, in the order of ``model.names``.
     source, target : Scaling
     source_names, target_names : tuple of str
         Names of the coordinates, in order: "sample", "line", "easting", "northing", "height".
     crs : str
-        Of the map side; "" if it is not known.
+        Coordinate system of the map side; "" if it is not known.
     """
 
     model: TransformationModel
@@ -212,7 +211,7 @@ class Transformation:
     crs: str = ""
 
     def apply(self, source: npt.ArrayLike) -> Array:
-        """Target coordinates (n, 2) of source coordinates (n, 2) or (n, 3), inside or outside the points.
+        """Return the target coordinates (n, 2) of source coordinates (n, 2) or (n, 3), inside or outside the points.
 
         Parameters
         ----------
@@ -226,10 +225,10 @@ class Transformation:
         return self.target.physical(np.stack(np.broadcast_arrays(u, v), axis=1))
 
     def plain_coefficients(self) -> dict[str, float] | None:
-        """Coefficients of the coordinates themselves; None for quotients.
+        """Return the coefficients for coordinates that are not normalised; None for quotients.
 
-        Each is rounded once. With map coordinates of 4.5e6 m, the powers of the coordinates multiply this rounding. To
-        transform points use :meth:`apply`.
+        Each coefficient is rounded once. With map coordinates of 4.5e6 m, the powers of the coordinates multiply this
+        rounding. To transform points use :meth:`apply`.
         """
         if not self.model.linear:
             return None
@@ -237,15 +236,21 @@ class Transformation:
         return dict(zip(self.model.names, values, strict=True))
 
     def as_dict(self) -> dict[str, Any]:
-        """Content of ``transformation.json``."""
+        """Return the content of ``transformation.json``."""
         sides = (("source", self.source_names, self.source), ("target", self.target_names, self.target))
         return {
-            "schema": SCHEMA, "model": self.model.name, "degree": self.model.degree or None,
-            "names": list(self.model.names), "coefficients": self.coefficients.tolist(),
-            **{side: {"names": list(names), "offset": scaling.offset.tolist(), "scale": scaling.scale.tolist()}
-               for side, names, scaling in sides},
-            "crs": self.crs or None, "plain_coefficients": self.plain_coefficients(),
-        }  # fmt: skip
+            "schema": SCHEMA,
+            "model": self.model.name,
+            "degree": self.model.degree or None,
+            "names": list(self.model.names),
+            "coefficients": self.coefficients.tolist(),
+            **{
+                side: {"names": list(names), "offset": scaling.offset.tolist(), "scale": scaling.scale.tolist()}
+                for side, names, scaling in sides
+            },
+            "crs": self.crs or None,
+            "plain_coefficients": self.plain_coefficients(),
+        }
 
 
 def read_transformation(path: Path) -> Transformation:
@@ -270,7 +275,7 @@ def read_transformation(path: Path) -> Transformation:
 
 
 def _from_dict(record: Mapping[str, Any]) -> Transformation:
-    """Transformation of the content of a file; ValueError, KeyError or TypeError for invalid content."""
+    """Return the transformation of the content of a file; ValueError, KeyError or TypeError for invalid content."""
     if record["schema"] != SCHEMA:
         raise ValueError("schema")
     name = record["model"]
@@ -289,7 +294,7 @@ def _from_dict(record: Mapping[str, Any]) -> Transformation:
 
 
 def _expanded(t: Transformation) -> list[float]:
-    """Plain coefficients of a polynomial by the binomial theorem, in rational numbers: rounded once at the end."""
+    """Expand the plain coefficients of a polynomial in rational numbers, rounded once at the end."""
     exponents = [(int(j), int(k)) for j, k in t.model.setup.T]
     (o_x, o_y), (s_x, s_y) = ([Fraction(float(v)) for v in a] for a in (t.source.offset, t.source.scale))
     out: list[float] = []
@@ -308,7 +313,7 @@ def _expanded(t: Transformation) -> list[float]:
 
 
 def _plain_linear(t: Transformation) -> list[float]:
-    """Plain coefficients of Helmert (one scale per side) and of the 3-D affine transformation."""
+    """Return the plain coefficients of Helmert (one scale per side) and of the 3-D affine transformation."""
     x, ratio = t.coefficients, t.target.scale
     if t.model.name == "helmert":
         a, b = x[2:] * ratio[0] / t.source.scale[0]
