@@ -24,7 +24,7 @@ from fg_orient.sensors.rpc import COORDINATES, NEAR_ZERO, RpcModel, span
 
 Range = tuple[float, float]
 
-#: Lines, samples, heights.
+#: Numbers of lines, samples and heights of the grid.
 SHAPE: Final = (11, 11, 5)
 #: Largest normalised coordinate inside the domain of the fit; vendors round their scales.
 EXTRAPOLATED: Final = 1.05
@@ -79,13 +79,13 @@ def _heights(model: RpcModel, given: Range | None) -> Range:
 
 
 def _grid(line: Range, sample: Range, heights_m: Range) -> Array:
-    """Pixels at heights (n, 3): lines, samples, heights."""
+    """Return the pixels at heights (n, 3): lines, samples, heights."""
     axes = [np.linspace(low, high, n) for (low, high), n in zip((line, sample, heights_m), SHAPE, strict=True)]
     return np.column_stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")])
 
 
 def denominators(model: RpcModel, ground: Array, heights_m: Range) -> dict[str, Any]:
-    """Smallest denominators at ground points (n, 3), nan for pixels without ground, and the place of a pole."""
+    """Return smallest denominators at ground points (n, 3), nan for pixels without ground, and the place of a pole."""
     seen, least, pole = np.isfinite(ground[:, 0]), [float("nan")] * 2, None
     if seen.any():
         least = rfm.denominators(model.coefficients, normalised(model, ground[seen])).min(axis=0).tolist()
@@ -94,9 +94,12 @@ def denominators(model: RpcModel, ground: Array, heights_m: Range) -> dict[str, 
     except InputError as error:
         pole = f"{error.problems[0].place} {error.problems[0].value}"
     return {
-        "least_line": least[0], "least_sample": least[1], "pole": pole,
-        "pixels_without_ground": int((~seen).sum()), "pixels": len(seen),
-    }  # fmt: skip
+        "least_line": least[0],
+        "least_sample": least[1],
+        "pole": pole,
+        "pixels_without_ground": int((~seen).sum()),
+        "pixels": len(seen),
+    }
 
 
 def image_to_ground(model: RpcModel, pixels: Array) -> dict[str, Any] | None:
@@ -108,7 +111,7 @@ def image_to_ground(model: RpcModel, pixels: Array) -> dict[str, Any] | None:
 
 
 def extrapolation(model: RpcModel, pixels: Array, ground: Array) -> dict[str, float]:
-    """Largest absolute normalised coordinates over the image and the heights; 1 is the border of the model."""
+    """Return the largest absolute normalised coordinates over image and heights; 1 is the border of the model."""
     values = np.column_stack([pixels[:, :2], ground]) - model.offsets
     values[:, 2] -= 360.0 * np.round(values[:, 2] / 360.0)
     with np.errstate(invalid="ignore"):
@@ -117,20 +120,22 @@ def extrapolation(model: RpcModel, pixels: Array, ground: Array) -> dict[str, fl
 
 
 def point_residuals(model: RpcModel, measured: MeasuredPoints) -> dict[str, Any]:
-    """Residuals of points with their statistics; ``outside``: names of the points outside the validity range."""
+    """Return the residuals of points with statistics; ``outside``: names of points outside the validity range."""
     lon, lat, height = measured.ground.T
     v = residuals(model, measured)
     inside = model.inside(lon, lat, height)
     return {
         "statistics": statistics(v),
         "outside": [name for name, good in zip(measured.ids, inside, strict=True) if not good],
-        "residuals": [{"id": name, "line_px": float(a), "sample_px": float(b), "inside": bool(good)}
-                      for name, (a, b), good in zip(measured.ids, v, inside, strict=True)],
-    }  # fmt: skip
+        "residuals": [
+            {"id": name, "line_px": float(a), "sample_px": float(b), "inside": bool(good)}
+            for name, (a, b), good in zip(measured.ids, v, inside, strict=True)
+        ],
+    }
 
 
 def differences(model: RpcModel, other: Path, heights_m: Range) -> dict[str, Any]:
-    """Pixels of the model minus pixels of another model, at ground points that the other model locates.
+    """Return the pixels of the model minus pixels of another model, at ground points that the other model locates.
 
     Raises
     ------
@@ -142,21 +147,29 @@ def differences(model: RpcModel, other: Path, heights_m: Range) -> dict[str, Any
     mine = (model.validity.line, model.validity.sample)
     ends = [(max(a, low), min(b, high)) for (a, b), (low, high) in zip(its, mine, strict=True)]
     if any(not low < high for low, high in ends):
-        raise InputError.of("rpc.no_overlap", file=other, value=", ".join(map(span, its)),
-                            mine=", ".join(map(span, mine)))  # fmt: skip
+        raise InputError.of(
+            "rpc.no_overlap", file=other, value=", ".join(map(span, its)), mine=", ".join(map(span, mine))
+        )
     line, sample, height = (np.ascontiguousarray(column) for column in _grid(ends[0], ends[1], heights_m).T)
     here = np.stack(model.project(*ecef_to_geodetic(sensor.locate(line, sample, height_m=height))), axis=1)
     d = here - np.column_stack([line, sample])
     worst = int(np.nanargmax(np.abs(d).max(axis=1))) if np.isfinite(d).any() else 0
     return {
-        "file": str(other), "model": type(sensor).__name__, "statistics": statistics(d),
-        "worst": {"line": float(line[worst]), "sample": float(sample[worst]), "height_m": float(height[worst]),
-                  "line_px": float(d[worst, 0]), "sample_px": float(d[worst, 1])},
-    }  # fmt: skip
+        "file": str(other),
+        "model": type(sensor).__name__,
+        "statistics": statistics(d),
+        "worst": {
+            "line": float(line[worst]),
+            "sample": float(sample[worst]),
+            "height_m": float(height[worst]),
+            "line_px": float(d[worst, 0]),
+            "sample_px": float(d[worst, 1]),
+        },
+    }
 
 
 def _findings(record: dict[str, Any]) -> list[Finding]:
-    """Findings on a model; all but the last two kinds make it unfit for use."""
+    """Return the findings on a model; all except the last two kinds make it unfit for use."""
     out, below = [], record["denominators"]
     least = min(below["least_line"], below["least_sample"])
     if below["pole"] is not None:

@@ -4,8 +4,8 @@
     sample - sample of the model = c1 + c3 l + c5 s + v
 
 l, s are the model's own normalised coordinates. Ground coordinates are held fixed; the sigmas of line and sample must
-include their errors. Each point is tested as in ``fg_orient.quality.outliers``, both coordinates together.
-:func:`refine` does the work of the command ``rpc refine``: compensation, then its errors at check points.
+include their errors. Each point is tested with both coordinates together, as in ``fg_orient.quality.outliers``.
+:func:`refine` executes the command ``rpc refine``: compensation, then its errors at check points.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ LEVEL: Final = 0.001
 RANK: Final = 1e-8
 #: Redundancy number below which the other points do not check a coordinate.
 CHECKED: Final = 1e-6
-#: Largest sigma0, pixels or given sigmas. A larger sigma0 means that the points were not measured in this image.
+#: Largest plausible sigma0, in pixels or given sigmas. A larger sigma0 means that the points were not measured in this
+#: image.
 LARGEST_SIGMA0: Final = 5.0
 
 
@@ -52,9 +53,9 @@ class Compensation:
     points : MeasuredPoints
         Points of the adjustment, n of them.
     values : (6,) array
-        Pixels; zero where the kind has no term.
+        Values in pixels; zero for terms that the kind does not have.
     cofactors : (6, 6) array
-        Zero likewise.
+        Cofactors; zero for terms that the kind does not have.
     residuals_px : (n, 2) array
         Adjusted minus observed, line and sample.
     redundancy_numbers : (n, 2) array
@@ -62,7 +63,7 @@ class Compensation:
         Points that were left out as grossly wrong, in this order: id, statistic F, limit, error_line_px,
         error_sample_px.
     complete : bool
-        False if there are too many suspects to be gross errors.
+        False if there are too many suspects for all of them to be gross errors.
     """
 
     kind: str
@@ -96,7 +97,7 @@ class Compensation:
 
     @property
     def left_out_px(self) -> Array:
-        """Residuals (n, 2) with the compensation of the other points; nan where these do not determine it."""
+        """Residuals (n, 2) with the compensation of the other points; nan if these do not determine it."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self.redundancy_numbers > CHECKED, self.residuals_px / self.redundancy_numbers, np.nan)
 
@@ -106,7 +107,7 @@ class Compensation:
         return np.asarray(self.cofactors * self.sigma0**2)
 
     def terms(self) -> list[dict[str, Any]]:
-        """Name, value and standard deviation (px) of each term."""
+        """Return the name, value and standard deviation (px) of each term."""
         sd = np.sqrt(np.diag(self.covariance))
         return [{"name": NAMES[k], "px": float(self.values[k]), "sd_px": float(sd[k])} for k in self.codes]
 
@@ -142,27 +143,27 @@ def compensate(model: RpcModel, control: MeasuredPoints, kind: str = "shift", *,
 
 
 def residuals(model: RpcModel, measured: MeasuredPoints, values: Array | None = None) -> Array:
-    """Projected minus observed pixels, line and sample: (n, 2); ``values`` (6,) compensate the model."""
+    """Return the projected minus observed pixels, line and sample: (n, 2); ``values`` (6,) compensate the model."""
     lon, lat, height = measured.ground.T
     return np.stack(model.project(lon, lat, height, values), axis=1) - measured.image
 
 
 def normalised(model: RpcModel, ground: Array) -> Array:
-    """Normalised longitude, latitude, height (n, 3), longitudes within half a turn of the model's."""
+    """Return the normalised longitude, latitude, height (n, 3), longitudes within half a turn of the model's."""
     out = (ground - model.offsets[RANGE.ground]) / model.scales[RANGE.ground]
     out[:, 0] -= np.round(out[:, 0] * model.scales[RANGE.lon] / 360.0) * 360.0 / model.scales[RANGE.lon]
     return np.ascontiguousarray(out)
 
 
 def design(model: RpcModel, measured: MeasuredPoints, kind: str) -> Array:
-    """Columns 1, l, s of the kind, the same for line and sample: (n, k)."""
+    """Return the columns 1, l, s of the kind, the same for line and sample: (n, k)."""
     ground = normalised(model, measured.ground)
     columns = np.column_stack([np.ones(len(ground)), rfm.values(model.coefficients, ground)])
     return columns[:, : len(COMPENSATIONS[KINDS[kind]]) // 2]
 
 
 def _adjusted(model: RpcModel, points: MeasuredPoints, kind: str) -> Compensation:
-    """Compensation from these points: line and sample have no unknown in common."""
+    """Compute the compensation from these points: line and sample have no common unknown."""
     a, l = design(model, points, kind), -residuals(model, points)  # noqa: E741
     n, k = a.shape
     if n < k:
@@ -178,7 +179,7 @@ def _adjusted(model: RpcModel, points: MeasuredPoints, kind: str) -> Compensatio
 
 
 def _least_squares(a: Array, l: Array, sigma: Array, kind: str) -> tuple[Array, Array, Array]:  # noqa: E741
-    """Unknowns (k,), cofactors (k, k) and redundancy numbers (n,) of one axis."""
+    """Return the unknowns (k,), cofactors (k, k) and redundancy numbers (n,) of one axis."""
     rows = a / sigma[:, None]
     length = np.linalg.norm(rows, axis=0)
     left, size, right = np.linalg.svd(rows / length, full_matrices=False)
@@ -202,8 +203,13 @@ def _worst(fit: Compensation, level: float) -> list[dict[str, Any]]:
     statistic = float(f_statistics(t[i], 2, fit.weighted_squares, redundancy))
     limit = float(f_quantile(2, redundancy - 2, 1.0 - level))
     line, sample = error[i].tolist()
-    record = {"id": fit.points.ids[i], "statistic": statistic, "limit": limit, "error_line_px": line,
-              "error_sample_px": sample}  # fmt: skip
+    record = {
+        "id": fit.points.ids[i],
+        "statistic": statistic,
+        "limit": limit,
+        "error_line_px": line,
+        "error_sample_px": sample,
+    }
     return [record] if statistic > limit else []
 
 
@@ -218,7 +224,7 @@ def refine(model: RpcModel, measured: MeasuredPoints, kind: str, *, extrapolate:
     kind : str
         "shift", "shift_drift" or "affine".
     extrapolate : bool
-        Take points outside the validity range.
+        True: also use points outside the validity range.
 
     Returns
     -------
@@ -248,24 +254,35 @@ def refine(model: RpcModel, measured: MeasuredPoints, kind: str, *, extrapolate:
 
     return {
         **judged(_findings(fit, suspicious, height)),
-        "compensation": kind, "terms": fit.terms(), "values_px": fit.values.tolist(),
+        "compensation": kind,
+        "terms": fit.terms(),
+        "values_px": fit.values.tolist(),
         "covariance_px2": fit.covariance[np.ix_(fit.codes, fit.codes)].tolist(),
-        "sigma0": fit.sigma0, "redundancy": fit.redundancy, "height_dependence": height,
+        "sigma0": fit.sigma0,
+        "redundancy": fit.redundancy,
+        "height_dependence": height,
         "outliers": list(fit.outliers),
-        "control": both(used), "check": both(check) if check.any() else None,
+        "control": both(used),
+        "check": both(check) if check.any() else None,
         "leave_one_out": statistics(fit.left_out_px[np.isfinite(fit.left_out_px).all(axis=1)]),
         "check_suspicious": suspicious,
         "residuals": [
-            {"id": name, "role": str(Role.CHECK if check[k] else Role.CONTROL), "used": bool(used[k]),
-             "before_line_px": float(before[k, 0]), "before_sample_px": float(before[k, 1]),
-             "after_line_px": float(after[k, 0]), "after_sample_px": float(after[k, 1])}
+            {
+                "id": name,
+                "role": str(Role.CHECK if check[k] else Role.CONTROL),
+                "used": bool(used[k]),
+                "before_line_px": float(before[k, 0]),
+                "before_sample_px": float(before[k, 1]),
+                "after_line_px": float(after[k, 0]),
+                "after_sample_px": float(after[k, 1]),
+            }
             for k, name in enumerate(measured.ids)
         ],
-    }  # fmt: skip
+    }
 
 
 def _suspicious(model: RpcModel, check: MeasuredPoints, v: Array, fit: Compensation) -> list[str]:
-    """Check points whose residuals v (n, 2) the compensation does not explain: F(2, f) of the predicted residuals."""
+    """Return check points whose residuals v (n, 2) the compensation does not explain, by F(2, f)."""
     if not len(check) or fit.redundancy == 0:
         return []
     a, t = design(model, check, fit.kind), np.zeros(len(check))
@@ -278,10 +295,11 @@ def _suspicious(model: RpcModel, check: MeasuredPoints, v: Array, fit: Compensat
 
 
 def height_dependence(model: RpcModel, used: MeasuredPoints) -> dict[str, Any] | None:
-    """Change of observed minus projected pixels with the height in addition to an affine compensation, px per 1000 m.
+    """Test whether observed minus projected pixels change with the height, px per 1000 m.
 
-    No compensation has this term: it indicates a wrong height system, or the RPC of another image. The test is
-    F(2, f) of one more column for each coordinate, f the redundancy with it. None if not significant or not determined.
+    The test is made in addition to an affine compensation. No compensation has this term: it indicates a wrong height
+    system, or the RPC of another image. The test is F(2, f) of one more column for each coordinate, f the redundancy
+    with it. None if not significant or not determined.
     """
     a = np.column_stack([design(model, used, "affine"), used.ground[:, 2] / 1000.0])
     n, k = a.shape
@@ -302,15 +320,21 @@ def height_dependence(model: RpcModel, used: MeasuredPoints) -> dict[str, Any] |
 
 
 def _findings(fit: Compensation, suspicious: list[str], height: dict[str, Any] | None) -> list[Finding]:
-    """Findings on a compensation; the first two make it unfit for use."""
+    """Return the findings on a compensation; the first two make it unfit for use."""
     out = [] if fit.complete else [finding("rpc.too_many_left_out", n=len(fit.outliers))]
     if fit.sigma0 > LARGEST_SIGMA0:
         out.append(finding("rpc.no_fit", sigma0=fit.sigma0))
     out += [
-        finding("rpc.gross_error", point=one["id"], line_px=one["error_line_px"], sample_px=one["error_sample_px"],
-                statistic=one["statistic"], limit=one["limit"])
+        finding(
+            "rpc.gross_error",
+            point=one["id"],
+            line_px=one["error_line_px"],
+            sample_px=one["error_sample_px"],
+            statistic=one["statistic"],
+            limit=one["limit"],
+        )
         for one in fit.outliers
-    ]  # fmt: skip
+    ]
     if fit.redundancy == 0:
         out.append(finding("rpc.no_redundancy"))
     if height is not None:

@@ -26,9 +26,9 @@ SOLVER: Final = "qr_scaled"
 #: Solver of systems with a penalty and of the weighted linear form, whose design may lack full rank.
 STEP_SOLVER: Final = "svd_scaled"
 MAX_ITERATIONS: Final = 100
-#: The iteration ends if a step changes all unknowns by less than this share ...
+#: The iteration ends if a step changes all unknowns by less than this share,
 END: Final = 1e-12
-#: ... or if two consecutive steps reduce the sum of squares by less than this share: a residual by 1e-10.
+#: or if two consecutive steps reduce the sum of squares by less than this share: a residual by 1e-10.
 GAIN: Final = 1e-10
 #: Damping of Levenberg-Marquardt relative to the diagonal of N: start, change.
 DAMPING: Final = 1e-6
@@ -55,21 +55,27 @@ def penalised_unknowns(form: RfmForm, penalty: Penalty) -> Array:
 
 
 def linear_system(points: ControlPoints, form: RfmForm, scaling: Scaling) -> LinearSystem:
-    """Normal equations of the linear form, as published: rows of the sample, then of the line."""
+    """Return the normal equations of the linear form, as published: rows of the sample, then of the line."""
     m = form.monomials(scaling.ground(points.ground))
     return LinearSystem.from_design(*form.design(m, scaling.image(points.line, points.sample)))
 
 
 def _unfitted(points: ControlPoints, form: RfmForm, scaling: Scaling, kappa: float, penalty: Penalty) -> RfmFit:
-    """Fit before its estimation: all unknowns zero."""
+    """Return the fit before its estimation: all unknowns zero."""
     require_points(points, form, kappa)
     return RfmFit(form, scaling, points, np.zeros(len(form)), "", kappa, penalised_unknowns(form, penalty))
 
 
 def fit_linear(
-    points: ControlPoints, form: RfmForm, *, normalise: bool = True, solver: str = SOLVER, kappa: float = 0.0,
-    penalty: Penalty = "beyond_affine", allow_pole: bool = False,
-) -> RfmFit:  # fmt: skip
+    points: ControlPoints,
+    form: RfmForm,
+    *,
+    normalise: bool = True,
+    solver: str = SOLVER,
+    kappa: float = 0.0,
+    penalty: Penalty = "beyond_affine",
+    allow_pole: bool = False,
+) -> RfmFit:
     """Fit the linear form m a - sample m' b = sample, as published.
 
     Parameters
@@ -106,9 +112,14 @@ def fit_linear(
 
 
 def fit_weighted(
-    points: ControlPoints, form: RfmForm, *, normalise: bool = True, kappa: float = 0.0,
-    penalty: Penalty = "beyond_affine", allow_pole: bool = False,
-) -> RfmFit:  # fmt: skip
+    points: ControlPoints,
+    form: RfmForm,
+    *,
+    normalise: bool = True,
+    kappa: float = 0.0,
+    penalty: Penalty = "beyond_affine",
+    allow_pole: bool = False,
+) -> RfmFit:
     """Fit the linear form with the weights 1/f2^2 of the last cycle until convergence (Tao & Hu 2001).
 
     At convergence A^T P v = 0, and the weighted residuals are the true residuals. But A is not their Jacobian: the
@@ -139,9 +150,15 @@ def fit_weighted(
 
 
 def fit_true(
-    points: ControlPoints, form: RfmForm, *, normalise: bool = True, kappa: float = 0.0,
-    penalty: Penalty = "beyond_affine", scaling: Scaling | None = None, allow_pole: bool = False,
-) -> RfmFit:  # fmt: skip
+    points: ControlPoints,
+    form: RfmForm,
+    *,
+    normalise: bool = True,
+    kappa: float = 0.0,
+    penalty: Penalty = "beyond_affine",
+    scaling: Scaling | None = None,
+    allow_pole: bool = False,
+) -> RfmFit:
     """Fit the true equations sample - f1/f2 = 0, line - f3/f4 = 0 by damped Gauss-Newton (Levenberg-Marquardt).
 
     Parameters
@@ -167,7 +184,7 @@ def fit_true(
 
 
 def _minimise(form: RfmForm, m: Array, image: Array, x: Array, penalty: Array) -> tuple[Array, int]:
-    """Levenberg-Marquardt; a step over a pole of a point is treated as too long."""
+    """Minimise by Levenberg-Marquardt; a step over a pole of a point is treated as too long."""
     root = np.sqrt(penalty)
     damping, flat, (r, cost) = DAMPING, 0, _misfit(form, m, image, x, root)
     for iteration in range(1, MAX_ITERATIONS + 1):
@@ -196,7 +213,7 @@ def _minimise(form: RfmForm, m: Array, image: Array, x: Array, penalty: Array) -
 
 
 def _misfit(form: RfmForm, m: Array, image: Array, x: Array, root: Array) -> tuple[Array, float]:
-    """Residuals of observations and penalty, and their sum of squares; inf if a denominator is not positive."""
+    """Return residuals of observations and penalty, and their sum of squares; inf if a denominator is not positive."""
     if not (form.below(x, m) > 0.0).all():
         return np.zeros(0), np.inf
     v = image - form.image(x, m)
@@ -205,7 +222,7 @@ def _misfit(form: RfmForm, m: Array, image: Array, x: Array, root: Array) -> tup
 
 
 def _affine(form: RfmForm, m: Array, image: Array) -> Array:
-    """Least squares of the affine unknowns; all others are zero."""
+    """Solve least squares for the affine unknowns; all others are zero."""
     x = np.zeros(len(form))
     plain = ~form.beyond_affine
     design, observed = form.design(m, image)
@@ -214,14 +231,14 @@ def _affine(form: RfmForm, m: Array, image: Array) -> Array:
 
 
 def _solution(system: LinearSystem, penalty: Array) -> Array:
-    """Least squares with a penalty on each unknown."""
+    """Solve least squares with a penalty on each unknown."""
     if not penalty.any():
         return solve(STEP_SOLVER, system).x
     return regularised(system, 1.0, np.diag(np.sqrt(penalty)), solver=STEP_SOLVER).x
 
 
 def require_points(points: ControlPoints, form: RfmForm, kappa: float) -> None:
-    """Refuse fewer equations than coefficients if there is no penalty, and an invalid kappa."""
+    """Refuse fewer equations than coefficients without a penalty, and an invalid kappa."""
     array(kappa, "kappa", ())
     if not (np.isfinite(kappa) and kappa >= 0.0):
         raise InputError.of("linear.kappa_value", place="kappa", value=kappa)

@@ -1,4 +1,4 @@
-"""RPC files: pixel count, writing in another format, and a compensation written into the model.
+"""RPC files: pixel origin, writing in another format, and a compensation written into the model.
 
 A compensation is written exactly if the form allows it, otherwise approximately with a stated error::
 
@@ -35,9 +35,9 @@ from fg_orient.sensors.rpc_sensor import RpcSensor
 if TYPE_CHECKING:
     from fg_orient.orientation.solution import Solution
 
-#: Ends of the names of RPC files in the image's folder that GDAL prefers to the tags of the image.
+#: Suffixes of RPC files beside an image that GDAL prefers to the tags of the image.
 SIDECARS: Final = ("_RPC.TXT", "_rpc.txt", ".RPB", ".rpb")
-#: Formats that are a raster with RPC, and the ends of their names.
+#: Formats that are a raster with RPC, and their suffixes.
 IMAGES: Final = {"geotiff-tags": ".tif", "vrt": ".vrt"}
 #: Values per axis of the cube of normalised coordinates in which two models are compared.
 CUBE: Final = 7
@@ -45,7 +45,7 @@ CUBE: Final = 7
 
 @dataclass(frozen=True)
 class RpcFile:
-    """A model, and the coordinate of the centre of the first pixel in its file."""
+    """Model, and the coordinate of the centre of the first pixel in its file."""
 
     model: RpcModel
     first_pixel: float
@@ -73,7 +73,7 @@ def open_rpc(path: str | os.PathLike[str], *, order: str = USUAL_ORDER, first_pi
 
 
 def target_of(name: str | None, out: Path) -> str:
-    """Name of the format to write: as given, or by the end of the file's name.
+    """Return the name of the format to write: as given, or by the suffix of the file name.
 
     Raises
     ------
@@ -133,10 +133,13 @@ def write_as(
     back = open_rpc(out)
     line, sample = np.abs(projected_differences(model, back.model)).max(axis=0)
     return {
-        "file": str(out), "format": back.model.format, "first_pixel": back.first_pixel,
-        "round_trip_line_px": float(line), "round_trip_sample_px": float(sample),
+        "file": str(out),
+        "format": back.model.format,
+        "first_pixel": back.first_pixel,
+        "round_trip_line_px": float(line),
+        "round_trip_sample_px": float(sample),
         "not_kept": not_kept(model, back.model),
-    }  # fmt: skip
+    }
 
 
 def projected_differences(one: RpcModel, other: RpcModel) -> Array:
@@ -147,7 +150,7 @@ def projected_differences(one: RpcModel, other: RpcModel) -> Array:
 
 
 def not_kept(model: RpcModel, back: RpcModel) -> list[str]:
-    """Parts of the model that a written file does not contain, in words."""
+    """Return the parts of the model that a written file does not contain, in words."""
     out = []
     if (model.err_bias_m and not back.err_bias_m) or (model.err_rand_m and not back.err_rand_m):
         out.append("error estimates")
@@ -159,21 +162,25 @@ def not_kept(model: RpcModel, back: RpcModel) -> list[str]:
 
 
 def describe(file: RpcFile) -> dict[str, Any]:
-    """Description of a file: format, pixel count, validity, offsets, scales, notes."""
+    """Return the description of a file: format, pixel count, validity, offsets, scales, notes."""
     m = file.model
     names = ("line_px", "sample_px", "lon_deg", "lat_deg", "height_m")
     return {
-        "file": m.file, "format": m.format, "first_pixel": file.first_pixel,
-        "n_lines": m.n_lines, "n_samples": m.n_samples,
+        "file": m.file,
+        "format": m.format,
+        "first_pixel": file.first_pixel,
+        "n_lines": m.n_lines,
+        "n_samples": m.n_samples,
         "offsets": dict(zip(names, m.offsets.tolist(), strict=True)),
         "scales": dict(zip(names, m.scales.tolist(), strict=True)),
         "validity": dict(zip(names, m.validity, strict=True)),
         "validity_stated": m.stated_validity is not None,
-        "err_bias_m": m.err_bias_m, "err_rand_m": m.err_rand_m,
+        "err_bias_m": m.err_bias_m,
+        "err_rand_m": m.err_rand_m,
         "image_to_ground": m.direct is not None,
         "common_denominator": bool(np.array_equal(m.coefficients[1], m.coefficients[3])),
         "notes": list(map(str, m.notes)),
-    }  # fmt: skip
+    }
 
 
 #: Chebyshev nodes per axis of normalised coordinates for the fit of a product.
@@ -189,9 +196,9 @@ class Corrected:
     Parameters
     ----------
     model : RpcModel
-        Without the vendor's error estimates, which are no longer valid.
+        Model without the vendor's error estimates, which are no longer valid.
     exact : bool
-        No polynomial was fitted.
+        True if no polynomial was fitted.
     errors : dict
         Statistics (px) of compensated minus written at independent points.
     """
@@ -224,34 +231,39 @@ def corrected(model: RpcModel, values: npt.ArrayLike) -> Corrected:
         c[2] += values[COMPENSATION.sample_l] / scale_s * (f[0] if common else _product(f[0], f[3], f[1]))
     direct = None if model.direct is None else _direct(model, values)
     new = replace(
-        model, offsets=offsets, coefficients=c, direct=direct, err_bias_m=None, err_rand_m=None,
+        model,
+        offsets=offsets,
+        coefficients=c,
+        direct=direct,
+        err_bias_m=None,
+        err_rand_m=None,
         notes=(*model.notes, finding("rpc.compensated")),
-    )  # fmt: skip
+    )
     exact = common or not values[[COMPENSATION.sample_l, COMPENSATION.line_s]].any()
     return Corrected(new, exact, _errors(model, values, new))
 
 
 def corrected_models(solution: Solution) -> dict[str, Corrected]:
-    """Model of every RPC image of a solution with its compensation put in, by image id."""
+    """Return the model of every RPC image of a solution with its compensation included, by image id."""
     sensors = {image.id: image.sensor for image in solution.block.images if isinstance(image.sensor, RpcSensor)}
     return {name: corrected(sensor.model, solution.correction(name)) for name, sensor in sensors.items()}
 
 
 def _nodes(count: int) -> Array:
-    """Points of the cube of normalised coordinates: (count^3, 3)."""
+    """Return the points of the cube of normalised coordinates: (count^3, 3)."""
     axis = np.cos(np.pi * (np.arange(count) + 0.5) / count)
     return np.stack([a.ravel() for a in np.meshgrid(axis, axis, axis)], axis=1)
 
 
 def _product(f: Array, above: Array, below: Array) -> Array:
-    """Cubic polynomial p (20,) with p/above closest to f/below over the cube."""
+    """Return the cubic polynomial p (20,) with p/above closest to f/below over the cube."""
     m = terms(_nodes(NODES))
     weight = 1.0 / (m @ above)
     return np.asarray(np.linalg.lstsq(m * weight[:, None], (m @ f) / (m @ below), rcond=None)[0])
 
 
 def _direct(model: RpcModel, values: Array) -> Array:
-    """Coefficients from image to ground for compensated pixels: exact, as the map of the pixels is affine."""
+    """Return exact coefficients from image to ground for compensated pixels, as the map of the pixels is affine."""
     assert model.direct is not None
     scale_l, scale_s = model.scales[RANGE.image]
     matrix = np.array([
@@ -269,7 +281,7 @@ def _direct(model: RpcModel, values: Array) -> Array:
 
 
 def _errors(model: RpcModel, values: Array, new: RpcModel) -> dict[str, Any]:
-    """Statistics of compensated minus written pixels at random pixels and heights of the image."""
+    """Return the statistics of compensated minus written pixels at random pixels and heights of the image."""
     v, rng = model.validity, np.random.default_rng(1)
     line, sample, height = (rng.uniform(low, high, N_CHECK) for low, high in (v.line, v.sample, v.height_m))
     lon, lat = model.locate(line, sample, height)

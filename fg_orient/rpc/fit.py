@@ -22,7 +22,7 @@ from fg_orient.rpc.form import RfmForm
 from fg_orient.rpc.points import ControlPoints, Scaling
 from fg_orient.sensors.rpc import RpcModel, RpcValidity
 
-#: Largest number of segments between points on which denominators are computed; of more, a seeded choice.
+#: Maximum number of segments between points on which denominators are computed; from more a seeded selection is made.
 MAX_SEGMENTS: Final = 20_000
 
 
@@ -45,7 +45,7 @@ class RfmFit:
     penalised : (u,) array
         1 for penalised unknowns, else 0.
     true : bool
-        Estimated from the true equations; otherwise from the linear form.
+        True: estimated from the true equations; False: from the linear form.
     iterations : int
     notes : tuple of str
     choice : dict
@@ -79,13 +79,13 @@ class RfmFit:
         return self.form.coefficients(self.x)
 
     def project(self, ground: Array) -> tuple[Array, Array]:
-        """Line and sample (pixels) of ground points (n, 3): longitude, latitude in degrees, height in m."""
+        """Return line and sample (pixels) of ground points (n, 3): longitude, latitude in degrees, height in m."""
         normalised = self.form.image(self.x, self.form.monomials(self.scaling.ground(ground)))
         line, sample = (normalised * self.scaling.scales[RANGE.image] + self.scaling.offsets[RANGE.image]).T
         return line, sample
 
     def model(self, n_lines: int | None = None, n_samples: int | None = None, file: str = "") -> RpcModel:
-        """Model for projection, location and files; its validity range is the range of the points.
+        """Return the model for projection, location and files; its validity range is the range of the points.
 
         Parameters
         ----------
@@ -102,12 +102,21 @@ class RfmFit:
         low, high = self.points.columns.min(axis=0), self.points.columns.max(axis=0)
         ranges = zip(low.tolist(), high.tolist(), strict=True)
         return RpcModel(
-            self.scaling.offsets, self.scaling.scales, self.coefficients, RpcValidity(*ranges), n_lines, n_samples,
-            file=file, notes=tuple(finding("rpc.of_solver", note=note) for note in self.notes),
-        )  # fmt: skip
+            self.scaling.offsets,
+            self.scaling.scales,
+            self.coefficients,
+            RpcValidity(*ranges),
+            n_lines,
+            n_samples,
+            file=file,
+            notes=tuple(finding("rpc.of_solver", note=note) for note in self.notes),
+        )
 
     def residuals_px(self, points: ControlPoints | None = None) -> Array:
-        """True image residuals, projected minus observed: (n, 2) line and sample; default of the fitted points."""
+        """Return true image residuals, projected minus observed: (n, 2) line and sample.
+
+        Default: of the fitted points.
+        """
         chosen = points or self.points
         line, sample = self.project(chosen.ground)
         return np.column_stack([line - chosen.line, sample - chosen.sample])
@@ -119,7 +128,7 @@ class RfmFit:
 
     @property
     def linear_residuals_px(self) -> Array:
-        """V = A x - l of the linear form, scaled to pixels: (n, 2) line and sample."""
+        """v = A x - l of the linear form, scaled to pixels: (n, 2) line and sample."""
         design, observed = self._linear_form
         sample, line = (design @ self.x - observed).reshape(2, -1)
         return np.asarray(np.column_stack([line, sample]) * self.scaling.scales[RANGE.image])
@@ -163,14 +172,14 @@ class RfmFit:
 
     @property
     def leverages(self) -> Array:
-        """Hat matrix of each point (n, 2, 2), sample first: derivatives of its adjusted by its own observations."""
+        """Hat matrix of each point (n, 2, 2), sample first: derivatives of its adjusted by its observed coordinates."""
         return leverages(self.design, self._penalty)
 
     @cached_property
     def cofactors(self) -> Array | None:
         """Cofactor matrix (u, u) of the unknowns; None if the design is rank-deficient and there is no penalty.
 
-        With a penalty it is the posterior cofactor matrix, the penalty being the prior.
+        With a penalty it is the posterior cofactor matrix, with the penalty as prior.
         """
         if self.kappa == 0.0 and self.rank < len(self.x):
             return None
@@ -203,7 +212,7 @@ class RfmFit:
 
     @property
     def has_pole(self) -> bool:
-        """Whether a denominator vanishes or changes its sign at the points or between them."""
+        """True if a denominator vanishes or changes its sign at the points or between them."""
         return not bool((self.least_denominators > 0.0).all())
 
     def without_pole(self) -> RfmFit:
@@ -221,14 +230,14 @@ class RfmFit:
 
 
 def rms(residuals: Array) -> Array:
-    """RMS by column; inf where a residual is not finite."""
+    """Return the RMS by column; inf where a residual is not finite."""
     with np.errstate(over="ignore", invalid="ignore"):
         out = np.sqrt(np.mean(residuals**2, axis=0))
     return np.where(np.isfinite(out), out, np.inf)
 
 
 def leverages(design: Array, penalty: Array) -> Array:
-    """Hat matrix blocks (n, 2, 2) of points whose rows are i and n + i of the design (2 n, u)."""
+    """Return the hat matrix blocks (n, 2, 2) of points whose rows are i and n + i of the design (2 n, u)."""
     n = len(design) // 2
     rows = np.vstack([design, np.diag(np.sqrt(penalty))]) if penalty.any() else design
     left, values, _ = np.linalg.svd(rows, full_matrices=False)
@@ -238,9 +247,9 @@ def leverages(design: Array, penalty: Array) -> Array:
 
 
 def least_denominators(form: RfmForm, x: Array, ground: Array) -> Array:
-    """Smallest denominators (2,) at normalised points (n, 3) and between them.
+    """Return the smallest denominators (2,) at normalised points (n, 3) and between them.
 
-    On a segment a denominator is a cubic: four values give it, its minimum is exact.
+    On a segment a denominator is a cubic: four values determine it, and its minimum is exact.
     """
     first, second = _pairs(len(ground))
     ends = form.below(x, form.monomials(ground))
@@ -255,7 +264,7 @@ def least_denominators(form: RfmForm, x: Array, ground: Array) -> Array:
     lowest = [ends.min(axis=0)]
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         root = np.sqrt(c2**2 - 3.0 * c1 * c3)
-        for t in ((-c2 + root) / (3.0 * c3), -c1 / (c2 + root)):  # both forms: c3 may be zero
+        for t in ((-c2 + root) / (3.0 * c3), -c1 / (c2 + root)):  # both forms are needed because c3 may be zero
             inside = (t > 0.0) & (t < 1.0)
             values = f0 + t * (c1 + t * (c2 + t * c3))
             lowest.append(np.where(inside, values, np.inf).min(axis=0))
@@ -263,7 +272,7 @@ def least_denominators(form: RfmForm, x: Array, ground: Array) -> Array:
 
 
 def _pairs(n: int) -> tuple[Index, Index]:
-    """All pairs of n points, or a seeded choice of the pairs."""
+    """Return all pairs of n points, or a seeded selection of pairs."""
     if n * (n - 1) // 2 <= MAX_SEGMENTS:
         first, second = np.triu_indices(n, 1)
         return first, second
@@ -284,7 +293,7 @@ class CrossValidation:
     residuals_px : (n, 2) array
         True image residuals, projected minus observed, line and sample; inf for folds without a solution.
     fits : tuple of RfmFit or None
-        One per fold.
+        Fit of each fold.
     failures : dict
         Reason why a fold has no solution, by fold.
     """
@@ -300,31 +309,35 @@ class CrossValidation:
 
     @property
     def choices(self) -> dict[str, int]:
-        """Choices of the folds and their numbers, most frequent first."""
+        """Choices of the folds with their counts, most frequent first."""
         words = (", ".join(f"{k} {v}" for k, v in f.choice.items()) for f in self.fits if f is not None)
         return dict(Counter(words).most_common())
 
 
 def cross_validate(
-    points: ControlPoints, estimator: Estimator, *, folds: int | None = None, seed: int = 1,
+    points: ControlPoints,
+    estimator: Estimator,
+    *,
+    folds: int | None = None,
+    seed: int = 1,
     progress: Progress | None = None,
-) -> CrossValidation:  # fmt: skip
-    """Leave out each point, or each of k folds; fit the other points and project the points left out.
+) -> CrossValidation:
+    """Leave out each point, or each of k folds; fit the other points and project the excluded points.
 
-    The estimator receives the points of the other folds only, and chooses its kappa or terms anew in each fold (nested
+    The estimator receives only the points of the other folds, and chooses its kappa or terms again in each fold (nested
     cross-validation, Varma & Simon 2006).
 
     Parameters
     ----------
     points : ControlPoints
     estimator : callable
-        ControlPoints to RfmFit, for instance ``lambda p: fit_selected(p, form, "ridge_gcv")``.
+        Function from ControlPoints to RfmFit, for instance ``lambda p: fit_selected(p, form, "ridge_gcv")``.
     folds : int, optional
         k; default leave-one-out.
     seed : int
         Seed of the assignment of points to folds.
     progress : callable, optional
-        Called with (done, of, text) before each fold.
+        Function that is called with (done, of, text) before each fold.
 
     Raises
     ------

@@ -27,7 +27,7 @@ from fg_orient.sensors.base import Sensor
 from fg_orient.sensors.rpc import NEAR_ZERO, RpcModel
 
 FOLDS: Final = 10
-#: Ratio of errors at points left out to errors of the fit, above which there are too many coefficients.
+#: Ratio of errors at excluded points to errors of the fit, above which there are too many coefficients.
 OVERFITTED: Final = 3.0
 
 
@@ -35,8 +35,9 @@ def fit_to(points: ControlPoints, options: FitOptions) -> RfmFit:
     """Fit to points; poles are allowed, ``RfmFit.has_pole`` reports them."""
     form, kappa = RfmForm(options.degree, options.denominators), options.kappa or 0.0
     if options.selector is not None:
-        return fit_selected(points, form, options.selector, allow_pole=True, seed=options.seed,
-                            evaluations=options.evaluations)  # fmt: skip
+        return fit_selected(
+            points, form, options.selector, allow_pole=True, seed=options.seed, evaluations=options.evaluations
+        )
     methods: dict[str, Callable[..., RfmFit]] = {"true": fit_true, "linear": fit_linear, "weighted": fit_weighted}
     solver = {"solver": options.solver or SOLVER} if options.equations == "linear" else {}
     return methods[options.equations](
@@ -54,7 +55,7 @@ def fit_points(
     Returns
     -------
     model : RpcModel
-        Its validity range is that of the control points.
+        Model whose validity range is that of the control points.
     record : dict
         status, warnings, degree, denominators, equations, method, choice, kappa, unknowns, rank, condition, redundancy,
         least_denominators, m0_linear_px, m0_px, control, check, cross_validation.
@@ -72,25 +73,40 @@ def fit_points(
     validation = _validation(control, options, progress)
     least = fit.least_denominators
     record = {
-        "source": "points", "degree": options.degree, "denominators": options.denominators,
-        "equations": options.equations, "normalised": options.normalise, "method": fit.method, "choice": fit.choice,
-        "kappa": fit.kappa, "unknowns": len(fit.form), "rank": fit.rank, "condition": fit.conditioning.cond_norm,
-        "redundancy": fit.redundancy, "iterations": fit.iterations,
-        "least_denominator_line": float(least[0]), "least_denominator_sample": float(least[1]),
-        "m0_linear_px": fit.m0_linear_px, "m0_px": fit.m0_px,
+        "source": "points",
+        "degree": options.degree,
+        "denominators": options.denominators,
+        "equations": options.equations,
+        "normalised": options.normalise,
+        "method": fit.method,
+        "choice": fit.choice,
+        "kappa": fit.kappa,
+        "unknowns": len(fit.form),
+        "rank": fit.rank,
+        "condition": fit.conditioning.cond_norm,
+        "redundancy": fit.redundancy,
+        "iterations": fit.iterations,
+        "least_denominator_line": float(least[0]),
+        "least_denominator_sample": float(least[1]),
+        "m0_linear_px": fit.m0_linear_px,
+        "m0_px": fit.m0_px,
         "control": statistics(fit.residuals_px()),
         "check": None if not len(check) else statistics(fit.residuals_px(check.points)),
-        "cross_validation": None if validation is None else {
-            "folds": len(validation.fits), "statistics": statistics(validation.residuals_px),
-            "choices": validation.choices, "failures": len(validation.failures),
+        "cross_validation": None
+        if validation is None
+        else {
+            "folds": len(validation.fits),
+            "statistics": statistics(validation.residuals_px),
+            "choices": validation.choices,
+            "failures": len(validation.failures),
         },
-    }  # fmt: skip
+    }
     model = fit.model()
     return model, {**judged([*_doubts(fit, validation), *model.notes]), **record}
 
 
 def _validation(control: ControlPoints, options: FitOptions, progress: Progress | None) -> CrossValidation | None:
-    """Cross-validation that repeats every choice in each fold; None if a fold has too few points."""
+    """Cross-validate with every choice repeated in each fold; None if a fold has too few points."""
     folds = options.folds or min(FOLDS, len(control))
     try:
         every = None if folds == len(control) else folds
@@ -104,7 +120,7 @@ def _validation(control: ControlPoints, options: FitOptions, progress: Progress 
 
 
 def _doubts(fit: RfmFit, validation: CrossValidation | None) -> list[Finding]:
-    """Findings that make a fit unfit for use."""
+    """Return the findings that make a fit unfit for use."""
     out, least = [], float(fit.least_denominators.min())
     if fit.has_pole:
         out.append(finding("rpc.sign_change", least=least))
@@ -153,18 +169,22 @@ def fit_image(
     small = float(least.min()) < NEAR_ZERO
     record = {
         **judged([finding("rpc.near_zero", least=least.min())] if small else []),
-        "source": "sensor", "degree": degree, "denominators": denominators, "grid": list(shape),
+        "source": "sensor",
+        "degree": degree,
+        "denominators": denominators,
+        "grid": list(shape),
         "heights_m": list(heights_m),
-        "least_denominator_line": float(least[0]), "least_denominator_sample": float(least[1]),
+        "least_denominator_line": float(least[0]),
+        "least_denominator_sample": float(least[1]),
         "fit": _errors(fit.fit_px, ("line_px", "sample_px")),
         "check": _errors(fit.check_px, ("line_px", "sample_px")),
         "image_to_ground": _errors(fit.inverse_m, ("east_m", "north_m")),
-    }  # fmt: skip
+    }
     return replace(fit.model(sensor.file), notes=()), record
 
 
 def _errors(residuals: Array, axes: tuple[str, str]) -> dict[str, Any]:
-    """Number of points, RMS and largest amount of residuals (n, 2) by axis."""
+    """Return the number of points, RMS and largest amount of residuals (n, 2) by axis."""
     figures = {"rms": rms(residuals), "max": np.abs(residuals).max(axis=0)}
     named = {f"{name}_{axis}": float(v) for name, two in figures.items() for axis, v in zip(axes, two, strict=True)}
     return {"n": len(residuals), **named}

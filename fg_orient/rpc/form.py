@@ -35,7 +35,7 @@ class RfmForm:
     degree : int
         1, 2 or 3: largest total degree of a monomial.
     denominators : "separate", "common" or "one"
-        A denominator for each image coordinate; the same for both (IKONOS: b = d); no denominator (polynomials).
+        A separate denominator for each image coordinate; a common one (IKONOS: b = d); or no denominator (polynomials).
     kept : tuple of int, optional
         Estimated unknowns of the complete form; the others are zero. Default: all.
 
@@ -62,7 +62,7 @@ class RfmForm:
 
     @property
     def n_terms(self) -> int:
-        """Monomials p of a polynomial: 4, 10, 20."""
+        """Number p of monomials of a polynomial: 4, 10, 20."""
         return _N_TERMS[self.degree]
 
     def __len__(self) -> int:
@@ -70,7 +70,7 @@ class RfmForm:
 
     @cached_property
     def _embedding(self) -> Array:
-        """Coefficients a, b, c, d of both coordinates from the unknowns of the complete form: (4 p - 2, u)."""
+        """Matrix (4 p - 2, u) from the unknowns of complete form to the coefficients a, b, c, d of both coordinates."""
         p = self.n_terms
         one = np.eye(4 * p - 2)
         a, b, c, d = one[:, :p], one[:, p : 2 * p - 1], one[:, 2 * p - 1 : 3 * p - 1], one[:, 3 * p - 1 :]
@@ -80,7 +80,7 @@ class RfmForm:
 
     @cached_property
     def expansion(self) -> Array:
-        """The same for the estimated unknowns only: (4 p - 2, u) of zeros and ones."""
+        """Matrix (4 p - 2, u) of zeros and ones for the estimated unknowns only."""
         return self._embedding if self.kept is None else np.ascontiguousarray(self._embedding[:, list(self.kept)])
 
     @cached_property
@@ -99,11 +99,11 @@ class RfmForm:
         return np.array([name[0] in "bd" or sum(map(int, name[1:])) > 1 for name in self.names])
 
     def monomials(self, ground: Array) -> Array:
-        """Monomials of normalised ground coordinates in the published order: (n, 3) -> (n, p)."""
+        """Return the monomials of normalised ground coordinates in the published order: (n, 3) -> (n, p)."""
         return np.ascontiguousarray(terms(ground)[:, permutation("RPC00B", _PUBLISHED)[: self.n_terms]])
 
     def design(self, m: Array, image: Array) -> tuple[Array, Array]:
-        """Linear form A x = l: rows of the sample, then of the line.
+        """Return the linear form A x = l: rows of the sample, then of the line.
 
         Parameters
         ----------
@@ -126,29 +126,29 @@ class RfmForm:
         return full if self.expansion.shape[0] == self.expansion.shape[1] else full @ self.expansion
 
     def parts(self, x: Array) -> tuple[Array, Array, Array, Array]:
-        """Coefficients a (p,), b (p - 1,), c (p,), d (p - 1,) from the unknowns."""
+        """Return the coefficients a (p,), b (p - 1,), c (p,), d (p - 1,) from the unknowns."""
         z, p = self.expansion @ x, self.n_terms
         return z[:p], z[p : 2 * p - 1], z[2 * p - 1 : 3 * p - 1], z[3 * p - 1 :]
 
     def below(self, x: Array, m: Array) -> Array:
-        """Denominators of line and sample: (n, 2)."""
+        """Return the denominators of line and sample: (n, 2)."""
         _, b, _, d = self.parts(x)
         return np.column_stack([1.0 + m[:, 1:] @ d, 1.0 + m[:, 1:] @ b])
 
     def image(self, x: Array, m: Array) -> Array:
-        """Normalised line and sample: (n, 2)."""
+        """Return the normalised line and sample: (n, 2)."""
         a, _, c, _ = self.parts(x)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             return np.asarray(np.column_stack([m @ c, m @ a]) / self.below(x, m))
 
     def jacobian(self, x: Array, m: Array) -> Array:
-        """Derivatives of the true equations, rows of the sample, then of the line: (2 n, u)."""
+        """Return the derivatives of the true equations, rows of the sample, then of the line: (2 n, u)."""
         image, below = self.image(x, m), self.below(x, m)
         c, a = m / below[:, :1], m / below[:, 1:]
         return self._rows(a, -image[:, 1:] * a[:, 1:], c, -image[:, :1] * c[:, 1:])
 
     def coefficients(self, x: Array) -> Array:
-        """Line numerator, line denominator, sample numerator, sample denominator in RPC00B order: (4, 20)."""
+        """Return line numerator, line denominator, sample numerator, sample denominator in RPC00B order: (4, 20)."""
         a, b, c, d = self.parts(x)
         out = np.zeros((4, _N_TERMS[3]))
         for row, values in enumerate((c, np.r_[1.0, d], a, np.r_[1.0, b])):

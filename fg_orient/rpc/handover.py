@@ -1,8 +1,8 @@
-"""Hand-over of RPC to other programs: the files that a program reads, and how it reads them.
+"""Export of RPC to other programs: the files that a program reads, and how it reads them.
 
 ASP's ``.adjust`` files move a camera: a ground point X is projected where the vendor's model projects X - t, with a
-translation t in ECEF. A compensation in the image is such a movement only approximately; the file is written if the two
-agree within ``SAME_PX`` everywhere in the image, otherwise the reason is given.
+translation t in ECEF. A compensation in the image equals such a movement only approximately. The file is written if the
+two agree within ``SAME_PX`` everywhere in the image; otherwise the reason is given.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from fg_orient.rpc.virtual_grid import with_image_to_ground
 from fg_orient.sensors.rpc import RpcModel
 from fg_orient.sensors.rpc_sensor import RpcSensor
 
-#: Largest difference of a movement of the camera and a compensation, px.
+#: Largest difference between a movement of the camera and a compensation, px.
 SAME_PX: Final = 0.01
-#: Points per axis of the image and the heights at which they are compared.
+#: Number of points per axis of the image and the heights at which they are compared.
 NODES: Final = (9, 9, 5)
 
 
@@ -48,7 +48,7 @@ class Program:
     use: str
 
 
-#: Programs by their names; ``{stem}`` stands for the name of the image without its end.
+#: Programs by name; ``{stem}`` stands for the image's name without its suffix.
 PROGRAMS: Final = {
     "gdal": Program(
         "rpc-txt", "_RPC.TXT",
@@ -82,7 +82,7 @@ PROGRAMS: Final = {
 
 @dataclass(frozen=True)
 class Handed:
-    """Model of an image with its compensation (6,) px put in, or None if it is unknown, and the name of its files."""
+    """Model of an image, its included compensation (6,) px, None if unknown, and the name of its files."""
 
     model: RpcModel
     values: Array | None
@@ -131,9 +131,14 @@ def models_of(result: Path) -> tuple[dict[str, Handed], tuple[Finding, ...]]:
 
 
 def hand_over(
-    models: Mapping[str, Handed], out: Path, program: str = "", *, target: str = "",
-    images: Mapping[str, Path] | None = None, overwrite: bool = False,
-) -> tuple[list[dict[str, Any]], tuple[Finding, ...]]:  # fmt: skip
+    models: Mapping[str, Handed],
+    out: Path,
+    program: str = "",
+    *,
+    target: str = "",
+    images: Mapping[str, Path] | None = None,
+    overwrite: bool = False,
+) -> tuple[list[dict[str, Any]], tuple[Finding, ...]]:
     """Write the files that a program reads, or files of one format, into a folder.
 
     Parameters
@@ -145,7 +150,7 @@ def hand_over(
     program : str
         One of ``PROGRAMS``.
     target : str
-        Instead of it, name of a format.
+        Name of a format, as an alternative to ``program``.
     images : mapping of str to Path, optional
         Raster files by image id: the files are named after them. ``gdal`` and ``qgis`` also get a virtual raster;
         ``geotiff-tags`` and ``vrt`` need them.
@@ -186,14 +191,21 @@ def hand_over(
     paths = {name: out / f"adjust-{stems[name]}.adjust" for name, move in moved.items() if move.is_same}
     require_free_files(*(path for _, path, _ in jobs), *paths.values(), overwrite=overwrite)
     out.mkdir(parents=True, exist_ok=True)
-    # readers of DIMAP want both directions
-    whole = {name: with_image_to_ground(handed.model) if kind.format == "dimap" and handed.model.direct is None
-             else handed.model for name, handed in models.items()}  # fmt: skip
+    # readers of DIMAP need both directions
+    whole = {
+        name: with_image_to_ground(handed.model)
+        if kind.format == "dimap" and handed.model.direct is None
+        else handed.model
+        for name, handed in models.items()
+    }
     written = [
-        {"image": name, **write_as(whole[name], path, form, overwrite=overwrite, image=images.get(name)),
-         "use": kind.use.format(stem=stems[name])}
+        {
+            "image": name,
+            **write_as(whole[name], path, form, overwrite=overwrite, image=images.get(name)),
+            "use": kind.use.format(stem=stems[name]),
+        }
         for name, path, form in jobs
-    ]  # fmt: skip
+    ]
     notes = []
     for name, move in moved.items():
         if name in paths:
@@ -205,7 +217,7 @@ def hand_over(
 
 
 def _end_of(target: str) -> str:
-    """End of the name of a file of a format."""
+    """Return the suffix of a file of a format."""
     return {"rpc-txt": "_RPC.TXT", "rpb": ".RPB", **IMAGES}.get(target) or formats("rpc")[target].suffixes[0]
 
 
@@ -221,7 +233,7 @@ class Translation:
 
     @property
     def is_same(self) -> bool:
-        """Whether the movement replaces the compensation."""
+        """True if the movement replaces the compensation."""
         return self.most_px <= SAME_PX
 
     @property
@@ -231,10 +243,14 @@ class Translation:
 
 
 def translation(handed: Handed) -> Translation:
-    """Movement of the vendor's camera that is nearest to a compensation, over image and heights."""
+    """Return the movement of the vendor's camera that is nearest to a compensation, over image and heights."""
     model = handed.model
-    axes = [np.linspace(low, high, n) for (low, high), n in zip(
-        (model.validity.line, model.validity.sample, model.validity.height_m), NODES, strict=True)]  # fmt: skip
+    axes = [
+        np.linspace(low, high, n)
+        for (low, high), n in zip(
+            (model.validity.line, model.validity.sample, model.validity.height_m), NODES, strict=True
+        )
+    ]
     line, sample, height = (a.ravel() for a in np.meshgrid(*axes))
     lon, lat = model.locate(line, sample, height)
     seen = np.isfinite(lon)
@@ -243,7 +259,7 @@ def translation(handed: Handed) -> Translation:
     def misfit(move: Array) -> Array:
         return np.asarray((vendor_pixels(handed, *ecef_to_geodetic(ground - move)) - wanted).ravel())
 
-    move, steps = np.zeros(3), np.eye(3)  # 1 m, about a pixel
+    move, steps = np.zeros(3), np.eye(3)  # steps of 1 m, about a pixel
     for _ in range(3):
         jacobian = np.stack([0.5 * (misfit(move + step) - misfit(move - step)) for step in steps], axis=1)
         move = move - np.linalg.lstsq(jacobian, misfit(move), rcond=None)[0]
@@ -251,7 +267,7 @@ def translation(handed: Handed) -> Translation:
 
 
 def vendor_pixels(handed: Handed, lon_deg: Array, lat_deg: Array, height_m: Array) -> Array:
-    """Line and sample (N, 2) of the model without its compensation, whose map of the pixels is inverted."""
+    """Return line and sample (N, 2) of the model without its compensation, by the inverse map of the pixels."""
     model, c = handed.model, np.zeros(6) if handed.values is None else handed.values
     scale = model.scales[RANGE.image]
     offset = model.offsets[RANGE.image] - c[[COMPENSATION.line, COMPENSATION.sample]]

@@ -15,10 +15,10 @@ Penalty = Literal["beyond_affine", "identity"]
 
 MODEL: Final = Group("Model")
 POINTS: Final = Group("Fit to control points (POINTS)")
-#: Default selection: the one with the smallest cross-validated errors at real points.
+#: Default selection: the method with the smallest cross-validated errors at real points.
 SELECTION: Final = "ridge_press"
 NO_SELECTION: Final = "none"
-#: Number of subsets of coefficients that a random search evaluates at most.
+#: Maximum number of subsets of coefficients that a random search evaluates.
 EVALUATIONS: Final = 2000
 
 # fmt: off

@@ -1,8 +1,8 @@
-"""Points of an image: control points of a rational function model, their normalisation, measured points from a file.
+"""Points of an image: control points of a rational function model, their normalisation, and measured points of a file.
 
 Columns of a CSV file: id, line, sample (pixels, (0, 0) = centre of the first pixel), lon_deg, lat_deg, height_m
-(ellipsoidal); and, if wanted, role (control or check), sigma_line_px, sigma_sample_px. A file of control points
-(``.gcp``) has rows of id, line, sample, latitude, longitude (degrees), height (m).
+(ellipsoidal); optional role (control or check), sigma_line_px, sigma_sample_px. A file of control points (``.gcp``) has
+rows of id, line, sample, latitude, longitude (degrees), height (m).
 """
 
 from __future__ import annotations
@@ -46,8 +46,11 @@ class ControlPoints:
 
     def __post_init__(self) -> None:
         line = array(self.line, "line", (-1,))
-        read = {"line": line, "sample": array(self.sample, "sample", line.shape),
-                "ground": array(self.ground, "ground", (len(line), 3))}  # fmt: skip
+        read = {
+            "line": line,
+            "sample": array(self.sample, "sample", line.shape),
+            "ground": array(self.ground, "ground", (len(line), 3)),
+        }
         if not len(line):
             raise InputError.of("rfm.points", place="control points", value="0 points")
         for name, values in read.items():
@@ -63,7 +66,7 @@ class ControlPoints:
         return np.column_stack([self.line, self.sample, self.ground])
 
     def take(self, index: Index | Mask) -> ControlPoints:
-        """Some of the points, or all of them in another order."""
+        """Return some of the points, or all of them in another order."""
         return ControlPoints(self.line[index], self.sample[index], self.ground[index])
 
 
@@ -82,7 +85,7 @@ class Scaling:
 
     @classmethod
     def of(cls, points: ControlPoints, *, normalise: bool = True) -> Scaling:
-        """Scaling of each coordinate to [-1, 1], T(3.51), or without ``normalise`` the identity.
+        """Return the scaling of each coordinate to [-1, 1], T(3.51), or without ``normalise`` the identity.
 
         Raises
         ------
@@ -100,11 +103,11 @@ class Scaling:
         return cls(0.5 * (high + low), 0.5 * (high - low))
 
     def ground(self, ground: Array) -> Array:
-        """Normalised longitude, latitude, height (n, 3)."""
+        """Return the normalised longitude, latitude, height (n, 3)."""
         return _normalised(ground, self.offsets[RANGE.ground], self.scales[RANGE.ground])
 
     def image(self, line: Array, sample: Array) -> Array:
-        """Normalised line and sample (n, 2)."""
+        """Return the normalised line and sample (n, 2)."""
         return _normalised(np.column_stack([line, sample]), self.offsets[RANGE.image], self.scales[RANGE.image])
 
 
@@ -113,7 +116,7 @@ def _normalised(values: Array, offsets: Array, scales: Array) -> Array:
 
 
 _COLUMNS: Final = 6
-#: The control points of the SPOT-6 scene of Terlemezoğlu 2019 in the folder of real data.
+#: Folder and file, among the real data, of the control points of the SPOT-6 scene of Terlemezoğlu 2019.
 SPOT6_FOLDER: Final = "geoetrim-pleiades"
 SPOT6_FILE: Final = "SPOT6_201805150822087_GCP_WGS84_blh.gcp"
 
@@ -156,7 +159,7 @@ def read_gcp(path: Path) -> ControlPoints:
 
 
 def find_spot6(where: Path) -> Path:
-    """Path of the SPOT-6 points: the file itself, or inside a folder of real data.
+    """Return the path of the SPOT-6 points: the file itself, or inside a folder of real data.
 
     Raises
     ------
@@ -207,19 +210,19 @@ class MeasuredPoints(PointTable):
     Parameters
     ----------
     sigma_px : (n, 2) array
-        Of line and sample; 1 where the file has none.
+        Standard deviations of line and sample; 1 if the file has none.
     """
 
     sigma_px: Array
 
     def take(self, index: Mask) -> MeasuredPoints:
-        """Some of the points."""
+        """Return some of the points."""
         ids = tuple(name for name, wanted in zip(self.ids, index, strict=True) if wanted)
         return MeasuredPoints(ids, self.check[index], self.image[index], self.ground[index], self.sigma_px[index])
 
     @property
     def points(self) -> ControlPoints:
-        """The same for the estimators; at least one point."""
+        """Points in the form for the estimators; at least one point."""
         return ControlPoints(self.image[:, 0], self.image[:, 1], self.ground)
 
 
@@ -251,7 +254,7 @@ def read_measured(path: Path) -> MeasuredPoints:
 
 
 def ids_and_checks(table: Table) -> tuple[tuple[str, ...], Mask]:
-    """Ids of the points, and whether their role is "check" (n,), by default "control".
+    """Return the ids of the points, and whether their role is "check" (n,), by default "control".
 
     Empty and repeated ids and other roles are refused.
     """
@@ -262,7 +265,7 @@ def ids_and_checks(table: Table) -> tuple[tuple[str, ...], Mask]:
 
 
 def checks(table: Table) -> Mask:
-    """Whether the role of a point is "check" (n,), by default "control"; other roles are refused."""
+    """Return whether the role of a point is "check" (n,), by default "control"; other roles are refused."""
     if "role" not in table.columns:
         return np.zeros(len(table), bool)
     check = table.where("role", Role.CHECK)

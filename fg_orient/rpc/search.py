@@ -1,9 +1,9 @@
-"""Choice of the coefficients of a rational function model by random search: genetic, and by a particle swarm.
+"""Selection of the coefficients of a rational function model by random search: genetic, and by a particle swarm.
 
-Both look for the subset of the coefficients beyond the affine part with the smallest sum of squared errors at points
-left out of the linear form (Allen 1974). In the end single coefficients are added or dropped while this decreases the
-sum. The publications divide the points into control and dependent check points instead, and describe their operators in
-words. Seed and largest number of evaluated subsets are those of the reduced system.
+Both search the subset of the coefficients beyond the affine part with the smallest sum of squared errors of the linear
+form at excluded points (Allen 1974). In the end single coefficients are added or dropped while this decreases the sum.
+The publications divide the points into control and dependent check points instead, and describe their operators in
+words. The reduced system contains the seed and the maximum number of evaluated subsets.
 """
 
 from __future__ import annotations
@@ -22,19 +22,20 @@ SWARM: Final = 30
 DENSITY: Final = 0.3
 #: Number of the best subsets that stay in the population.
 ELITE: Final = 4
-#: Weights of the last velocity and of the differences from a particle's own and the swarm's best subset; largest speed.
+#: Weights of the last velocity and of the differences from a particle's own best subset and from the best subset of the
+#: swarm; largest speed.
 INERTIA: Final = 0.7
 TO_OWN: Final = 1.5
 TO_BEST: Final = 1.5
 FASTEST: Final = 4.0
-#: Generations without a better subset after which a search ends.
+#: Number of generations without a better subset after which a search ends.
 IDLE: Final = 25
-#: Smallest diagonal element of the triangular factor of columns of length 1: others depend on each other.
+#: Smallest diagonal element of the triangular factor of columns of length 1; below it the columns are dependent.
 DEPENDENT: Final = 1e-9
 
 
 def left_out_squares(reduced: Reduced, chosen: Index) -> float:
-    """Sum of squared errors at points left out, with both equations of a point; inf for columns that are dependent.
+    """Return the sum of squared errors at excluded points, both equations together; inf for dependent columns.
 
     Parameters
     ----------
@@ -52,7 +53,7 @@ def left_out_squares(reduced: Reduced, chosen: Index) -> float:
     both = np.stack([basis[:n], basis[n:]], axis=1)
     free = np.eye(2) - both @ np.swapaxes(both, 1, 2)
     determinant = free[:, 0, 0] * free[:, 1, 1] - free[:, 0, 1] ** 2
-    if (determinant <= DEPENDENT).any():  # a point that alone determines a coefficient
+    if (determinant <= DEPENDENT).any():  # a single point determines a coefficient
         return np.inf
     return float(np.sum(np.linalg.solve(free, np.stack([v[:n], v[n:]], axis=1)[:, :, None]) ** 2))
 
@@ -70,11 +71,11 @@ class _Search:
 
     @property
     def is_spent(self) -> bool:
-        """Whether as many subsets were evaluated as allowed."""
+        """True if as many subsets were evaluated as allowed."""
         return len(self.known) >= self.reduced.evaluations
 
     def start(self, count: int) -> Mask:
-        """Random subsets (count, q)."""
+        """Return random subsets (count, q)."""
         return self.limited(self.random.random((count, self.size)) < DENSITY)
 
     def limited(self, subsets: Mask) -> Mask:
@@ -86,7 +87,7 @@ class _Search:
         return subsets
 
     def evaluate(self, subsets: Iterable[Mask]) -> Array:
-        """Sums of squares of subsets; inf beyond the budget."""
+        """Return the sums of squares of subsets; inf beyond the budget."""
         out = []
         for subset in subsets:
             key = subset.tobytes()
@@ -98,7 +99,7 @@ class _Search:
         return np.array(out)
 
     def finished(self) -> Selection:
-        """Best subset, after changes of single coefficients that improve it."""
+        """Return the best subset, after changes of single coefficients that improve it."""
         before = np.inf
         while self.least < before and not self.is_spent:
             before = self.least
@@ -109,7 +110,7 @@ class _Search:
 
 @register_selection("genetic", "genetic search", source="after Valadan Zoej et al. 2007; Naeini et al. 2017")
 def genetic(reduced: Reduced) -> Selection:
-    """Subset with the smallest errors at points left out, by a genetic search.
+    """Find the subset with the smallest errors at excluded points, by a genetic search.
 
     Parents are the better of two random subsets each; a child takes each coefficient from either parent, and each
     changes with probability 1/q. The best four subsets stay.
@@ -135,7 +136,7 @@ def genetic(reduced: Reduced) -> Selection:
 
 @register_selection("particle_swarm", "particle swarm", source="after Moghaddam et al. 2018; Kennedy & Eberhart 1997")
 def particle_swarm(reduced: Reduced) -> Selection:
-    """Subset with the smallest errors at points left out, by a binary particle swarm.
+    """Find the subset with the smallest errors at excluded points, by a binary particle swarm.
 
     A velocity of each coefficient changes towards the particle's own and the swarm's best subset; the coefficient is
     in the subset with the probability 1/(1 + exp(-velocity)).
@@ -152,8 +153,11 @@ def particle_swarm(reduced: Reduced) -> Selection:
             (own ^ place) * np.where(own, 1.0, -1.0),
             (search.best ^ place) * np.where(search.best, 1.0, -1.0),
         )
-        velocity = (INERTIA * velocity + TO_OWN * random.random(place.shape) * to_own
-                    + TO_BEST * random.random(place.shape) * to_best)  # fmt: skip
+        velocity = (
+            INERTIA * velocity
+            + TO_OWN * random.random(place.shape) * to_own
+            + TO_BEST * random.random(place.shape) * to_best
+        )
         velocity = np.clip(velocity, -FASTEST, FASTEST)
         place = search.limited(random.random(place.shape) < 1.0 / (1.0 + np.exp(-velocity)))
         now = search.evaluate(place)

@@ -1,4 +1,4 @@
-"""Choice of the coefficients of a rational function model, or of a penalty on them.
+"""Selection of the coefficients of a rational function model, or of a penalty on them.
 
 A selection is ``function(reduced: Reduced) -> Selection``: it returns the coefficients beyond the affine part that are
 kept, or a kappa. :func:`fit_selected` then fits the true equations with them. The publications describe their methods
@@ -52,7 +52,7 @@ class Reduced:
     affine : (r, k) array
         Orthonormal basis of the affine columns.
     seed, evaluations : int
-        Of a random search: its seed, and the largest number of subsets that it evaluates.
+        Seed of a random search, and the maximum number of subsets that it evaluates.
     """
 
     design: Array
@@ -84,7 +84,7 @@ class Reduced:
 
     @property
     def system(self) -> LinearSystem:
-        """As a linear system, for the rules of :mod:`fg_orient.adjustment.linear.kappa`."""
+        """Linear system for the rules of :mod:`fg_orient.adjustment.linear.kappa`."""
         return LinearSystem.from_design(self.design, self.observed)
 
     @property
@@ -93,7 +93,7 @@ class Reduced:
         return len(self.design) - len(self.always)
 
     def fit(self, chosen: Index) -> tuple[Array, float, Array]:
-        """Least squares with some columns: x (k,), sum of squared residuals, diagonal of (A^T A)^-1 (k,)."""
+        """Fit some columns by least squares: x (k,), sum of squared residuals, diagonal of (A^T A)^-1 (k,)."""
         if not len(chosen):
             return np.zeros(0), float(self.observed @ self.observed), np.zeros(0)
         columns = self.design[:, chosen]
@@ -106,25 +106,25 @@ class Reduced:
         return x / length, float(v @ v), np.sum(inverse**2, axis=1) / length**2
 
     def kept(self, chosen: Index, form: RfmForm) -> tuple[int, ...]:
-        """Numbers of unknowns of the complete form: the affine ones and the chosen."""
+        """Return the numbers of unknowns of the complete form: the affine ones and the chosen."""
         numbers = np.sort(np.concatenate([self.always, self.unknowns[chosen]]))
         return tuple(int(k) if form.kept is None else form.kept[int(k)] for k in numbers)
 
 
-#: Two-sided, for the tests of a coefficient.
+#: Level of the two-sided test of a coefficient.
 SIGNIFICANCE: Final = 0.05
-#: Columns whose correlation exceeds this share are duplicates of each other (USS).
+#: Correlation above which columns are duplicates of each other (USS).
 CORRELATION: Final = 0.9
-#: LASSO path: number of lambdas and smallest share of the largest.
+#: LASSO path: number of lambdas, and ratio of the smallest to the largest.
 LAMBDAS: Final = 40
 LEAST_LAMBDA: Final = 1e-3
 SWEEPS: Final = 10_000
 CONVERGED: Final = 1e-8
-#: Kappas of :func:`press`: from a nearly free model to one that is affine in practice.
+#: Kappas of :func:`press`: from a nearly free model to a model that is practically affine.
 KAPPAS: Final = np.geomspace(1e-6, 1e4, 61)
-#: Smallest redundancy that remains.
+#: Least redundancy that must remain.
 LEAST_FREEDOM: Final = 10
-#: Length of the orthogonal part of a column of length 1 from which on stepwise regression may take it.
+#: Least length of the orthogonal part of a column of length 1 that stepwise regression may use.
 INDEPENDENT: Final = 1e-4
 
 
@@ -185,9 +185,14 @@ def register_selection(name: str, label: str, *, source: str) -> Callable[[Funct
 
 
 def fit_selected(
-    points: ControlPoints, form: RfmForm, name: str, *, allow_pole: bool = False, seed: int = 1,
+    points: ControlPoints,
+    form: RfmForm,
+    name: str,
+    *,
+    allow_pole: bool = False,
+    seed: int = 1,
     evaluations: int = EVALUATIONS,
-) -> RfmFit:  # fmt: skip
+) -> RfmFit:
     """Choose from these points and fit the true equations.
 
     Parameters
@@ -197,14 +202,14 @@ def fit_selected(
     name : str
         Name of a registered selection.
     allow_pole : bool
-        Give a model even if a denominator changes sign among the points.
+        Return a model even if a denominator changes sign among the points.
     seed, evaluations : int
         See :class:`Reduced`.
 
     Returns
     -------
     RfmFit
-        Its ``choice`` names the kappa or the terms.
+        Fit whose ``choice`` names the kappa or the terms.
 
     Raises
     ------
@@ -232,19 +237,19 @@ def _everything(reduced: Reduced) -> Index:
 
 @register_selection("ridge_gcv", "ridge, GCV", source="Golub, Heath, Wahba 1979")
 def ridge_gcv(reduced: Reduced) -> Selection:
-    """All coefficients, kappa by generalised cross-validation."""
+    """Keep all coefficients; choose kappa by generalised cross-validation."""
     return Selection(_everything(reduced), choose_kappa("gcv", reduced.system).kappa)
 
 
 @register_selection("ridge_l_curve", "ridge, L-curve", source="Yuan & Lin 2008; Hansen, O'Leary 1993")
 def ridge_l_curve(reduced: Reduced) -> Selection:
-    """All coefficients, kappa at the corner of the L-curve."""
+    """Keep all coefficients; choose kappa at the corner of the L-curve."""
     return Selection(_everything(reduced), choose_kappa("l_curve", reduced.system).kappa)
 
 
 @register_selection("ridge_press", "ridge, leave-one-out", source="Allen 1974")
 def press(reduced: Reduced) -> Selection:
-    """All coefficients, kappa with the least sum of squared errors at points left out.
+    """Keep all coefficients; choose kappa with the least sum of squared errors at points left out.
 
     Both equations of a point are left out together; the errors follow from the hat matrix without a new fit.
     """
@@ -252,7 +257,7 @@ def press(reduced: Reduced) -> Selection:
 
 
 def press_of(reduced: Reduced, kappa: float) -> float:
-    """Sum of squared errors at points left out, linear form, affine part refitted too."""
+    """Return the sum of squared errors at excluded points, linear form, with the affine part refitted."""
     affine = len(reduced.always)
     design = np.hstack([reduced.affine, reduced.design])
     penalty = np.concatenate([np.zeros(affine), np.full(reduced.design.shape[1], kappa)])
@@ -267,7 +272,7 @@ def press_of(reduced: Reduced, kappa: float) -> float:
 
 @register_selection("lasso", "LASSO, BIC", source="Tibshirani 1996; Long et al. 2015 (L1LS)")
 def lasso(reduced: Reduced) -> Selection:
-    """Coefficients that the LASSO with the least BIC of its refit keeps; then least squares without the penalty."""
+    """Select coefficients by the LASSO with the least BIC of its refit, then fit without the penalty."""
     length = np.linalg.norm(reduced.design, axis=0)
     unit = reduced.design / length
     largest = float(np.abs(unit.T @ reduced.observed).max())
@@ -323,16 +328,16 @@ def _descend(gram: Array, gradient: Array, x: Array, penalty: float) -> None:
 
 
 def _bic(reduced: Reduced, chosen: Index) -> float:
-    """Bayes information criterion of least squares with some columns (Schwarz 1978)."""
+    """Return the Bayes information criterion of least squares with some columns (Schwarz 1978)."""
     rows = len(reduced.design)
     return float(rows * np.log(reduced.fit(chosen)[1] / rows) + (len(chosen) + len(reduced.always)) * np.log(rows))
 
 
 def _explained(reduced: Reduced, chosen: Index, least: float) -> Array:
-    """Square that each column (q,) explains in addition to the chosen columns; -1 for columns that depend on these.
+    """Return the squares that columns (q,) explain in addition to the chosen ones; -1 for columns that depend on these.
 
-    ``least`` is the length of the part orthogonal to the chosen columns, of a column of length 1, from which on a
-    column is independent.
+    ``least`` is the length of the part orthogonal to the chosen columns, of a column of length 1, above which a column
+    is independent.
     """
     unit = reduced.design / np.linalg.norm(reduced.design, axis=0)
     q = np.linalg.qr(unit[:, chosen])[0]
@@ -360,7 +365,7 @@ def _without_insignificant(reduced: Reduced, chosen: Index, last: int = -1) -> I
 
 @register_selection("nested", "nested regression", source="after Long & Jiao 2012; Tengfei et al. 2014 (NRBOS)")
 def nested(reduced: Reduced) -> Selection:
-    """Nested models, each with one more coefficient, until BIC increases.
+    """Add coefficients one by one to nested models until BIC increases.
 
     The next column is the one that explains most of the residuals, orthogonal to the columns before it. (The minimum of
     BIC over all models has many more columns: the linear form prefers denominators near zero.)
@@ -377,7 +382,7 @@ def nested(reduced: Reduced) -> Selection:
 
 @register_selection("uss", "uncorrelated and significant", source="after Moghaddam et al. 2018 (USS-RFM)")
 def uss(reduced: Reduced) -> Selection:
-    """Significant coefficients of those that do not duplicate a better one.
+    """Select the significant coefficients among those that do not duplicate a better coefficient.
 
     In the order of their correlation with the residuals of the affine model, a coefficient is accepted if its
     correlation with each coefficient accepted before is at most 0.9. Then the least significant coefficient is dropped
@@ -395,13 +400,13 @@ def uss(reduced: Reduced) -> Selection:
 
 @register_selection("scatter", "stepwise regression", source="after Zhang et al. 2012; Efroymson 1960")
 def scatter(reduced: Reduced) -> Selection:
-    """Stepwise regression with F tests at 5 %.
+    """Select coefficients by stepwise regression with F tests at 5 %.
 
     The coefficient that explains most enters if it is significant. Then all coefficients leave that are no longer
     significant.
     """
     chosen = np.zeros(0, dtype=np.intp)
-    for _ in range(4 * reduced.design.shape[1]):  # Efroymson's rule cannot cycle; rounding could
+    for _ in range(4 * reduced.design.shape[1]):  # Efroymson's rule cannot cycle, but rounding could
         freedom = reduced.freedom - len(chosen) - 1
         gain = _explained(reduced, chosen, INDEPENDENT)
         j = int(gain.argmax())

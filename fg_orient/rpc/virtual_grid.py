@@ -27,14 +27,14 @@ from fg_orient.sensors.base import Sensor
 from fg_orient.sensors.rpc import RpcModel, RpcValidity
 from fg_orient.sensors.rpc_sensor import RpcSensor
 
-#: Lines, samples, height layers.
+#: Numbers of lines, samples and height layers.
 SHAPE: Final = (20, 20, 5)
 #: Least number of nodes per axis: four for a cubic, and one more to check it.
 LEAST: Final = 5
 #: Penalty of the coefficients except the affine part, because the normal equations of degree 3 are singular in
 #: practice. It changes residuals by less than 1e-4 px.
 KAPPA: Final = 1e-12
-#: Independent points per grid point.
+#: Number of independent points per grid point.
 CHECK_SHARE: Final = 1.0
 
 
@@ -45,14 +45,14 @@ class SensorRfm:
     Parameters
     ----------
     forward : RfmFit
-        Ground to image.
+        Fit from ground to image.
     inverse : RfmFit
         Image to ground with exchanged roles: "line" is the latitude, "sample" the longitude (degrees), "ground" is
         sample, line and height.
     validity : RpcValidity
         Ranges of the grid: pixels, degrees, m.
     fit_px, check_px : (n, 2) arrays
-        Residuals of line and sample, pixels: at the grid, at independent points.
+        Residuals of line and sample, pixels: at the grid, and at independent points.
     inverse_m : (n, 2) array
         Residuals of the inverse model, East and North in metres on the ground, at the same independent points.
     """
@@ -65,7 +65,7 @@ class SensorRfm:
     inverse_m: Array
 
     def model(self, file: str = "") -> RpcModel:
-        """Model with validity range and inverse coefficients, for projection and files."""
+        """Return the model with validity range and inverse coefficients, for projection and files."""
         errors = np.abs(self.check_px).max(axis=0).tolist()
         note = finding("rpc.fitted_to_sensor", errors_px=errors, n=len(self.check_px))
         scaling = self.forward.scaling
@@ -77,15 +77,20 @@ class SensorRfm:
 
 
 def fit_sensor(
-    sensor: Sensor, heights_m: tuple[float, float], *, shape: tuple[int, int, int] = SHAPE, degree: int = 3,
-    denominators: Denominators = "separate", seed: int = 1,
-) -> SensorRfm:  # fmt: skip
+    sensor: Sensor,
+    heights_m: tuple[float, float],
+    *,
+    shape: tuple[int, int, int] = SHAPE,
+    degree: int = 3,
+    denominators: Denominators = "separate",
+    seed: int = 1,
+) -> SensorRfm:
     """Fit a rational function model to a sensor.
 
     Parameters
     ----------
     sensor : Sensor
-        Its method ``locate`` gives the ground points; (0, 0) = centre of the first pixel.
+        Sensor whose method ``locate`` gives the ground points; (0, 0) = centre of the first pixel.
     heights_m : (float, float)
         Lowest and highest layer, m above the ellipsoid.
     shape : (int, int, int)
@@ -129,7 +134,7 @@ def fit_sensor(
 
 
 def with_image_to_ground(model: RpcModel) -> RpcModel:
-    """Model with coefficients from image to ground, fitted over its validity range in its own normalisation.
+    """Add coefficients from image to ground to a model, fitted over its validity range in its own normalisation.
 
     Raises
     ------
@@ -148,13 +153,13 @@ def with_image_to_ground(model: RpcModel) -> RpcModel:
 
 
 def _nodes(first: float, last: float, count: int) -> Array:
-    """Chebyshev nodes stretched to both ends; errors of a fit to a regular grid are largest at the border."""
+    """Return Chebyshev nodes stretched to both ends; errors of a fit to a regular grid are largest at the border."""
     nodes = -np.cos(np.pi * (np.arange(count) + 0.5) / count)
     return np.asarray(0.5 * (first + last) + 0.5 * (last - first) * nodes / nodes[-1])
 
 
 def _located(sensor: Sensor, line: Array, sample: Array, height_m: Array) -> ControlPoints:
-    """Control points of pixels at heights; longitudes continuous across 180 degrees."""
+    """Return the control points of pixels at heights; longitudes are continuous across 180 degrees."""
     geodetic = ellipsoid.geodetic_array(np.ascontiguousarray(sensor.locate(line, sample, height_m=height_m)))
     lon, lat = np.degrees(geodetic[:, 0]), np.degrees(geodetic[:, 1])
     lon = lon[0] + (lon - lon[0] + 180.0) % 360.0 - 180.0
@@ -168,7 +173,7 @@ def _exchanged(points: ControlPoints) -> ControlPoints:
 
 
 def _metres(residuals_deg: Array, points: ControlPoints) -> Array:
-    """Longitude and latitude differences in metres: (n, 2) from residuals of latitude, longitude in degrees."""
+    """Convert differences of latitude and longitude (degrees) to East and North in metres: (n, 2)."""
     lat = np.radians(points.ground[:, 1])
     root = np.sqrt(1.0 - ellipsoid.E2 * np.sin(lat) ** 2)
     east = np.radians(residuals_deg[:, 1]) * np.cos(lat) * (ellipsoid.A_M / root + points.ground[:, 2])
