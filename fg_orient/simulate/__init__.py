@@ -9,11 +9,14 @@ from __future__ import annotations
 
 from fg_orient.model.public import names_of, on_first_use
 
-_HOME = names_of(__name__, {
-    "block": "grid_block simulate_block",
-    "options": "BlockOptions MixedOptions ZonguldakOptions",
-    "mixed": "mixed_block simulate_mixed",
-    "zonguldak": "simulate_zonguldak zonguldak_block",
-})  # fmt: skip
+_HOME = names_of(
+    __name__,
+    {
+        "block": "grid_block simulate_block",
+        "options": "BlockOptions MixedOptions ZonguldakOptions",
+        "mixed": "mixed_block simulate_mixed",
+        "zonguldak": "simulate_zonguldak zonguldak_block",
+    },
+)
 __all__ = sorted(_HOME)
 __getattr__ = on_first_use(globals(), _HOME)

@@ -1,10 +1,10 @@
 """Synthetic block of SPOT-5-like scenes of any size, for cost and accuracy studies.
 
-Ground centres lie on a grid of rows x columns around the twin's centre. Each scene has its own pass. The scenes are
-rolled to both sides in turn, like the fields of a checkerboard, so that the rays of neighbouring scenes (60 km wide, by
-default 28 km apart) intersect at 24 degrees. Ground points are uniform over the block; a point is kept if it is in two
-scenes or more. A ground point has about 2.7 (2 x 2 scenes) to 4 (10 x 10) image points. The geometry is that of the
-real ellipsoid.
+Ground centres lie on a grid of rows x columns around the centre of the Zonguldak block. Each scene has its own pass.
+The scenes are rolled to both sides in turn, like the fields of a checkerboard. So the rays of neighbouring scenes (60
+km wide, by default 28 km apart) intersect at 24 degrees. Ground points are uniform over the block; a point is kept if
+it is in two scenes or more. A ground point has about 2.7 (2 x 2 scenes) to 4 (10 x 10) image points. The geometry is
+that of the real ellipsoid.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from fg_orient.simulate.zonguldak import at_centre
 #: First day of the images; each image has its own pass on its own day.
 FIRST_DAY = np.datetime64("2004-07-05")
 HALF_MINUTES = 1041
-#: Points closer to the border of an image are not measured in it: with noise they could leave the image.
+#: Distance from the image border, px, within which points are not measured: with noise they could leave the image.
 MARGIN_PX = 200.0
 #: Distance from that limit below which the exact projection decides.
 DOUBT_PX = 1.0
@@ -57,9 +57,17 @@ def simulate(options: BlockOptions, progress: Progress | None = None) -> Simulat
     ground = ground_points(numbered(n), roles, lon_lat_height, options.ground_noise_m, streams["ground_noise"])
     errors = draw_errors(options.errors, streams["orientation"], len(scenes))
     return observe(
-        f"block of {len(scenes)} images", scenes, ground, visible, errors, np.zeros((2, 0)), options.image_noise_px,
-        streams["image_noise"], options.max_height_m, progress,
-    )  # fmt: skip
+        f"block of {len(scenes)} images",
+        scenes,
+        ground,
+        visible,
+        errors,
+        np.zeros((2, 0)),
+        options.image_noise_px,
+        streams["image_noise"],
+        options.max_height_m,
+        progress,
+    )
 
 
 _BLOCK: Final = Scenario("simulate block", BlockOptions(), simulate)
@@ -67,7 +75,7 @@ simulate_block, grid_block = _BLOCK.write, _BLOCK.block
 
 
 def _centres(options: BlockOptions) -> Array:
-    """Ground centres (m, 3) ECEF at height 0, row by row from the north west."""
+    """Return the ground centres (m, 3) ECEF at height 0, row by row from the north west."""
     north = (np.arange(options.rows) - (options.rows - 1) / 2.0) * -options.spacing_m
     east = (np.arange(options.columns) - (options.columns - 1) / 2.0) * options.spacing_m
     offset = np.stack([np.tile(east, options.rows), np.repeat(north, options.columns)], axis=1)
@@ -76,7 +84,7 @@ def _centres(options: BlockOptions) -> Array:
 
 
 def _shifted(offset_m: Array) -> Array:
-    """Longitude and latitude (degrees) of N points given by East and North (m) in the plane at the centre."""
+    """Return longitude and latitude (degrees) of N points given by East and North (m) in the plane at the centre."""
     return np.stack(ecef_to_geodetic(at_centre(np.pad(offset_m, ((0, 0), (0, 1)))))[:2], axis=1)
 
 
@@ -96,7 +104,7 @@ def _scenes(options: BlockOptions, centres: Array, report_progress: Progress) ->
 def _points(
     options: BlockOptions, scenes: tuple[Scene, ...], rng: np.random.Generator, report_progress: Progress
 ) -> tuple[Array, Mask]:
-    """Points in two images or more: longitude, latitude (degrees), height (m), (n, 3); whether in image (m, n)."""
+    """Draw points in two images or more: longitude, latitude (degrees), height (m), (n, 3); visibility (m, n)."""
     sensors = [as_read(scene.metadata()) for scene in scenes]
     cameras = [QuickProjection(sensor, Correction(), options.max_height_m) for sensor in sensors]
     half = BORDER_M + options.spacing_m * (np.array([options.columns, options.rows]) - 1) / 2.0
@@ -113,7 +121,7 @@ def _points(
 
 
 def _visible(cameras: list[QuickProjection], ecef_m: Array, height_m: Array) -> Mask:
-    """Points (N) well inside each image: (m, N). Near the limit the exact projection decides."""
+    """Return the points (N) well inside each image: (m, N). Near the limit the exact projection decides."""
     last = np.array([N_LINES, N_SAMPLES]) - 1.0
     out = np.zeros((len(cameras), len(ecef_m)), bool)
     for k, camera in enumerate(cameras):

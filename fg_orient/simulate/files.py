@@ -36,12 +36,21 @@ Chosen = TypeVar("Chosen", bound="DataclassInstance")
 
 PROJECT_FILE = "project.toml"
 CAMERA_FILE: Final = "camera.toml"
-#: Only a folder that a simulation wrote may be replaced: a real project has no ``truth/options.json``.
+#: Contents of a folder of a simulation. Only such a folder may be replaced: a real project has no
+#: ``truth/options.json``.
 CONTENTS: Final = Contents(
     "truth/options.json",
-    (PROJECT_FILE, *in_all_forms("points", "observations", "truth/points", "truth/eop"), "*.DIM", "truth/options.json",
-     "*.tif", "*_RPC.TXT", CAMERA_FILE, "frame*.toml"),
-)  # fmt: skip
+    (
+        PROJECT_FILE,
+        *in_all_forms("points", "observations", "truth/points", "truth/eop"),
+        "*.DIM",
+        "truth/options.json",
+        "*.tif",
+        "*_RPC.TXT",
+        CAMERA_FILE,
+        "frame*.toml",
+    ),
+)
 #: Names and units of the simulated corrections of RPC and frame images, by the number of all unknowns of such an image.
 OTHERS: Final = {
     6: dict.fromkeys(("line_0", "sample_0", "line_l1", "sample_l1"), "px"),
@@ -52,16 +61,17 @@ OTHERS: Final = {
 
 @dataclass(frozen=True)
 class Scenario(Generic[Chosen]):
-    """A kind of synthetic block.
+    """Kind of synthetic block.
 
     Parameters
     ----------
     command : str
-        Command that makes it, for the headers.
+        Command that makes this kind, for the headers.
     usual : dataclass
         Default options.
     draw : callable
-        Gives the simulation of options; its second argument is called with (done, of, text), or None.
+        Function that returns the simulation of options; its second argument is called with (done, of, text), or is
+        None.
     """
 
     command: str
@@ -74,7 +84,7 @@ class Scenario(Generic[Chosen]):
         Returns
         -------
         block : Block
-            As read from the files of the block.
+            Block, equal to a block read from the files.
         truth : Truth
             True ground points (ECEF, m), pixels without noise, corrections of each sensor in its own form.
         """
@@ -82,7 +92,7 @@ class Scenario(Generic[Chosen]):
         return simulation.block(), simulation.truth
 
     def _chosen(self, options: Chosen | None) -> Chosen:
-        """Given or default options; InputError for other ones."""
+        """Return the given or default options; InputError for other ones."""
         if options is None:
             return self.usual
         if not isinstance(options, type(self.usual)):
@@ -90,24 +100,29 @@ class Scenario(Generic[Chosen]):
         return options
 
     def write(
-        self, out: str | Path, options: Chosen | None = None, *, overwrite: bool = False,
-        progress: Progress | None = None, more: Callable[[Path, Simulation], None] | None = None,
-    ) -> Path:  # fmt: skip
+        self,
+        out: str | Path,
+        options: Chosen | None = None,
+        *,
+        overwrite: bool = False,
+        progress: Progress | None = None,
+        more: Callable[[Path, Simulation], None] | None = None,
+    ) -> Path:
         """Write the block: metadata files, points, observations, project file and ``truth/``.
 
         Parameters
         ----------
         out : str or Path
-            Folder to make; an unusable one is refused before anything is drawn.
+            Folder to make; an unusable folder is refused before anything is drawn.
         options : dataclass, optional
             They are also in the headers and in ``truth/options.json``.
         overwrite : bool
             Replace a folder that an earlier simulation wrote (``truth/options.json``) and that contains
             nothing else.
         progress : callable, optional
-            Called with (done, of, text); each part of the work counts from 0.
+            Function that is called with (done, of, text); each part of the work counts from 0.
         more : callable, optional
-            Writes further files into the folder.
+            Function that writes further files into the folder.
 
         Returns
         -------
@@ -142,23 +157,34 @@ def _write_block(
     ground, truth = simulation.ground, simulation.truth
     known = ground.known[:, None]
     write_points(
-        folder / f"points.{form}", ground.ids, ground.roles, np.where(known, ground.measured, np.nan),
+        folder / f"points.{form}",
+        ground.ids,
+        ground.roles,
+        np.where(known, ground.measured, np.nan),
         np.where(known, ground.sigma_enu_m, np.nan),
         comments=[*made, "measured values: WGS84, ellipsoidal heights; sigmas at the point", "crs: EPSG:4979"],
-    )  # fmt: skip
+    )
     write_observations(
-        folder / f"observations.{form}", [truth.image_ids[k] for k in simulation.image],
-        [ground.ids[j] for j in simulation.point], simulation.observed, simulation.sigma_px,
+        folder / f"observations.{form}",
+        [truth.image_ids[k] for k in simulation.image],
+        [ground.ids[j] for j in simulation.point],
+        simulation.observed,
+        simulation.sigma_px,
         comments=[*made, "(0, 0) is the centre of the first pixel"],
-    )  # fmt: skip
+    )
     write_project(
-        folder / PROJECT_FILE, name=simulation.name, images=images, points=f"points.{form}",
-        observations=f"observations.{form}", options=simulation.options, comments=made,
-    )  # fmt: skip
+        folder / PROJECT_FILE,
+        name=simulation.name,
+        images=images,
+        points=f"points.{form}",
+        observations=f"observations.{form}",
+        options=simulation.options,
+        comments=made,
+    )
 
 
 def _write_images(folder: Path, simulation: Simulation, progress: Progress | None) -> list[tuple[str, str]]:
-    """Write the metadata file of each image, and the camera of the frames; ids and names of the files."""
+    """Write the metadata file of each image, and the camera of the frames; return ids and names of the files."""
     from fg_orient.formats.metadata.frame import write_camera, write_frame_file
     from fg_orient.formats.rpc import write_rpc
     from fg_orient.sensors.frame import FrameSensor
@@ -190,7 +216,7 @@ def _write_truth(folder: Path, simulation: Simulation, values: dict[str, Any], f
 
 
 def _orientation(image: str, correction: Any) -> list[tuple[object, ...]]:
-    """True minus metadata of one image.
+    """Return true minus metadata of one image.
 
     Pushbroom image: all 27 coefficients, then the look polynomial (per s^degree), if any. Other images: :data:`OTHERS`.
     """

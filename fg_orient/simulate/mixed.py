@@ -1,4 +1,4 @@
-"""A mixed block over one window of 5 km: rigorous SPOT-5 images, RPC images of 0.7 m, frame images of 0.2 m.
+"""Mixed block over one window of 5 km: rigorous SPOT-5 images, RPC images of 0.7 m, frame images of 0.2 m.
 
 Two SPOT-5 HRG images from both sides; two images of one pass of a Pléiades-like satellite, forward and backward, with
 RPC fitted to their rigorous model; four frames of a large-format camera from 4 km above the ground. The same tie points
@@ -57,7 +57,7 @@ GROUND_SPEED_M_S: Final = 6.77e3
 RPC_HEIGHTS_M: Final = (-200.0, 1000.0)
 RPC_SHIFT_SIGMA_PX: Final = 15.0
 RPC_LINEAR_SIGMA_PX: Final = 2.0
-#: Frames: East and North of their projection centres from that of the window, their height, m; tilts (rad).
+#: Frames: East and North of their projection centres relative to the window's centre, their height, m; tilts (rad).
 FRAMES: Final = ((-650.0, 650.0), (650.0, 650.0), (-650.0, -650.0), (650.0, -650.0))
 FRAME_HEIGHT_M: Final = 4250.0
 FRAME_SIDE_PX: Final = 16000
@@ -69,7 +69,7 @@ FRAME_SIGMA: Final = {
     "focal": 2.0, "principal_sample": 1.0, "principal_line": 1.0,
 }  # fmt: skip
 CAMERA: Final = "camera"
-#: Points closer to the border of an image are not measured in it: with noise they could leave the image.
+#: Distance from the image border, px, within which points are not measured: with noise they could leave the image.
 MARGIN_PX: Final = 50.0
 #: Options of the adjustment for the unknowns of RPC images.
 OPTIONS: Final = Options(
@@ -100,22 +100,22 @@ def simulate(options: MixedOptions) -> Simulation:
     return Simulation("mixed block", metadata, ground, image, point, observed, sigma, truth, others, interior, OPTIONS)
 
 
-def _measured(
-    images: tuple[Image, ...], corrections: tuple[Any, ...], ecef_m: Array
-) -> tuple[Index, Index, Array]:  # fmt: skip
-    """Image, ground point and true pixels (k, 2) of all points inside each image."""
+def _measured(images: tuple[Image, ...], corrections: tuple[Any, ...], ecef_m: Array) -> tuple[Index, Index, Array]:
+    """Return the image, ground point and true pixels (k, 2) of all points inside each image."""
     parts = []
     for k, (image, correction) in enumerate(zip(images, corrections, strict=True)):
         line, sample = image.sensor.project(ecef_m, correction)
-        inside = np.flatnonzero(image.sensor.is_inside(line - MARGIN_PX, sample - MARGIN_PX)
-                                & image.sensor.is_inside(line + MARGIN_PX, sample + MARGIN_PX))  # fmt: skip
+        inside = np.flatnonzero(
+            image.sensor.is_inside(line - MARGIN_PX, sample - MARGIN_PX)
+            & image.sensor.is_inside(line + MARGIN_PX, sample + MARGIN_PX)
+        )
         parts.append((np.full(len(inside), k), inside, np.stack([line, sample], axis=1)[inside]))
     image_, point, pixels = (np.concatenate(part) for part in zip(*parts, strict=True))
     return image_.astype(np.intp), point.astype(np.intp), pixels
 
 
 def _lon_lat_height(n: int, rng: np.random.Generator) -> Array:
-    """Points uniform in the window: longitude, latitude (degrees), height (m)."""
+    """Draw points uniformly in the window: longitude, latitude (degrees), height (m)."""
     unit = rng.random((n, 3))
     low, high = HEIGHT_RANGE_M
     place = at_centre(np.column_stack([(unit[:, :2] - 0.5) * WINDOW_M, np.zeros(n)]))
@@ -124,7 +124,7 @@ def _lon_lat_height(n: int, rng: np.random.Generator) -> Array:
 
 
 def _spot(size: float, rng: np.random.Generator) -> tuple[tuple[PushbroomMetadata, ...], tuple[Correction, ...]]:
-    """Metadata with errors of position and attitude (unknowns of the EOP set), and their corrections."""
+    """Return the metadata with errors of position and attitude (unknowns of the EOP set), and their corrections."""
     errors = size * draw_errors("prior", rng, len(IMAGES))
     errors[:, 3:6] = 0.0
     metadata = []
@@ -137,44 +137,59 @@ def _spot(size: float, rng: np.random.Generator) -> tuple[tuple[PushbroomMetadat
 
 
 def _compensations(size: float, rng: np.random.Generator) -> tuple[Array, ...]:
-    """Shift and drift (6,) px of both RPC images."""
+    """Return the shift and drift (6,) px of both RPC images."""
     sigma = np.array([RPC_SHIFT_SIGMA_PX] * 2 + [RPC_LINEAR_SIGMA_PX] * 2 + [0.0] * 2)
     return tuple(size * sigma * rng.standard_normal((len(PITCH_DEG), 6)))
 
 
 @cache
 def rpc_models() -> tuple[RpcModel, ...]:
-    """RPC of both images, fitted to their rigorous models; as read from a file without inverse coefficients."""
+    """Return RPC of both images, fitted to their rigorous models, as read from a file without inverse coefficients."""
     models = []
     for k, pitch in enumerate(PITCH_DEG):
         sensor = _metre_sensor(math.radians(pitch), 40_000.0 + 30.0 * k)
         model = fit_sensor(sensor, RPC_HEIGHTS_M, shape=(12, 12, 5)).model()
-        models.append(replace(
-            model, direct=None, notes=(), stated_validity=None, n_lines=None, n_samples=None,
-            file=f"pleiades{k + 1}_RPC.TXT",
-        ))  # fmt: skip
+        models.append(
+            replace(
+                model,
+                direct=None,
+                notes=(),
+                stated_validity=None,
+                n_lines=None,
+                n_samples=None,
+                file=f"pleiades{k + 1}_RPC.TXT",
+            )
+        )
     return tuple(models)
 
 
 def _metre_sensor(pitch_rad: float, centre_s: float) -> PushbroomSensor:
-    """Rigorous model of an image: no errors, constant attitude."""
+    """Return the rigorous model of an image: no errors, constant attitude."""
     attitude = (0.0, pitch_rad, 0.0)
     orbit = find_pass(geodetic_to_ecef(*CENTRE_LON_LAT_DEG, 0.0)[0], 0.0, attitude_rad=attitude, height_m=RPC_ORBIT_M)
     time_s = centre_s + 10.0 * np.arange(-4.0, 5.0)
     sample, middle = np.array([0.0, RPC_SIDE_PX - 1.0]), (RPC_SIDE_PX - 1.0) / 2.0
     period_s = RPC_PIXEL_M / GROUND_SPEED_M_S
     across = np.arctan((sample - middle) * RPC_PIXEL_M / RPC_ORBIT_M)
-    return as_read(PushbroomMetadata(
-        file="", mission="simulated", instrument="", format="simulated", epoch=np.datetime64("2012-06-01"),
-        n_lines=RPC_SIDE_PX, n_samples=RPC_SIDE_PX, timing=LineTiming(middle, centre_s, period_s),
-        ephemeris=Ephemeris(time_s, *orbit.states(time_s - centre_s)),
-        attitude=AngleAttitude(time_s, np.tile(attitude, (len(time_s), 1))),
-        look=LookAngleTable(sample, np.zeros(2), across),
-    ))  # fmt: skip
+    return as_read(
+        PushbroomMetadata(
+            file="",
+            mission="simulated",
+            instrument="",
+            format="simulated",
+            epoch=np.datetime64("2012-06-01"),
+            n_lines=RPC_SIDE_PX,
+            n_samples=RPC_SIDE_PX,
+            timing=LineTiming(middle, centre_s, period_s),
+            ephemeris=Ephemeris(time_s, *orbit.states(time_s - centre_s)),
+            attitude=AngleAttitude(time_s, np.tile(attitude, (len(time_s), 1))),
+            look=LookAngleTable(sample, np.zeros(2), across),
+        )
+    )
 
 
 def _frames(size: float, rng: np.random.Generator) -> tuple[Interior, list[FrameSensor], list[Array]]:
-    """The camera and its images with errors, and their corrections (15,)."""
+    """Return the camera and its images with errors, and their corrections (15,)."""
     sigma = np.array(list(FRAME_SIGMA.values()))
     common = size * sigma[6:] * rng.standard_normal(3)
     true = Interior(
@@ -194,7 +209,7 @@ def _frames(size: float, rng: np.random.Generator) -> tuple[Interior, list[Frame
 
 
 def true_orientations() -> list[tuple[Array, Array]]:
-    """True rotation and projection centre of each frame."""
+    """Return the true rotation and projection centre of each frame."""
     enu, out = enu_from_ecef(*CENTRE_LON_LAT_DEG)[0], []
     for (east, north), tilt in zip(FRAMES, TILTS_RAD, strict=True):
         rotation = frame_camera.rotated(HALF_TURN, np.array([*tilt, 0.0]))

@@ -1,4 +1,4 @@
-"""Terrain and images of the twin.
+"""Terrain and images of the synthetic Zonguldak block.
 
 The terrain is the mean height of the points plus Gaussian hills (one per point, standard width 2.5 km), such that the
 surface contains all points. The bilinear surface of the DEM contains the points within the rounding of its values
@@ -61,13 +61,13 @@ class Terrain:
     targets_m: Array
 
     def cells(self, lon_deg: Array, lat_deg: Array) -> Array:
-        """Row and column (n, 2), whole numbers at centres of cells."""
+        """Return the row and column (n, 2), whole numbers at centres of cells."""
         x, y = from_geographic(CRS, lon_deg, lat_deg)
         return np.stack([(self.top_m - y) / self.step_m - 0.5, (x - self.left_m) / self.step_m - 0.5], axis=1)
 
 
 def terrain_through(lon_lat_height: Array, *, step_m: float = STEP_M) -> Terrain:
-    """Terrain through points (n, 3) longitude, latitude (degrees), height (m)."""
+    """Return the terrain through points (n, 3) longitude, latitude (degrees), height (m)."""
     targets = np.stack(from_geographic(CRS, lon_lat_height[:, 0], lon_lat_height[:, 1]), axis=1)
     height = lon_lat_height[:, 2]
     low, high = targets.min(axis=0) - BORDER_M, targets.max(axis=0) + BORDER_M
@@ -109,10 +109,21 @@ def write_terrain(path: Path, terrain: Terrain) -> None:
     rasterio = rasterio_of(path)
     rows, columns = terrain.heights_m.shape
     with rasterio.open(
-        path, "w", driver="GTiff", width=columns, height=rows, count=1, dtype="float32", crs=CRS,
+        path,
+        "w",
+        driver="GTiff",
+        width=columns,
+        height=rows,
+        count=1,
+        dtype="float32",
+        crs=CRS,
         transform=rasterio.Affine(terrain.step_m, 0.0, terrain.left_m, 0.0, -terrain.step_m, terrain.top_m),
-        tiled=True, blockxsize=256, blockysize=256, compress="deflate", predictor=3,
-    ) as sink:  # fmt: skip
+        tiled=True,
+        blockxsize=256,
+        blockysize=256,
+        compress="deflate",
+        predictor=3,
+    ) as sink:
         sink.write(terrain.heights_m, 1)
 
 
@@ -127,7 +138,7 @@ RADII_M: Final = (12.5, 30.0)
 
 @dataclass(frozen=True)
 class RasterOptions:
-    """Rasters of the twin.
+    """Rasters of the synthetic Zonguldak block.
 
     Parameters
     ----------
@@ -184,13 +195,13 @@ class Renderer:
         self._knots = np.ascontiguousarray(knots.reshape(INTERVALS + 1, INTERVALS + 1, RAY.size))
 
     def cells(self, line: int, sample: int, rows: int, columns: int) -> Array:
-        """Cells (rows + 1, columns + 1, 2) of the terrain, row and column, at pixel corners; nan outside it."""
+        """Return cells (rows + 1, columns + 1, 2) of the terrain, row and column, at pixel corners; nan outside it."""
         out = np.empty((rows + 1, columns + 1, 2))
         corners(line, sample, self._step, self._knots, self._heights, self._scaling, out)
         return out
 
     def render(self, line: int, sample: int, rows: int, columns: int) -> npt.NDArray[np.uint8]:
-        """Grey values (rows, columns) of a block; 0 outside the terrain."""
+        """Return grey values (rows, columns) of a block; 0 outside the terrain."""
         t, out = self._terrain, np.empty((rows, columns), np.uint8)
         to_map = TO_MAP.pack(x=t.left_m + 0.5 * t.step_m, y=t.top_m - 0.5 * t.step_m, cell=t.step_m)
         expose(self.cells(line, sample, rows, columns), to_map, t.targets_m, np.array(RADII_M), out)
@@ -221,7 +232,7 @@ def write_rasters(
 
 
 def _places(pixels: Array, sensor: PushbroomSensor, window_px: int) -> list[tuple[int, int, int, int]]:
-    """Blocks to render: first line and sample, lines, samples."""
+    """Return the squares to render: first line and sample, number of lines and samples."""
     size = np.array([sensor.n_lines, sensor.n_samples])
     if window_px:
         first = np.clip(np.rint(pixels).astype(int) - window_px // 2, 0, size - window_px)
@@ -234,15 +245,27 @@ def _places(pixels: Array, sensor: PushbroomSensor, window_px: int) -> list[tupl
 
 
 def _write_image(
-    path: Path, renderer: Renderer, sensor: PushbroomSensor, places: list[tuple[int, int, int, int]],
+    path: Path,
+    renderer: Renderer,
+    sensor: PushbroomSensor,
+    places: list[tuple[int, int, int, int]],
     progress: Progress | None,
-) -> None:  # fmt: skip
+) -> None:
     """Write the blocks; other pixels remain 0 (nodata) and are not stored."""
     rasterio = rasterio_of(path)
     settings = {
-        "driver": "GTiff", "width": sensor.n_samples, "height": sensor.n_lines, "count": 1, "dtype": "uint8",
-        "nodata": 0, "tiled": True, "blockxsize": BLOCK, "blockysize": BLOCK, "compress": "deflate", "SPARSE_OK": True,
-    }  # fmt: skip
+        "driver": "GTiff",
+        "width": sensor.n_samples,
+        "height": sensor.n_lines,
+        "count": 1,
+        "dtype": "uint8",
+        "nodata": 0,
+        "tiled": True,
+        "blockxsize": BLOCK,
+        "blockysize": BLOCK,
+        "compress": "deflate",
+        "SPARSE_OK": True,
+    }
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
         with rasterio.open(path, "w", **settings) as sink:

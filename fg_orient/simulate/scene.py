@@ -79,7 +79,7 @@ class CircularPass:
     radial_velocity_m_s: float = 0.0
 
     def states(self, time_s: npt.ArrayLike) -> tuple[Array, Array]:
-        """Positions (N, 3) m and Earth-fixed velocities (N, 3) m/s, ECEF, at N times (s)."""
+        """Return the positions (N, 3) m and Earth-fixed velocities (N, 3) m/s, ECEF, at N times (s)."""
         t = np.atleast_1d(np.asarray(time_s, float))
         rate = math.sqrt(GM_M3_S2 / self.radius_m**3)
         u = self.latitude_argument_rad + rate * t
@@ -91,7 +91,7 @@ class CircularPass:
         return _turned(position, EARTH_RATE_RAD_S * t), _turned(velocity, EARTH_RATE_RAD_S * t)
 
     def _in_plane(self, first: Array, second: Array) -> Array:
-        """Vectors of the orbital plane from components towards the node and 90 degrees ahead."""
+        """Return the vectors of the orbital plane from components towards the node and 90 degrees ahead."""
         ci, si = math.cos(self.inclination_rad), math.sin(self.inclination_rad)
         cn, sn = math.cos(self.node_rad), math.sin(self.node_rad)
         y = ci * second
@@ -99,7 +99,7 @@ class CircularPass:
 
 
 def _turned(vectors: Array, angle_rad: Array) -> Array:
-    """Components (N, 3) in axes rotated by N angles about Z."""
+    """Return the components (N, 3) in axes rotated by N angles about Z."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     x, y, z = vectors.T
     return np.stack([c * x + s * y, c * y - s * x, z], axis=1)
@@ -122,7 +122,7 @@ def find_pass(
     psi_y_rad : float
         Look angle across track to the point (psi_x is 0); negative: to the right of the flight direction.
     attitude_rad : (roll, pitch, yaw)
-        Attitude in the orbital frame of convention B, full rotations.
+        Attitude in the orbital frame of convention B, as full rotations.
     radial_velocity_m_s : float
         Rate of the distance from the geocentre.
     height_m : float
@@ -131,7 +131,7 @@ def find_pass(
     Returns
     -------
     CircularPass
-        By Newton's method for node and argument of latitude, to 1e-13 rad (0.7 micrometre in orbit).
+        Pass, found by Newton's method for node and argument of latitude, to 1e-13 rad (0.7 micrometre in orbit).
 
     Raises
     ------
@@ -161,7 +161,7 @@ def _pass(x: Array, radial_velocity_m_s: float, height_m: float) -> CircularPass
 
 
 def _start(target_m: Array) -> Array:
-    """Node and argument of latitude of the descending pass right above the point."""
+    """Return the node and argument of latitude of the descending pass right above the point."""
     ratio = target_m[2] / np.linalg.norm(target_m) / math.sin(INCLINATION_RAD)
     if abs(ratio) >= 1.0:
         raise ValueError(f"the point {target_m} lies beyond the latitudes of the orbit")
@@ -173,7 +173,7 @@ def _start(target_m: Array) -> Array:
 def _pointing(
     orbit: CircularPass, target_m: Array, psi_y_rad: float, attitude_rad: tuple[float, float, float]
 ) -> Array:
-    """Conditions (2,) of the point at time 0: zero for the look angles psi_y, psi_x = 0 (docs/equations.md 3)."""
+    """Return conditions (2,) of point at time 0: zero for the look angles psi_y, psi_x = 0 (docs/equations.md 3)."""
     position, velocity = orbit.states(0.0)
     ecef_from_orbital = rotations.orbital_frames(position, velocity)[0]
     ecef_from_body = ecef_from_orbital @ rotations.attitude_matrices(np.array([attitude_rad]), False)[0]
@@ -193,7 +193,7 @@ EPHEMERIS_STEP_S = 30.0
 N_EPHEMERIS = 9
 ATTITUDE_STEP_S = 0.125
 N_ATTITUDES = 233
-#: Interval from a full half minute to SCENE_CENTER_TIME: all lines are between the same two epochs.
+#: Interval from a full half minute to SCENE_CENTER_TIME, so that all lines are between the same two epochs.
 AFTER_HALF_MINUTE_S = 7.332158
 
 
@@ -238,7 +238,7 @@ class Scene:
         return f"{self.id}.DIM"
 
     def metadata(self, error: Array | None = None) -> PushbroomMetadata:
-        """Metadata with an error: true minus the polynomials.
+        """Return the metadata with an error: true minus the polynomials.
 
         Parameters
         ----------
@@ -248,12 +248,18 @@ class Scene:
         coefficients = np.zeros((9, 3)) if error is None else np.ascontiguousarray(error)
         sample = np.arange(float(N_SAMPLES)) if self.full_look_table else np.array([0.0, N_SAMPLES - 1.0])
         metadata = PushbroomMetadata(
-            file=self.file, mission="SPOT 5", instrument="HRG 1", format="DIMAP 1.1", epoch=self.epoch,
-            n_lines=N_LINES, n_samples=N_SAMPLES,
+            file=self.file,
+            mission="SPOT 5",
+            instrument="HRG 1",
+            format="DIMAP 1.1",
+            epoch=self.epoch,
+            n_lines=N_LINES,
+            n_samples=N_SAMPLES,
             timing=LineTiming(REFERENCE_LINE, self.centre_time_s, LINE_PERIOD_S),
-            ephemeris=self._ephemeris(coefficients), attitude=self._attitude(coefficients),
+            ephemeris=self._ephemeris(coefficients),
+            attitude=self._attitude(coefficients),
             look=LookAngleTable(sample, np.zeros(len(sample)), camera_psi_y(sample, self.mirror_rad)),
-        )  # fmt: skip
+        )
         return replace(metadata, frame_points=_frame_points(as_read(metadata)))
 
     def _ephemeris(self, error: Array) -> Ephemeris:
@@ -273,12 +279,12 @@ class Scene:
 
 
 def camera_psi_y(sample: Array, mirror_rad: float) -> Array:
-    """Look angles across track (rad) of N samples."""
+    """Return the look angles across track (rad) of N samples."""
     return mirror_rad + np.arctan((sample - (N_SAMPLES - 1) / 2) * (DETECTOR_M / FOCAL_LENGTH_M))
 
 
 def as_read(metadata: PushbroomMetadata) -> PushbroomSensor:
-    """Sensor as read from the written file: the reader interpolates a look-angle table of two detectors."""
+    """Return the sensor as read from the written file: the reader interpolates a look-angle table of two detectors."""
     look = metadata.look
     if isinstance(look, LookAngleTable) and len(look.sample) < metadata.n_samples:
         metadata = replace(metadata, look=straight_line(look.sample, look.psi_x_rad, look.psi_y_rad))
@@ -286,7 +292,7 @@ def as_read(metadata: PushbroomMetadata) -> PushbroomSensor:
 
 
 def _frame_points(sensor: PushbroomSensor) -> tuple[FramePoint, ...]:
-    """Four corners and the centre at height 0, computed from the metadata."""
+    """Return the four corners and the centre at height 0, computed from the metadata."""
     last_line, last_sample = N_LINES - 1.0, N_SAMPLES - 1.0
     line = [0.0, 0.0, last_line, last_line, REFERENCE_LINE]
     sample = [0.0, last_sample, last_sample, 0.0, REFERENCE_LINE]

@@ -41,17 +41,17 @@ from fg_orient.sensors.projection import STEP_PX, conditions, pixel_derivative
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.simulate.scene import Scene, as_read
 
-#: Numbers of nodes of the fit along line and sample, and in height; largest sum of the powers of East and North.
+#: Number of nodes of the fit along line and sample, and in height; largest sum of the powers of East and North.
 NODES = 9
 HEIGHTS = 3
 DEGREE = 5
 MAX_STEPS = 10
-#: Points this far outside the rectangle of the nodes are outside the image.
+#: Distance from the rectangle of the nodes beyond which points are outside the image.
 BORDER_M = 500.0
 
 
 class QuickProjection:
-    """Polynomials of one sensor with one correction, for heights from 0 to a largest one.
+    """Polynomials of one sensor with one correction, for heights from 0 to a maximum.
 
     Parameters
     ----------
@@ -90,11 +90,11 @@ class QuickProjection:
         self._rest = max(float(difference[2:].max() / slopes), 1e-7)
 
     def _east_north(self, ground_m: Array) -> Array:
-        """East and North (n, 2) m of ECEF points in the plane at the image centre."""
+        """Return East and North (n, 2) m of ECEF points in the plane at the image centre."""
         return np.asarray((ground_m - self.sensor.centre_m) @ self._plane.T)
 
     def _terms(self, east_north: Array, height_m: Array) -> Array:
-        """Products of powers (n, t), arguments scaled to [-1, 1] inside the image."""
+        """Return the products of powers (n, t), arguments scaled to [-1, 1] inside the image."""
         half = (self._high - self._low) / 2.0
         x, y = ((east_north - self._low) / half - 1.0).T
         h = 2.0 * height_m / self._top_m - 1.0
@@ -104,16 +104,16 @@ class QuickProjection:
         return np.column_stack([*plane, *(h * p for p in low), *(h * h * p for p in low[:1])])
 
     def near(self, ground_m: Array) -> Index:
-        """Indices (n,) of those ECEF points (N, 3), all on this side of the Earth, that may lie in the image."""
+        """Return indices (n,) of ECEF points (N, 3) that may lie in the image; all are on this side of the Earth."""
         e = self._east_north(ground_m)
         return np.flatnonzero(((e > self._low - BORDER_M) & (e < self._high + BORDER_M)).all(axis=1))
 
     def estimate(self, ground_m: Array, height_m: Array) -> Array:
-        """Line and sample (n, 2) of the polynomials; the error at the nodes is at most ``error_px``."""
+        """Return line and sample (n, 2) of the polynomials; the error at the nodes is at most ``error_px``."""
         return np.asarray(self._terms(self._east_north(ground_m), height_m) @ self._coefficients[:, :2])
 
     def project(self, ground_m: Array, height_m: Array) -> Array:
-        """Line and sample (n, 2) of ECEF points (n, 3) with ellipsoidal heights (n,) m.
+        """Return line and sample (n, 2) of ECEF points (n, 3) with ellipsoidal heights (n,) m.
 
         They agree with ``PushbroomSensor.project`` to the rounding of a time of day (1e-8 px).
         """
@@ -138,7 +138,7 @@ class QuickProjection:
 
 
 def _nodes(low: float, high: float, n: int) -> Array:
-    """Chebyshev points including both ends: a polynomial through them is accurate up to the border."""
+    """Return Chebyshev points including both ends, so that a polynomial through them is accurate up to the border."""
     return np.asarray(low + (high - low) * (0.5 - 0.5 * np.cos(np.pi * np.arange(n) / (n - 1))))
 
 
@@ -154,13 +154,13 @@ CONSTANT_ATTITUDE_RAD = 20e-6
 
 
 def random_streams(seed: int) -> dict[str, np.random.Generator]:
-    """Independent generators by name: the numbers of one do not depend on how many another one draws."""
+    """Return independent generators by name; draws from one do not change the numbers of another."""
     children = np.random.SeedSequence(seed).spawn(len(STREAMS))
     return {name: np.random.default_rng(child) for name, child in zip(STREAMS, children, strict=True)}
 
 
 def draw_errors(kind: str, rng: np.random.Generator, n_images: int) -> Array:
-    """True minus metadata of the EOP coefficients of n images: (n, 9, 3), physical units.
+    """Return true minus metadata of the EOP coefficients of n images: (n, 9, 3), physical units.
 
     "constant": 5 m per ECEF axis of the position and 20 microrad per angle, with random signs; "prior": every
     coefficient normal with the default prior sigma; "none": zero.
@@ -203,7 +203,7 @@ class Truth:
 
     @classmethod
     def of(cls, ground: Ground, image_ids: Iterable[str], corrections: tuple[Any, ...], pixels: Array) -> Truth:
-        """Truth of ground points and images."""
+        """Return the truth of ground points and images."""
         return cls(tuple(image_ids), corrections, ground.ids, ground.lon_lat_height, ground.ecef_m, pixels)
 
 
@@ -236,12 +236,12 @@ class Ground:
 
     @cached_property
     def known(self) -> Mask:
-        """Whether a point has measured coordinates (n,): all except the tie points."""
+        """True if a point has measured coordinates (n,): all except the tie points."""
         return ~having_role(self.roles, Role.TIE)
 
     @cached_property
     def measured(self) -> Array:
-        """Measured longitude, latitude (degrees), height (m): (n, 3), tie points too."""
+        """Measured longitude, latitude (degrees), height (m): (n, 3), also of tie points."""
         enu = enu_from_ecef(self.lon_lat_height[:, 0], self.lon_lat_height[:, 1])
         return np.stack(ecef_to_geodetic(self.ecef_m + np.einsum("nji,nj->ni", enu, self.noise_enu_m)), axis=1)
 
@@ -254,7 +254,7 @@ class Simulation:
     ----------
     name : str
     metadata : tuple of PushbroomMetadata
-        Of the images with DIMAP files, as written. These images are the first ones.
+        Metadata, as written, of the images with DIMAP files. These images are the first ones.
     ground : Ground
     image, point : (k,) arrays
         Image and ground point of each observation.
@@ -264,7 +264,7 @@ class Simulation:
         Sigmas of the image coordinates that the adjustment uses; its shape broadcasts to (k, 2).
     truth : Truth
     others : tuple of Image
-        Images with other files, with the sensors that reading these files gives.
+        Images with other files; their sensors are as read from these files.
     interior : Interior or None
         Interior orientation of the frame images, as written.
     options : Options or None
@@ -285,12 +285,12 @@ class Simulation:
 
     @property
     def images(self) -> tuple[Image, ...]:
-        """All images, with the sensors that reading the files gives."""
+        """All images, with sensors as read from the files."""
         of_dimap = zip(self.truth.image_ids, self.metadata, strict=False)
         return (*(Image(name, as_read(metadata)) for name, metadata in of_dimap), *self.others)
 
     def block(self) -> Block:
-        """Block that reading the written files gives (without sources and notes)."""
+        """Return the block, equal to a block read from the written files (without sources and notes)."""
         sigma = np.broadcast_to(self.sigma_px, self.observed.shape)
         points, check = points_of(self.ground)
         observations = ImagePoints(self.image, self.point, *self.observed.T, *sigma.T)
@@ -298,7 +298,7 @@ class Simulation:
 
 
 def points_of(ground: Ground) -> tuple[GroundPoints, WithheldCoordinates]:
-    """Control points with coordinates, other points without; sealed coordinates of the check points."""
+    """Return control points with coordinates, other points without, and sealed coordinates of the check points."""
     has = {role: np.array([r is role for r in ground.roles]) for role in Role}
     ecef = geodetic_to_ecef(*ground.measured.T)
     control = has[Role.CONTROL][:, None]
@@ -312,9 +312,17 @@ def points_of(ground: Ground) -> tuple[GroundPoints, WithheldCoordinates]:
 
 
 def observe(
-    name: str, scenes: Sequence[Scene], ground: Ground, visible: Mask, errors: Array, look: Array,
-    noise_px: float, rng: np.random.Generator, max_height_m: float | None = None, progress: Progress | None = None,
-) -> Simulation:  # fmt: skip
+    name: str,
+    scenes: Sequence[Scene],
+    ground: Ground,
+    visible: Mask,
+    errors: Array,
+    look: Array,
+    noise_px: float,
+    rng: np.random.Generator,
+    max_height_m: float | None = None,
+    progress: Progress | None = None,
+) -> Simulation:
     """Simulate pushbroom images: metadata with errors, true pixels of this metadata with its corrections, noise.
 
     Parameters
@@ -328,10 +336,10 @@ def observe(
     noise_px : float
         Sigma of the noise of line and of sample.
     max_height_m : float, optional
-        Largest height of the points, whose smallest height is 0. If given, :class:`QuickProjection` projects, which is
-        faster from some thousand points per image on.
+        Largest height of the points, whose smallest height is 0. If it is given, :class:`QuickProjection` projects; it
+        is faster for more than some thousand points per image.
     progress : callable, optional
-        Called with (done, of, text) before each image.
+        Function that is called with (done, of, text) before each image.
     """
     metadata = tuple(scene.metadata(error) for scene, error in zip(scenes, errors, strict=True))
     corrections = tuple(Correction(error, look) for error in errors)
@@ -352,27 +360,30 @@ def observe(
 
 
 def with_noise(pixels: Array, noise_px: npt.ArrayLike, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Pixels (k, 2) with noise of a sigma that broadcasts to them; sigma that the adjustment uses."""
+    """Add noise to pixels (k, 2) with a sigma that broadcasts to them; also return the sigma for the adjustment."""
     sigma = np.asarray(noise_px)
     observed = pixels + sigma * rng.standard_normal(pixels.shape)
     return observed, np.where(sigma > 0.0, sigma, NOMINAL_IMAGE_SIGMA_PX)
 
 
 def ground_points(
-    ids: tuple[str, ...], roles: tuple[Role, ...], lon_lat_height: Array, noise_enu_m: tuple[float, float, float],
+    ids: tuple[str, ...],
+    roles: tuple[Role, ...],
+    lon_lat_height: Array,
+    noise_enu_m: tuple[float, float, float],
     rng: np.random.Generator,
-) -> Ground:  # fmt: skip
-    """Ground points with drawn noise; sigmas are those of the noise, or nominal where it is zero."""
+) -> Ground:
+    """Draw the noise of ground points; their sigmas are the sigmas of the noise, or nominal ones if it is zero."""
     noise = np.array(noise_enu_m) * rng.standard_normal(lon_lat_height.shape)
     east, north, up = (s or nominal for s, nominal in zip(noise_enu_m, NOMINAL_GROUND_SIGMA_M, strict=True))
     return Ground(ids, roles, lon_lat_height, noise, (east, north, up))
 
 
 def numbered(count: int) -> tuple[str, ...]:
-    """Ids of points: numbers from 1 with leading zeros."""
+    """Return the ids of points: numbers from 1 with leading zeros."""
     return tuple(f"{k + 1:0{len(str(count))}d}" for k in range(count))
 
 
 def roles_in_order(order: Index, control: int, check: int) -> tuple[Role, ...]:
-    """Roles of points of these ranks (n,): the first ranks are control points, then come check and tie points."""
+    """Return the roles of points by rank (n,): the first ranks are control points, then check and tie points follow."""
     return tuple(Role.CONTROL if k < control else Role.CHECK if k < control + check else Role.TIE for k in order)

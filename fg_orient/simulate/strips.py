@@ -1,4 +1,4 @@
-"""Strips of frame images with GNSS and an inertial unit on board, whose errors drift along each strip.
+"""Strips of frame images with GNSS and an inertial unit on board; their errors drift along each strip.
 
 Parallel strips in alternating directions, 1500 m above rough ground, pixels of 0.15 m. All unknowns have prior sigmas,
 and their true values are drawn from these sigmas: orientation, shift and drift of position and attitude of each strip,
@@ -33,7 +33,7 @@ INTERVAL_S: Final = 10.0
 SIDE_PX: Final = 10000
 FOCAL_PX: Final = 10000.0
 MARGIN_PX: Final = 50.0
-#: Prior sigmas of the exterior orientation: errors of its start values.
+#: Prior sigmas of the exterior orientation, which are the errors of its start values.
 EXTERIOR: Final = dict(zip(UNKNOWNS[:6], (5e-3,) * 3 + (2.0,) * 3, strict=True))
 #: Sigmas of the observations on board (m, rad) and of image points (px).
 POSITION_SIGMA_M: Final = np.array([0.05, 0.05, 0.08])
@@ -48,7 +48,7 @@ MOUNTED: Final = Mounting(
 
 @dataclass(frozen=True)
 class StripOptions:
-    """Options: seed, numbers of strips, of images of each strip, of ground points, and of control points among them.
+    """Options: seed; numbers of strips, of images in a strip, of ground points, and of control points among them.
 
     ``navigation`` adds the observations from on board with their unknowns.
 
@@ -81,7 +81,7 @@ class StripTruth:
 
 
 def strip_block(options: StripOptions | None = None) -> tuple[Block, StripTruth]:
-    """A block of strips with its observations from on board, and its truth.
+    """Return a block of strips with its observations from on board, and its truth.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def strip_block(options: StripOptions | None = None) -> tuple[Block, StripTruth]
 
 
 def _errors(options: StripOptions, rng: np.random.Generator) -> Array:
-    """True minus given of all unknowns of each image (M, 33), physical units; equal where images share them."""
+    """Return true minus given of all unknowns of each image (M, 33), physical units; equal where images share them."""
     sigma = np.array([EXTERIOR.get(name, 0.0) for name in UNKNOWNS] + [MOUNTED.sigmas.get(n, 0.0) for n in NAVIGATION])
     drawn = sigma * rng.standard_normal((options.strips * options.images, len(sigma)))
     strip_unknowns, all_unknowns = slice(UNKNOWN.shift.start, UNKNOWN.lever.start), slice(UNKNOWN.lever.start, None)
@@ -111,7 +111,7 @@ def _errors(options: StripOptions, rng: np.random.Generator) -> Array:
 
 
 def _exposures(options: StripOptions) -> tuple[Array, list[Array]]:
-    """Projection centres (M, 3) ECEF m, and the body's axes in ECEF of each."""
+    """Return the projection centres (M, 3) ECEF m, and the body's axes in ECEF of each."""
     enu = enu_from_ecef(*CENTRE_LON_LAT_DEG)[0]
     middle, places, axes = geodetic_to_ecef(*CENTRE_LON_LAT_DEG, 0.0)[0], [], []
     for strip in range(options.strips):
@@ -126,7 +126,7 @@ def _exposures(options: StripOptions) -> tuple[Array, list[Array]]:
 
 
 def _cameras(place_m: Array, body: Array, error: Array) -> tuple[FrameCamera, FrameCamera]:
-    """True camera of an exposure, and camera with the errors of its start values."""
+    """Return the true camera of an exposure, and the camera with the errors of its start values."""
     principal = np.full(2, (SIDE_PX - 1) / 2.0)
     rotation, start_m = MOUNTED.camera_from_body @ body.T, place_m - error[UNKNOWN.centre]
     true = FrameCamera(rotation, place_m, FOCAL_PX, principal)
@@ -136,7 +136,7 @@ def _cameras(place_m: Array, body: Array, error: Array) -> tuple[FrameCamera, Fr
 
 
 def _fixes(options: StripOptions, cameras: list[FrameCamera], errors: Array, rng: np.random.Generator) -> list[Fix]:
-    """Observations on board: truth, errors of strip and mounting, noise."""
+    """Return the observations on board: truth, errors of strip and mounting, noise."""
     out = []
     for k, (camera, d) in enumerate(zip(cameras, errors, strict=True)):
         strip, number = divmod(k, options.images)
@@ -161,7 +161,7 @@ def _name(k: int) -> str:
 def _block(
     options: StripOptions, cameras: list[tuple[FrameCamera, FrameCamera]], streams: dict[str, np.random.Generator]
 ) -> tuple[Block, Array]:  # fmt: skip
-    """Images, points in two images or more, and true coordinates of the points."""
+    """Return the images, points in two images or more, and true coordinates of the points."""
     sensors = [FrameSensor(true, SIDE_PX, SIDE_PX) for true, _ in cameras]
     lon_lat_height, pixels, seen = _points(options, sensors, streams["points"])
     roles = roles_in_order(streams["roles"].permutation(options.points), options.control, 0)
@@ -181,7 +181,7 @@ def _block(
 
 
 def _points(options: StripOptions, sensors: list[FrameSensor], rng: np.random.Generator) -> tuple[Array, Array, Mask]:
-    """Points in two images or more: longitude, latitude, height (n, 3); pixels (M, n, 2); whether in image (M, n)."""
+    """Draw points in two images or more: longitude, latitude, height (n, 3); pixels (M, n, 2); visibility (M, n)."""
     half = 0.5 * np.array([BASE_M * options.images, SPACING_M * options.strips]) + 300.0
     unit = rng.random((20 * options.points + 100, 3))
     place = at_centre(np.column_stack([(2.0 * unit[:, :2] - 1.0) * half, RELIEF_M * unit[:, 2]]))
@@ -192,7 +192,7 @@ def _points(options: StripOptions, sensors: list[FrameSensor], rng: np.random.Ge
 
 
 def _unknowns(block: Block, errors: Array) -> Array:
-    """True unknowns of each image in prior sigmas, in the order of its parameters."""
+    """Return the true unknowns of each image in prior sigmas, in the order of its parameters."""
     names, out = (*UNKNOWNS, *NAVIGATION), []
     for image, error in zip(block.images, errors, strict=True):
         sigma = image.sensor.camera.sigma  # type: ignore[attr-defined]  # a frame image

@@ -1,4 +1,4 @@
-"""The Zonguldak twin: a synthetic SPOT-5 HRG stereo pair with 47 ground points.
+"""Synthetic Zonguldak block: a SPOT-5 HRG stereo pair with 47 ground points.
 
 Two descending circular passes (832 km, 98.7 degrees) see 41.3 N 31.85 E at mirror angles of -18 and +20 degrees from
 opposite sides; points lie in the overlap at 0 to 1800 m. Source of the geometry: the data set of Topan & Maktav (2010)
@@ -45,7 +45,7 @@ CHECK_COUNT: Final[dict[PointSet, int]] = {
 
 
 def roles_of(point_set: PointSet, pixels: Array, rng: np.random.Generator) -> tuple[Role, ...]:
-    """Role of each point.
+    """Return the role of each point.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def roles_of(point_set: PointSet, pixels: Array, rng: np.random.Generator) -> tu
     pixels : (n, 2) array
         Line and sample in the first image; only the grouped sets use them.
     rng : np.random.Generator
-        Draws the permutation of the H sets and the side of G-A and G-B, for every set both.
+        Generator for the permutation of the H sets and for the side of G-A and G-B; both are drawn for every set.
     """
     order, side = rng.permutation(len(pixels)), rng.choice([-1.0, 1.0])
     if point_set == "G-A":
@@ -70,19 +70,19 @@ CENTRE_LON_LAT_DEG = (31.85, 41.3)
 #: Image id, mirror angle (degrees), day, half minutes of the day.
 IMAGES = (("left", -18.0, "2004-07-05", 1041), ("right", 20.0, "2004-07-06", 1003))
 HEIGHT_RANGE_M = (0.0, 1800.0)
-#: Least distance of the points from the border of both images: noise and distortion do not move them out.
+#: Least distance of the points from the border of both images, so that noise and distortion do not move them out.
 MARGIN_PX = 300.0
 #: Box of the overlap in which points are drawn, degrees around the centre.
 _BOX_DEG = (0.55, 0.40)
 
 
 def at_centre(enu_m: Array) -> Array:
-    """ECEF m (n, 3) of East, North, Up (m) from the centre at height 0."""
+    """Return ECEF coordinates (n, 3) m of East, North, Up (m) from the centre at height 0."""
     return np.asarray(geodetic_to_ecef(*CENTRE_LON_LAT_DEG, 0.0) + enu_m @ enu_from_ecef(*CENTRE_LON_LAT_DEG)[0])
 
 
 def simulate(options: ZonguldakOptions) -> Simulation:
-    """Draw the twin of these options."""
+    """Draw the synthetic block of these options."""
     streams = random_streams(options.seed)
     scenes = _scenes(options)
     lon_lat_height, pixels = _points(scenes, streams["points"])
@@ -101,10 +101,14 @@ zonguldak_block = _TWIN.block
 
 
 def simulate_zonguldak(
-    out: str | Path, options: ZonguldakOptions | None = None, *, overwrite: bool = False,
-    rasters: RasterOptions | None = None, progress: Progress | None = None,
-) -> Path:  # fmt: skip
-    """Write the twin: see :meth:`fg_orient.simulate.files.Scenario.write`.
+    out: str | Path,
+    options: ZonguldakOptions | None = None,
+    *,
+    overwrite: bool = False,
+    rasters: RasterOptions | None = None,
+    progress: Progress | None = None,
+) -> Path:
+    """Write the synthetic block: see :meth:`fg_orient.simulate.files.Scenario.write`.
 
     Parameters
     ----------
@@ -113,7 +117,7 @@ def simulate_zonguldak(
     rasters : RasterOptions, optional
         Write ``dem.tif`` and the images, too.
     progress : callable, optional
-        Called with blocks done, blocks in all and the image while images are rendered.
+        Function that receives, while images are rendered, the number of finished blocks, of all blocks, and the image.
     """
     more = None if rasters is None else partial(write_rasters, options=rasters, progress=progress)
     return _TWIN.write(out, options, overwrite=overwrite, more=more)
@@ -132,9 +136,9 @@ def _scenes(options: ZonguldakOptions) -> tuple[Scene, ...]:
 
 
 def _points(scenes: tuple[Scene, ...], rng: np.random.Generator) -> tuple[Array, Array]:
-    """Points uniform in the overlap, longitude, latitude (degrees), height (m); pixels in the first image.
+    """Draw points uniformly in the overlap, longitude, latitude (degrees), height (m); also pixels in the first image.
 
-    They depend on the true orbits and the camera of the files only, not on errors, noise and distortion.
+    They depend only on the true orbits and the camera of the files, not on errors, noise and distortion.
     """
     sensors = [as_read(scene.metadata()) for scene in scenes]
     points, pixels = np.empty((0, 3)), np.empty((0, 2))
