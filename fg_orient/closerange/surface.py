@@ -230,7 +230,7 @@ class SurfaceModel:
         return np.asarray(x * self.setup[1] + of_code[self.setup[0].astype(int)])
 
     def settled(self, x: Array) -> tuple[SurfaceModel, Array]:
-        """Return a model that starts at a state, and this state: rotations 0, semi-axes positive (ellipsoid: sorted)."""
+        """Return a model that starts at a state, and this state: rotations 0, semi-axes positive (ellipsoid sorted)."""
         if self.kind == "quadric":
             return self, x
         if self.kind == "sphere":
