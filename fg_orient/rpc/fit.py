@@ -128,7 +128,7 @@ class RfmFit:
 
     @property
     def linear_residuals_px(self) -> Array:
-        """v = A x - l of the linear form, scaled to pixels: (n, 2) line and sample."""
+        """Residuals v = A x - l of the linear form, scaled to pixels: (n, 2) line and sample."""
         design, observed = self._linear_form
         sample, line = (design @ self.x - observed).reshape(2, -1)
         return np.asarray(np.column_stack([line, sample]) * self.scaling.scales[RANGE.image])
