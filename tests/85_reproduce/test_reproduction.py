@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from fg_orient.adjustment.runtime import _libraries
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import CellKey
 from fg_orient.studies.claims import all_claims
@@ -163,8 +164,13 @@ def test_cells_are_computed_with_one_blas_thread() -> None:
     """Else the number of cores decides the rounding noise that many cells are."""
     from threadpoolctl import threadpool_info, threadpool_limits
 
+    own = {
+        m["filepath"] for m in _libraries().info()
+    }  # of numpy and scipy; OpenCV, which other tests load, has its own
+
     def threads(_: int) -> dict[CellKey, float | list[float]]:
-        return {CellKey("x"): [float(m["num_threads"]) for m in threadpool_info() if m["user_api"] == "blas"]}
+        found = [m for m in threadpool_info() if m["user_api"] == "blas" and m["filepath"] in own]
+        return {CellKey("x"): [float(m["num_threads"]) for m in found]}
 
     with threadpool_limits(limits=2, user_api="blas"):
         found = collect(threads, [1, 2])[CellKey("x")]
