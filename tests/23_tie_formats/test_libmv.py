@@ -71,6 +71,7 @@ def arrays(path: Path) -> tuple[Array, ...]:
     return camera, rotations, numbers[:, 9:], points["n"].astype(float), image, point, marks["xy"].astype(float)
 
 
+@pytest.mark.slow
 @pytest.mark.oracle
 @pytest.mark.real_data
 def test_the_published_problem_has_the_costs_that_scipy_finds(real_data: Path) -> None:

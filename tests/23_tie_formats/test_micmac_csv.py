@@ -93,6 +93,7 @@ def test_other_folders_are_refused(tmp_path: Path) -> None:
     assert error.value.problems[0].code == "ties.unreadable"
 
 
+@pytest.mark.slow
 @pytest.mark.truth
 @pytest.mark.real_data
 def test_the_published_pair_is_read_as_arrays_and_agrees_with_its_rpc(real_data: Path) -> None:

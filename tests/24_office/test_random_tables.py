@@ -56,9 +56,9 @@ def run(folder: Path, seed: int) -> tuple[int, int]:
     return counts[0], counts[1]
 
 
-def test_twenty_random_tables(tmp_path: Path) -> None:
-    counts = np.sum([run(tmp_path, seed) for seed in range(20)], axis=0)
-    assert counts[0] >= 8  # most of those whose owner states heights and pixel origin
+def test_seven_random_tables(tmp_path: Path) -> None:
+    counts = np.sum([run(tmp_path, seed) for seed in range(7)], axis=0)
+    assert counts[0] >= 3  # most of those whose owner states heights and pixel origin
 
 
 @pytest.mark.slow

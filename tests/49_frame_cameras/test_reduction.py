@@ -17,7 +17,7 @@ TERMS = ("k1", "k2", "k3", "p1", "p2")
 
 
 @pytest.mark.truth
-@pytest.mark.parametrize("priors", [True, False])
+@pytest.mark.parametrize("priors", [True, pytest.param(False, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("direction", ["backward", "forward"])
 def test_true_terms_stay_and_the_others_go(direction: str, priors: bool) -> None:
     block = calibration_block((-0.05, 0, 0, 0, 0), unknown=TERMS, seed=4, priors=priors)

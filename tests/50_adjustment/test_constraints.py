@@ -153,7 +153,9 @@ def shape(p: Array) -> Array:
 
 
 @pytest.mark.oracle
-@pytest.mark.parametrize("backend", ["graph", "dense", "schur"])
+@pytest.mark.parametrize(
+    "backend", ["graph", *(pytest.param(name, marks=pytest.mark.slow) for name in ("dense", "schur"))]
+)
 @pytest.mark.parametrize("kind", ["distance", "plane", "line", "circle", "sphere"])
 def test_hard_in_a_free_network_from_wrong_starts(kind: str, backend: str) -> None:
     """From two wrong starts: squares, redundancy and shape of Lagrange's equations."""

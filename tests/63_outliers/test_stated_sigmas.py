@@ -63,6 +63,7 @@ def test_probability_is_that_of_drawn_residuals() -> None:
         assert one.smaller == pytest.approx(1.0 - one.larger)
 
 
+@pytest.mark.slow
 @pytest.mark.truth
 def test_clean_blocks_have_calibrated_probabilities() -> None:
     """Of 60 blocks with right sigmas, as many are below 5 % as the binomial distribution allows; the factor is 1."""

@@ -190,6 +190,7 @@ def test_variance_along_a_direction() -> None:
     assert variance_along(covariance, direction)[0] == pytest.approx(direction[0] @ full @ direction[0])
 
 
+@pytest.mark.slow
 @pytest.mark.oracle
 def test_prior_sigma_of_the_y_parallax(tmp_path: Path, rng: np.random.Generator) -> None:
     """Of a rigorous, an RPC and a frame image: orientations drawn from the priors move a ray of a in image b."""

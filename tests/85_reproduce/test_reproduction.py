@@ -164,9 +164,7 @@ def test_cells_are_computed_with_one_blas_thread() -> None:
     """Else the number of cores decides the rounding noise that many cells are."""
     from threadpoolctl import threadpool_info, threadpool_limits
 
-    own = {
-        m["filepath"] for m in _libraries().info()
-    }  # of numpy and scipy; OpenCV, which other tests load, has its own
+    own = {m["filepath"] for m in _libraries().info()}  # numpy, scipy; other tests load OpenCV
 
     def threads(_: int) -> dict[CellKey, float | list[float]]:
         found = [m for m in threadpool_info() if m["user_api"] == "blas" and m["filepath"] in own]
