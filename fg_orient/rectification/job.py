@@ -98,7 +98,10 @@ def _of_table(path: Path) -> Array:
 
 
 def _of_folder(path: Path) -> tuple[Array, str]:
-    record = load_json(path / "result.json", "rectify.result")
+    file = path / "result.json"
+    if not file.is_file():
+        raise InputError.of("rectify.result", file=path)
+    record = load_json(file, "rectify.result")
     try:
         rows, way, pruning = record["points"], record["direction"], record["pruning"]
         if way != DIRECTIONS[0]:

@@ -267,6 +267,8 @@ def read_transformation(path: Path) -> Transformation:
         It cannot be read or is not a transformation.
     """
     file = path / "transformation.json" if path.is_dir() else path
+    if not file.is_file():
+        raise InputError.of("rectify.saved", file=file, value="no such file")
     content = load_json(file, "rectify.saved")
     try:
         return _from_dict(content)

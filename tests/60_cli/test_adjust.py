@@ -118,7 +118,7 @@ def test_rank_deficient_is_exit_3_with_a_report_and_no_coordinates(run: Any, twi
     assert len(record["unobservable"]) == len(record["errors"]) == 18
     assert any("acts as yaw" in sentence for sentence in record["unobservable"])
     assert sorted(p.name for p in twin.parent.iterdir() if p.name.startswith((".", "result"))) == ["result"]
-    assert sorted(p.name for p in out.iterdir()) == ["report.html", "result.json", "start_points.csv"]
+    assert sorted(p.name for p in out.iterdir()) == ["manifest.json", "report.html", "result.json", "start_points.csv"]
     kept = json.loads((out / "result.json").read_text("utf-8"))
     assert kept["seconds"] == record["seconds"] and kept["provenance"]["inputs"]
     assert [sum(s <= 1e-5 for s in o["singular_values"]) for o in kept["observability"]] == [9, 9]

@@ -19,7 +19,7 @@ from fg_orient.model.errors import FgOrientError
 from tests.fuzz.mutate import mutated
 from tests.fuzz.readers import Reader
 
-#: Contract: seconds and memory of a file.
+#: Contract: processor time and memory of a file.
 SECONDS, SECONDS_PER_BYTE = 10.0, 2e-6
 MEMORY, MEMORY_PER_BYTE = 200e6, 20.0
 _STATUS: Final = Path("/proc/self/status")
@@ -47,16 +47,18 @@ def _reset() -> None:
 
 @contextmanager
 def _alarm(seconds: float) -> Iterator[None]:
+    """Raise TooSlow after seconds of processor time, which do not depend on what else the machine does."""
+
     def ring(*_: object) -> None:
         raise TooSlow
 
-    before = signal.signal(signal.SIGALRM, ring)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    before = signal.signal(signal.SIGPROF, ring)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,8 @@ from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.limits import within_memory
 
 Separator = Literal["comma", "blank", "either"]
+#: Memory of a line and its cells, bytes.
+LINE_BYTES: Final = 250
 #: Bytes that are unpacked at once, and memory for each of them with the numbers read from it.
 _CHUNK: Final = 1 << 20
 _UNPACKED: Final = 5
@@ -49,6 +51,7 @@ def cells_of(path: Path, faults: Faults, separator: Separator) -> list[tuple[int
     text = read_text(path, faults)
     if text is None:
         return []
+    within_memory(LINE_BYTES * text.count("\n"), len(text), file=path)
     kept = [(n, line) for n, line in enumerate(text.split("\n"), start=1) if line.strip() and line[:1] != "#"]
     mark = separator_of(kept[0][1]) if kept else ","
     out = []
@@ -167,7 +170,9 @@ class TextLines:
             text = path.read_text("latin-1")
         else:
             faults.raise_if_any()
-        self.path, self.lines = path, (text or "").split("\n")
+        text = text or ""
+        within_memory(LINE_BYTES * text.count("\n"), len(text), file=path.name)
+        self.path, self.lines = path, text.split("\n")
 
     def content(self) -> list[tuple[int, str]]:
         """Numbers (from 1) and text of the lines that are neither blank nor a comment."""
