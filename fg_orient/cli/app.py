@@ -18,9 +18,10 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 import fg_orient
-from fg_orient.cli.command import INTERRUPTED, argument, option, outcome
+from fg_orient.cli.command import INTERRUPTED, argument, in_short, option, outcome
 from fg_orient.cli.output import emit_errors, note
-from fg_orient.model.errors import InputError
+from fg_orient.model.errors import InputError, NoSolutionError
+from fg_orient.model.machine import is_out_of_memory
 
 PROGRAM: Final = "fg-orient"
 #: Environment variable that the completion script of a shell sets.
@@ -157,10 +158,14 @@ def main() -> NoReturn:
 
 
 def _usage_error(error: Exception) -> int:
-    """Report a wrong option or argument in one line; raise any other exception again."""
+    """Report a wrong option or argument, or too little memory, in one line; raise any other exception again."""
     explain = getattr(error, "format_message", None)
     if explain is None:
-        raise error
+        if not is_out_of_memory(error):
+            raise error
+        short = NoSolutionError.of("program.memory", value=in_short(error))
+        note(f"error: {short}")
+        return short.exit_code
     context = getattr(error, "ctx", None)
     text = (
         explain().rstrip(".").replace("Value error, ", "")

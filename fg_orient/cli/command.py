@@ -20,7 +20,7 @@ from fg_orient.cli.log import opened, session
 from fg_orient.cli.output import emit_errors, fault, flag, folded, note, tell
 from fg_orient.cli.progress import COMPILING, COMPILING_IN_VAIN
 from fg_orient.model.declaration import Names, Option, Three, declared
-from fg_orient.model.errors import FgOrientError, Finding, InputError, finding
+from fg_orient.model.errors import FgOrientError, Finding, InputError, NoSolutionError, finding
 from fg_orient.model.options import MAX_EXTRAPOLATION_S, Reading
 
 if TYPE_CHECKING:
@@ -172,10 +172,17 @@ def _explained(as_json: bool, debug: bool) -> Iterator[None]:
         sys.stderr.close()  # the reader of our output has gone
         raise typer.Exit(1) from None
     except Exception as error:
+        from fg_orient.model.machine import is_out_of_memory
         from fg_orient.model.plugins import fault_of
 
         if debug:
             traceback.print_exc()
+        if is_out_of_memory(error):
+            short = finding("program.memory", value=in_short(error))
+            if as_json:
+                emit_errors(short)
+            fault(short)
+            raise typer.Exit(NoSolutionError.exit_code) from None
         own = fault_of(error)
         problem = own or internal(error, debug)
         if as_json:
@@ -186,6 +193,11 @@ def _explained(as_json: bool, debug: bool) -> Iterator[None]:
         session().tell("error", **problem.as_dict(flag))
         note(problem.text(flag))
         raise typer.Exit(1) from None
+
+
+def in_short(error: BaseException) -> str:
+    """Text of an exception in one line of at most 300 characters; without a text its type."""
+    return " ".join(str(error).split())[:300] or type(error).__name__
 
 
 def internal(error: Exception, debug: bool) -> Finding:

@@ -1,5 +1,7 @@
 """Files and folders written whole or not at all: a hidden sibling is filled, then renamed.
 
+A process that is killed leaves its hidden sibling; the next run removes it (:mod:`fg_orient.formats.staging`).
+
 An existing folder is kept until the new one is complete. A folder is only replaced if it contains an output of this
 program and no other files. This protects a home directory that was given by mistake as ``out``, and a result that is
 kept inside a simulated project.
@@ -9,13 +11,12 @@ from __future__ import annotations
 
 import contextlib
 import os
-import secrets
-import shutil
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import Final, get_args
 
+from fg_orient.formats.staging import held, linked, publish, sweep, sweep_once, synchronise
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import TableForm
 
@@ -43,18 +44,44 @@ def staged_file(
         An ``OSError`` of the block or of the renaming.
     """
     target = Path(path)
-    temporary = target.with_name(f".{target.name[:200]}.{secrets.token_hex(4)}.tmp{suffix}")
-    try:
-        with writing(path, option="", place=place):
+    with writing(path, option="", place=place):
+        sweep_once(target.absolute().parent)
+        with held(target, suffix) as temporary:
             yield temporary
             if durable:
-                with temporary.open("rb") as stream:
-                    os.fsync(stream.fileno())
+                synchronise(temporary)
             temporary.replace(target)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
-        raise
+
+
+@contextlib.contextmanager
+def together(*files: Path) -> Iterator[None]:
+    """Put files back, or remove new ones, if the block that changes several of them ends with an exception.
+
+    Parameters
+    ----------
+    *files : Path
+        Files that the block replaces or makes; their folders must exist.
+
+    Raises
+    ------
+    InputError
+        A folder cannot be written.
+    """
+    with contextlib.ExitStack() as stack:
+        kept: dict[Path, Path | None] = {}
+        for file in files:
+            kept[file] = None
+            if file.exists():
+                with writing(file, option=""):
+                    backup = kept[file] = stack.enter_context(held(file))
+                    linked(file, backup)
+        try:
+            yield
+        except BaseException:
+            for file, old in kept.items():
+                with contextlib.suppress(OSError):
+                    file.unlink() if old is None else old.replace(file)
+            raise
 
 
 def write_bytes(path: str | os.PathLike[str], data: bytes, *, durable: bool = True) -> None:
@@ -142,6 +169,7 @@ def require_free(out: Path, *, overwrite: bool, contents: Contents = RESULT) -> 
     InputError
         It exists and may not be replaced; the first foreign file is named.
     """
+    sweep(out.absolute().parent)
     if not (out.exists() or out.is_symlink()):
         return
     if out.is_symlink() or not out.is_dir():
@@ -164,12 +192,20 @@ def require_free_files(*files: Path | None, overwrite: bool, option: str = "out"
 
 @contextlib.contextmanager
 def writing(out: str | os.PathLike[str], *, option: str = "out", place: str = "") -> Iterator[None]:
-    """Convert an OSError into an InputError that names the output; for short blocks that only write."""
+    """Convert an OSError, or an error of GDAL, into an InputError that names the output; for blocks that only write."""
     try:
         yield
-    except OSError as error:
-        value = error.strerror or error
+    except Exception as error:
+        if not (isinstance(error, OSError) or _is_of_gdal(error)):
+            raise
+        value = getattr(error, "strerror", None) or " ".join(str(error).split())
         raise InputError.of("output.unwritable", file=out, option=option, place=place, value=value) from error
+
+
+def _is_of_gdal(error: Exception) -> bool:
+    """Whether an exception comes from GDAL: its packages have no common class for errors of writing."""
+    package = type(error).__module__.partition(".")[0]
+    return package in ("rasterio", "pyogrio") or (isinstance(error, SystemError) and "GDAL" in str(error))
 
 
 @contextlib.contextmanager
@@ -193,34 +229,24 @@ def staged_folder(out: str | Path, *, overwrite: bool = False, contents: Content
     target = Path(out).absolute()
     require_free(target, overwrite=overwrite, contents=contents)
     made = [p for p in (target.parent, *target.parent.parents) if not p.exists()]
-    staging = target.with_name(f".{target.name[:200]}.{secrets.token_hex(4)}.tmp")
     done = False
     try:
-        with writing(out):
-            staging.mkdir(parents=True)
-        yield staging
-        require_free(target, overwrite=overwrite, contents=contents)  # another process may have made it meanwhile
-        with writing(out):
-            _replace(target, staging)
+        with contextlib.ExitStack() as stack:
+            with writing(out):
+                target.parent.mkdir(parents=True, exist_ok=True)
+                staging = stack.enter_context(held(target))
+                staging.mkdir()
+            yield staging
+            require_free(target, overwrite=overwrite, contents=contents)  # another process may have made it meanwhile
+            with writing(out):
+                synchronise(staging)
+                try:
+                    publish(staging, target, replace=overwrite)
+                except FileExistsError as error:
+                    raise InputError.of("output.exists", file=out, option="out") from error
         done = True
     finally:
         if not done:
-            shutil.rmtree(staging, ignore_errors=True)
             for folder in made:
                 with contextlib.suppress(OSError):
                     folder.rmdir()
-
-
-def _replace(target: Path, staging: Path) -> None:
-    """Rename the complete folder; the old one is removed last."""
-    if not target.exists():
-        staging.rename(target)
-        return
-    old = target.with_name(f".{target.name[:200]}.{secrets.token_hex(4)}.old")
-    target.rename(old)
-    try:
-        staging.rename(target)
-    except BaseException:
-        old.rename(target)
-        raise
-    shutil.rmtree(old, ignore_errors=True)

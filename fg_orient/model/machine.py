@@ -12,6 +12,7 @@ blocks (measured with benchmarks/graph_cost.py).
 from __future__ import annotations
 
 import ctypes
+import errno
 import gc
 import math
 import os
@@ -51,6 +52,19 @@ def allowed_bytes(limit_gb: float | None) -> int | None:
 def available_bytes() -> int | None:
     """Memory that this process can still allocate, by the system and the control groups."""
     return min([*_of_system(), *_of_group()], default=None)
+
+
+def is_out_of_memory(error: BaseException | None) -> bool:
+    """Whether an exception, or one of its causes, says that memory could not be allocated."""
+    while error is not None:
+        words = str(error)
+        if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno == errno.ENOMEM):
+            return True
+        if any(sign in words for sign in ("annot allocate memory", "bad_alloc", "can't start new thread",
+                                          "failed to map segment")):  # fmt: skip
+            return True
+        error = error.__cause__ or error.__context__
+    return False
 
 
 def _of_system() -> Iterator[int]:

@@ -148,11 +148,14 @@ def run_project(
             write_page(staging, result)
             write_manifest(staging, result.record)
     except NoSolutionError as error:
-        if any(p.code.startswith("parallel.") for p in error.problems):
-            checkpoint.write()  # the workers failed, not the equations
-        else:
+        if not any(p.code.startswith("parallel.") for p in error.problems):
             checkpoint.remove()
-        raise
+            raise
+        done = checkpoint.write()  # the workers failed, not the equations
+        if done is None:
+            raise
+        kept = f"{done} iterations are kept"
+        raise type(error)(*(replace(p, value=f"{p.value}; {kept}") for p in error.problems)) from error
     else:
         checkpoint.remove()
     return {**result.record, "out": str(out)}

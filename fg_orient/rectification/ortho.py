@@ -9,6 +9,7 @@ the image of the ridge. Sources: İpbüker 1994, sec. 5 (indirect method); Keys 
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 from typing import Any, Final
 
@@ -104,7 +105,7 @@ def orthorectify(
         cannot store, no common ground, holes of the DEM, an output that cannot be written.
     """
     chosen, rasterio = options or OrthoOptions(), rasterio_of(image)
-    with rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES), _opened(rasterio, image) as source:
+    with rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES, CPL_LOG=os.devnull), _opened(rasterio, image) as source:
         size = (source.height, source.width)
         _require_fitting(source, model, image)
         empty = _nodata(source, nodata, image)

@@ -235,7 +235,7 @@ def test_the_work_folder_does_not_grow_and_is_removed(problem: Problem, tmp_path
     counts = Counter[int]()
 
     def count(_: object) -> None:
-        (folder,) = tmp_path.iterdir()
+        (folder,) = tmp_path.glob(".*.tmp")
         counts[len(list(folder.glob("ground-*")))] += 1
 
     chosen = with_options(problem, optimizer="levenberg-marquardt")

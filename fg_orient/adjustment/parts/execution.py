@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
-import shutil
 import tempfile
 from collections.abc import Iterator
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
@@ -15,10 +16,15 @@ from typing import Any, Final
 
 from fg_orient.adjustment.parts import tasks
 from fg_orient.adjustment.parts.pool import Cluster, Pool
-from fg_orient.model.errors import InputError, finding
+from fg_orient.adjustment.parts.watch import Watch
+from fg_orient.formats.atomic import writing
+from fg_orient.formats.staging import scratch_folder
+from fg_orient.model.errors import InputError, NoSolutionError, finding
 
 #: Seconds to wait for the answer of a scheduler.
 CONNECT_S: Final = 10.0
+#: Starts of the processes of a run, all of which fail if one process ends while it starts.
+STARTS: Final = 5
 #: Maximum number of workers started on one machine.
 MAX_WORKERS: Final = 256
 
@@ -86,7 +92,11 @@ def opened(execution: Execution) -> Iterator[Pool]:
     if execution.cluster is not None and not isinstance(execution.cluster, str):
         yield Cluster(execution.cluster)
         return
-    with _local(execution.workers) if execution.cluster is None else _connected(execution.cluster) as client:
+    if execution.cluster is None:
+        with _local(execution.workers) as pool:
+            yield pool
+        return
+    with _connected(execution.cluster) as client:
         yield Cluster(client)
 
 
@@ -108,8 +118,8 @@ def _connected(address: str) -> Any:
 
 
 @contextmanager
-def _local(workers: int) -> Iterator[Any]:
-    """Open a client of processes on this machine with one thread each.
+def _local(workers: int) -> Iterator[Cluster]:
+    """Pool of processes on this machine, one thread each; ended ones are replaced (:class:`Watch`).
 
     They listen on the loopback address. Only this client and its workers have the key and the certificate, which are
     made for this run and kept in memory: dask runs the code that it receives, and every user of a machine can reach its
@@ -119,41 +129,48 @@ def _local(workers: int) -> Iterator[Any]:
     import dask.config
 
     distributed = import_module("distributed")
-    one = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
     with (
-        tempfile.TemporaryDirectory(prefix="fg-orient-", ignore_cleanup_errors=True) as scratch,
+        scratch_folder(Path(tempfile.gettempdir())) as scratch,
         dask.config.set({"distributed.scheduler.work-stealing": False}),
-        distributed.LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            processes=True,
-            dashboard_address="127.0.0.1:0",
-            host="127.0.0.1",
-            protocol="tls://",
-            security=distributed.Security.temporary(),
-            scheduler_kwargs={"dashboard": False},
-            memory_limit=0,
-            env=one,
-            silence_logs=logging.CRITICAL,
-            local_directory=scratch,
-        ) as cluster,
+        _started(distributed, workers, scratch) as cluster,
         distributed.Client(cluster, set_as_default=False) as client,
+        Watch(cluster, client, workers) as watch,
     ):
-        yield client
+        yield Cluster(client, watch)
+
+
+def _started(distributed: Any, workers: int, scratch: Path) -> Any:
+    """Start the processes of a cluster; all of them again if one ends at its start.
+
+    NoSolutionError: it happens ``STARTS`` times.
+    """
+    one = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
+    for tried in range(1, STARTS + 1):
+        try:
+            return distributed.LocalCluster(
+                n_workers=workers, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
+                host="127.0.0.1", protocol="tls://", security=distributed.Security.temporary(),
+                scheduler_kwargs={"dashboard": False}, memory_limit=0, env=one,
+                silence_logs=logging.CRITICAL, local_directory=str(scratch),
+            )  # fmt: skip
+        except (RuntimeError, OSError, TimeoutError, CancelledError) as error:
+            if tried == STARTS:
+                why = " ".join(str(error.__cause__ or error).split())[:200] or type(error).__name__
+                raise NoSolutionError.of("parallel.start", option="workers", value=why, count=STARTS) from error
+    raise AssertionError
 
 
 @contextmanager
 def work_folder(execution: Execution, pool: Pool) -> Iterator[Path]:
-    """Make a new folder inside the work folder and remove it at the end; InputError if it cannot be made."""
-    try:
-        folder = Path(tempfile.mkdtemp(prefix="fg-orient-", dir=execution.work_dir)).absolute()
-    except OSError as error:
-        raise InputError.of("output.unwritable", file=execution.work_dir, value=error.strerror) from error
-    try:
-        yield folder
-    finally:
+    """New folder inside the work folder, removed at the end; InputError if it cannot be made."""
+    parent = Path(execution.work_dir or tempfile.gettempdir()).absolute()
+    with contextlib.ExitStack() as stack:
+        with writing(execution.work_dir or parent, option=""):
+            folder = stack.enter_context(scratch_folder(parent))
         try:
-            pool.forget(str(folder))
+            yield folder
         finally:
-            tasks.forget(str(folder))
-            shutil.rmtree(folder, ignore_errors=True)
+            try:
+                pool.forget(str(folder))
+            finally:
+                tasks.forget(str(folder))

@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import contextlib
 import os
-import shutil
 import weakref
 from collections.abc import Callable, Iterable
 from functools import cached_property
 from pathlib import Path
-from tempfile import mkdtemp
 from typing import Any
 
 import numpy as np
@@ -27,6 +25,7 @@ from fg_orient.adjustment.parts.pool import Pool
 from fg_orient.adjustment.parts.tasks import At
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.schur_reduced import inverse_norm, require_regular
+from fg_orient.formats.staging import scratch_folder
 
 
 class Multifrontal:
@@ -198,9 +197,10 @@ class Multifrontal:
         return self._read[1]
 
     def keep(self, parent: Path) -> Multifrontal:
-        """Move the files to a folder that exists as long as this object; afterwards only this process uses them."""
-        own = Path(mkdtemp(prefix="fg-orient-", dir=parent))
-        weakref.finalize(self, shutil.rmtree, own, ignore_errors=True)
+        """Move the files to a folder that exists as long as this object; then only this process works on them."""
+        kept = contextlib.ExitStack()
+        own = kept.enter_context(scratch_folder(parent))
+        weakref.finalize(self, kept.close)
         for file in self._files():
             os.replace(file, own / file.name)
         self._folder, self._pool = own, Pool()

@@ -10,11 +10,14 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from fg_orient.adjustment.parts import tasks
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.model.errors import FgOrientError, NoSolutionError
+
+if TYPE_CHECKING:
+    from fg_orient.adjustment.parts.watch import Watch
 
 T = TypeVar("T")
 
@@ -68,12 +71,14 @@ class Cluster(Pool):
     Parameters
     ----------
     client : dask.distributed.Client
+    watch : Watch, optional
+        Of processes that were started for this pool.
     """
 
     threads: int | None = 1
 
-    def __init__(self, client: Any) -> None:
-        self.client = client
+    def __init__(self, client: Any, watch: Watch | None = None) -> None:
+        self.client, self.watch = client, watch
 
     def workers(self) -> list[str]:
         """Return the addresses of the running workers, sorted."""
@@ -93,7 +98,7 @@ class Cluster(Pool):
 
         NoSolutionError: workers fail repeatedly, or the connection to the scheduler is lost.
         """
-        with _failures():
+        with _failures(self.watch):
             workers = max(len(self.workers()), 1)
             depth, parts = 0, branches(arguments, 0)
             while len(parts) < min(4 * workers, len(arguments)) and (len(parts) < workers or len(parts) % workers):
@@ -103,8 +108,8 @@ class Cluster(Pool):
             return tree(arguments, depth, lambda branch: next(sums))
 
     def each(self, task: Callable[..., T], arguments: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, T]]:
-        """See :class:`Pool`; errors as in :meth:`total`."""
-        with _failures():
+        """See :class:`Pool`; raises as :meth:`total`."""
+        with _failures(self.watch):
             futures = [self.client.submit(task, *argument, pure=False) for argument in arguments]
             number = {future.key: k for k, future in enumerate(futures)}
             try:
@@ -116,7 +121,7 @@ class Cluster(Pool):
 
     def forget(self, folder: str) -> None:
         """See :class:`Pool`."""
-        with _failures():
+        with _failures(self.watch):
             self.client.run(tasks.forget, folder, on_error="ignore")
 
 
@@ -126,7 +131,7 @@ def _distributed() -> Any:
 
 
 @contextmanager
-def _failures() -> Iterator[None]:
+def _failures(watch: Watch | None = None) -> Iterator[None]:
     """Convert exceptions of a cluster to NoSolutionError."""
     from concurrent.futures import CancelledError
 
@@ -135,14 +140,17 @@ def _failures() -> Iterator[None]:
         yield
     except FgOrientError:
         raise
-    except dask.KilledWorker as error:
-        raise NoSolutionError.of("parallel.killed", option="workers", value=str(error.last_worker)) from error
-    except (dask.comm.CommClosedError, dask.CancelledError, CancelledError, TimeoutError) as error:
-        raise NoSolutionError.of("parallel.lost", option="scheduler", value=type(error).__name__) from error
-    except (OSError, RuntimeError) as error:
+    except Exception as error:
         # dask has no classes for these: an OSError without number, or a pool that is closed
         timed_out = isinstance(error, OSError) and error.errno is None
         closed = type(error) is RuntimeError and "closed" in str(error)
-        if not (timed_out or closed):
+        known = dask.comm.CommClosedError, dask.CancelledError, CancelledError, TimeoutError
+        if watch is not None and watch.exhausted:
+            fault = "parallel.replaced", "workers", f"{watch.ended} processes"
+        elif isinstance(error, dask.KilledWorker):
+            fault = "parallel.killed", "workers", str(error.last_worker)
+        elif timed_out or closed or isinstance(error, known):
+            fault = "parallel.lost", "scheduler", type(error).__name__
+        else:
             raise
-        raise NoSolutionError.of("parallel.lost", option="scheduler", value=type(error).__name__) from error
+        raise NoSolutionError.of(fault[0], option=fault[1], value=fault[2]) from error

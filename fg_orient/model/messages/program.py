@@ -48,6 +48,9 @@ replay.missing: the run read this file, but the file is now missing or no longer
     -> restore the file, or add <allow_changed> to continue without it
 replay.new: the run did not read this file
     -> restore the project of the run, or add <allow_changed> to continue with this file
+program.memory: the memory is not sufficient, and nothing was written
+    -> end other programs, take a machine with more memory, or a smaller block; an adjustment needs less in parts
+       (docs/parallel.md) or with <memory_limit_gb>
 internal: error of the program: {kind}: {text}
     -> please report it{hint}
 plugin.file: there is no Python file of this name

@@ -12,7 +12,7 @@ import numpy as np
 from factors._preparation import working_clock
 from factors.arrays import Array
 from fg_orient.adjustment.parts.execution import Execution, opened
-from fg_orient.formats.atomic import Contents, require_free, staged_folder, writing
+from fg_orient.formats.atomic import Contents, require_free, staged_folder, together, writing
 from fg_orient.formats.heights import ZeroLevel
 from fg_orient.formats.project import ProjectImages, read_images
 from fg_orient.formats.rasters import Place, missing, place_of, raster_beside
@@ -27,7 +27,7 @@ from fg_orient.orientation.match.epipolar import Pair, height_range, inside
 from fg_orient.orientation.match.features import cv2_of
 from fg_orient.orientation.match.options import MatchOptions
 from fg_orient.orientation.match.record import record_of, write_report
-from fg_orient.orientation.match.tables import NEW_POINTS, ControlRows, require_tables, write_tables
+from fg_orient.orientation.match.tables import NEW_POINTS, ControlRows, require_tables, table_files, write_tables
 from fg_orient.orientation.match.tasks import Setup, cell_task, cell_windows, coarse_task, work_of
 from fg_orient.orientation.match.tracks import LEAST_SIGMA_PX, PairResult, accept, tie_points
 from fg_orient.sensors.dem import RasterDem, range_below
@@ -126,7 +126,10 @@ def match_project(
         rows, found_chips = _control_rows(known, setup, path, read, results)
         record |= as_record([*findings_of(record), *found_chips])
         record["control"] = {"points": len(known.chips), "measured": len(rows.ids), "image_points": len(rows.image)}
-    with staged_folder(target, overwrite=overwrite, contents=CONTENTS) as folder, writing(target):
+    with (
+        together(*table_files(path, read)), staged_folder(target, overwrite=overwrite, contents=CONTENTS) as folder,
+        writing(target),
+    ):  # fmt: skip
         write_report(folder, record, results, ties, setup)
         record["files"] = write_tables(path, read, ties, rows)
     record["out"] = str(target)

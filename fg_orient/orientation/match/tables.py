@@ -66,6 +66,12 @@ def require_tables(path: Path, project: ProjectImages, *, overwrite: bool) -> No
             raise InputError.of("match.matched", file=file, option="overwrite")
 
 
+def table_files(path: Path, project: ProjectImages) -> list[Path]:
+    """Files that :func:`write_tables` may replace or make, the project file among them."""
+    folder = path.parent
+    return [path, folder / project.observations.file, folder / (project.points.file or NEW_POINTS["file"])]
+
+
 def write_tables(path: Path, project: ProjectImages, ties: TiePoints, control: ControlRows | None = None) -> list[str]:
     """Write points to the tables of a project and replace the points of an earlier run; return the files."""
     folder, names = path.parent, ids_of(ties.n_points)

@@ -1,0 +1,72 @@
+"""Worker processes of this machine that end are replaced, up to a number of times.
+
+dask starts a process again that ends while it works, without a limit, and gives up one that ends while it starts. Tasks
+would then wait for ever: for a process that ends again and again, or for one that does not come back.
+"""
+
+from __future__ import annotations
+
+import threading
+from contextlib import suppress
+from typing import Any, Final
+
+#: Replacements for each worker of a run.
+REPLACED: Final = 3
+#: Seconds between two looks at the processes; a start takes longer.
+PAUSE_S: Final = 0.2
+
+
+class Watch:
+    """Thread that replaces ended processes of a local cluster; with too many of them it closes the client.
+
+    Parameters
+    ----------
+    cluster : dask.distributed.LocalCluster
+    client : dask.distributed.Client
+        All its waiting calls end with an exception when it is closed.
+    workers : int
+
+    Attributes
+    ----------
+    ended : int
+        Processes that have ended.
+    exhausted : bool
+        Whether more have ended than are replaced.
+    """
+
+    def __init__(self, cluster: Any, client: Any, workers: int) -> None:
+        self._cluster, self._client, self._workers = cluster, client, workers
+        self._processes: set[int] = set()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="workers", daemon=True)
+        self.ended, self.exhausted = 0, False
+
+    def __enter__(self) -> Watch:
+        self._look()
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while not self._stop.wait(PAUSE_S):
+            self._look()
+            if self.ended > REPLACED * self._workers:
+                self.exhausted = True
+                with suppress(Exception):  # whatever a closed client raises
+                    self._client.close(timeout=1)
+                return
+
+    def _look(self) -> None:
+        """Count processes; start those again that dask has given up."""
+        with suppress(RuntimeError):  # the dictionary changes at this moment
+            own = dict(self._cluster.workers)
+            self._processes |= {one.pid for one in own.values() if one.pid}
+            self.ended = max(len(self._processes) - self._workers, 0)
+            lost = [name for name, one in own.items() if one.status.name in ("closed", "failed")]
+            for name in lost:
+                self._cluster.workers.pop(name, None)
+            if lost or len(own) < self._workers:
+                self._cluster.scale(self._workers)

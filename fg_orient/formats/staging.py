@@ -1,0 +1,260 @@
+"""Hidden files and folders that are being written: held by a lock of their process, removed when it is gone.
+
+Each one is named ``.NAME.TOKEN.tmp``, with a lock file ``.NAME.TOKEN.lock`` beside it that is made first and removed
+last; it contains machine and process. The process that writes holds the lock (flock). The system releases it when the
+process ends, whatever ends it: the next run in this folder can take the lock and removes what was left. An output that
+was being replaced is put back if the new one had not taken its place. Where locks are not available, as on some network
+file systems, nothing is removed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import errno
+import os
+import platform
+import re
+import secrets
+import shutil
+import sys
+import time
+from collections.abc import Iterator
+from functools import lru_cache
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Final
+
+_fcntl: Any = import_module("fcntl") if find_spec("fcntl") else None  # not on Windows
+
+#: Names of locks; longer names of outputs are cut.
+_LOCK: Final = re.compile(r"\.(.+)\.([0-9a-f]{12})\.lock")
+LONGEST: Final = 200
+#: Age of a lock of another machine from which it is swept, s.
+FOREIGN_S: Final = 7 * 86_400.0
+#: Locks that are tried until one was not swept between its making and its locking.
+TRIES: Final = 100
+#: ``renameat2`` of Linux: exchange two paths; refuse an existing target.
+_EXCHANGE: Final = 2
+_NO_REPLACE: Final = 1
+_HERE: Final = -100
+#: Errors of file systems and systems without these renamings or without locks.
+_NOT_THERE: Final = (errno.ENOSYS, errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK)
+
+
+@contextlib.contextmanager
+def held(target: Path, suffix: str = "") -> Iterator[Path]:
+    """Hidden sibling of an output, whose file or folder is made by the caller; removed at the end if it still exists.
+
+    Parameters
+    ----------
+    target : Path
+        The output; its folder must exist.
+    suffix : str
+        End of the hidden name, for writers that depend on it.
+
+    Raises
+    ------
+    OSError
+        The lock cannot be made.
+    """
+    lock, descriptor = _locked(target)
+    staging = lock.with_name(f"{lock.name.removesuffix('.lock')}.tmp{suffix}")
+    try:
+        yield staging
+    finally:
+        remove(staging)
+        _release(lock, descriptor)
+
+
+@contextlib.contextmanager
+def scratch_folder(parent: Path) -> Iterator[Path]:
+    """New folder for files of a run, which only this user can read; removed at the end, or by a later run.
+
+    OSError: it cannot be made.
+    """
+    sweep_once(parent)
+    with held(parent / "fg-orient") as folder:
+        folder.mkdir(mode=0o700)
+        yield folder
+
+
+def _locked(target: Path) -> tuple[Path, int]:
+    """Make a lock and take it: path and descriptor."""
+    for _ in range(TRIES):
+        path = target.with_name(f".{target.name[:LONGEST]}.{secrets.token_hex(6)}.lock")
+        descriptor = os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o666)
+        try:
+            if not _take(descriptor) or _is(path, descriptor):
+                os.write(descriptor, f"{platform.node()} {os.getpid()}\n".encode())
+                return path, descriptor
+        except BaseException:
+            _release(path, descriptor)
+            raise
+        os.close(descriptor)  # another run has swept it
+    raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+
+
+def _release(lock: Path, descriptor: int) -> None:
+    """Remove a lock and give it up; in this order, where the system removes open files."""
+    if _fcntl is None:
+        os.close(descriptor)
+    with contextlib.suppress(OSError):
+        lock.unlink()
+    if _fcntl is not None:
+        os.close(descriptor)
+
+
+def _take(descriptor: int) -> bool:
+    """Take a lock without waiting; False if it is held or locks are not available."""
+    if _fcntl is None:
+        return False
+    try:
+        _fcntl.flock(descriptor, _fcntl.LOCK_EX | _fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+def _is(path: Path, descriptor: int) -> bool:
+    """Whether a path is still the open file."""
+    try:
+        there, own = path.stat(), os.fstat(descriptor)
+    except OSError:
+        return False
+    return (there.st_dev, there.st_ino) == (own.st_dev, own.st_ino)
+
+
+def remove(path: Path) -> None:
+    """Remove a file or folder if it exists; never follow a link."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        with contextlib.suppress(OSError):
+            path.unlink()
+
+
+# --- left by processes that are gone -----------------------------------------------------------------
+
+
+def sweep(folder: Path) -> None:
+    """Remove what processes that are gone have left in a folder; put back outputs that they were replacing."""
+    try:
+        names = sorted(entry.name for entry in os.scandir(folder) if entry.name.endswith(".lock"))
+    except OSError:
+        return
+    for name in names:
+        match = _LOCK.fullmatch(name)
+        if match is None:
+            continue
+        with contextlib.suppress(OSError):
+            descriptor = os.open(folder / name, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0))
+            try:
+                if _take(descriptor) and _is(folder / name, descriptor) and _ours(descriptor):
+                    _clear(folder, match[1], name.removesuffix(".lock"))
+            finally:
+                os.close(descriptor)
+
+
+def _ours(descriptor: int) -> bool:
+    """Whether the lock is of this machine, or a week old: some file systems lock for each machine alone."""
+    host = os.read(descriptor, 1000).decode("utf-8", "replace").partition(" ")[0]
+    return host in ("", platform.node()) or time.time() - os.fstat(descriptor).st_mtime > FOREIGN_S
+
+
+@lru_cache(maxsize=256)
+def sweep_once(folder: Path) -> None:
+    """Sweep a folder at the first output of this process in it: some commands write thousands of files."""
+    sweep(folder)
+
+
+def _clear(folder: Path, target: str, stem: str) -> None:
+    """Remove the files and folders of a lock, and the lock."""
+    old = folder / f"{stem}.old"
+    if old.exists() and not os.path.lexists(folder / target) and len(target) < LONGEST:
+        old.rename(folder / target)
+    for entry in list(os.scandir(folder)):
+        if entry.name.startswith((f"{stem}.tmp", f"{stem}.old")):
+            remove(folder / entry.name)
+    (folder / f"{stem}.lock").unlink()
+
+
+# --- the last step -----------------------------------------------------------------------------------
+
+
+def publish(staging: Path, target: Path, *, replace: bool) -> None:
+    """Rename a complete folder to its target; an existing target takes its hidden name.
+
+    Where the system cannot exchange two folders, the old one has the end ``.old`` for a moment.
+
+    Raises
+    ------
+    FileExistsError
+        The target exists, and ``replace`` is False.
+    OSError
+        The renaming failed; the old target is there as before.
+    """
+    if not os.path.lexists(target) and _renamed(staging, target, _NO_REPLACE):
+        return
+    if not replace:
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(target))
+    if _renamed(staging, target, _EXCHANGE):
+        return
+    old = staging.with_name(f"{staging.name.removesuffix('.tmp')}.old")
+    target.rename(old)
+    try:
+        staging.rename(target)
+    except BaseException:
+        if not os.path.lexists(target):  # else another process was faster
+            old.rename(target)
+        raise
+    finally:
+        if os.path.lexists(target):
+            remove(old)
+
+
+def _renamed(source: Path, target: Path, how: int) -> bool:
+    """Rename by ``renameat2``; False if the target's existence does not allow it, or the system cannot do it."""
+    function: Any = None
+    if sys.platform.startswith("linux"):
+        function = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
+    if function is not None:
+        if not function(_HERE, os.fsencode(source), _HERE, os.fsencode(target), how):
+            return True
+        code = ctypes.get_errno()
+        if code in (errno.EEXIST, errno.ENOENT) and os.path.lexists(source):
+            return False
+        if code not in _NOT_THERE:
+            raise OSError(code, os.strerror(code), str(target))
+    if how == _EXCHANGE or os.path.lexists(target):
+        return False
+    source.rename(target)
+    return True
+
+
+def linked(file: Path, name: Path) -> None:
+    """Give a file a second name; a copy where the file system has no links."""
+    try:
+        os.link(file, name)
+    except OSError as error:
+        if error.errno not in (*_NOT_THERE, errno.EPERM, errno.EMLINK):
+            raise
+        shutil.copy2(file, name)
+
+
+def synchronise(path: Path) -> None:
+    """Wait until a file, or a folder with all its files, is on the disk."""
+    folders = [path] if path.is_dir() else []
+    files = [] if folders else [path]
+    for folder in folders:
+        for entry in os.scandir(folder):
+            (folders if entry.is_dir(follow_symlinks=False) else files).append(Path(entry.path))
+    for one in (*files, *reversed(folders)):
+        if one in folders and os.name == "nt":
+            continue
+        descriptor = os.open(one, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

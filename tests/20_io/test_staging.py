@@ -1,0 +1,207 @@
+"""Hidden files of outputs: swept when their process is gone, kept while it lives, whole or absent with two writers."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from fg_orient.formats import staging
+from fg_orient.formats.atomic import Contents, staged_file, staged_folder, together, write_text
+from fg_orient.formats.staging import publish, scratch_folder, sweep, synchronise
+from fg_orient.model.errors import InputError
+
+pytestmark = [
+    pytest.mark.behaviour, pytest.mark.skipif(sys.platform == "win32", reason="locks are of POSIX systems"),
+]  # fmt: skip
+
+CONTENTS = Contents("mark", ("mark", "more"))
+#: A process that fills an output and then waits.
+WRITER = """
+import sys, time
+from fg_orient.formats.atomic import Contents, staged_file, staged_folder
+kind, path = sys.argv[1:]
+with (staged_file(path) if kind == "file" else staged_folder(path)) as hidden:
+    (hidden if kind == "file" else hidden / "mark").write_text("half")
+    print("ready", flush=True)
+    time.sleep(600)
+"""
+
+
+def hidden(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir() if path.name.startswith("."))
+
+
+@contextlib.contextmanager
+def writer(kind: str, path: Path) -> Iterator[subprocess.Popen[str]]:
+    """Give a process in the middle of writing an output."""
+    with subprocess.Popen(
+        [sys.executable, "-c", WRITER, kind, str(path)], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None and process.stdout.readline() == "ready\n"
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+@pytest.mark.parametrize("kind", ["file", "folder"])
+def test_what_a_killed_process_left_is_swept_and_that_of_a_living_one_is_not(tmp_path: Path, kind: str) -> None:
+    out = tmp_path / "out"
+    with writer(kind, out) as process:
+        left = hidden(tmp_path)
+        assert [name.rsplit(".", 1)[1] for name in left] == ["lock", "tmp"]
+        with staged_folder(tmp_path / "other"):
+            pass
+        assert hidden(tmp_path) == left, "its writer lives"
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        assert hidden(tmp_path) == left
+    with staged_folder(tmp_path / "another"):
+        pass
+    assert hidden(tmp_path) == [] and not out.exists()
+
+
+def test_a_file_sweeps_its_folder_too(tmp_path: Path) -> None:
+    with writer("folder", tmp_path / "out") as process:
+        process.kill()
+    assert len(hidden(tmp_path)) == 2
+    staging.sweep_once.cache_clear()
+    write_text(tmp_path / "file", "text")
+    assert hidden(tmp_path) == []
+
+
+@pytest.mark.parametrize(("there", "expected"), [(False, "old"), (True, "new")])
+def test_an_output_that_was_being_replaced_is_put_back(tmp_path: Path, there: bool, expected: str) -> None:
+    """Killed between two renamings, where the system cannot exchange folders."""
+    stem = ".out.0123456789ab"
+    for name, text in ((f"{stem}.old", "old"), (f"{stem}.tmp", "half"), *([("out", "new")] if there else [])):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "mark").write_text(text, "utf-8")
+    (tmp_path / f"{stem}.lock").write_text("", "utf-8")
+    sweep(tmp_path)
+    assert hidden(tmp_path) == [] and (tmp_path / "out" / "mark").read_text("utf-8") == expected
+
+
+def test_a_lock_of_another_machine_is_left_for_a_week(tmp_path: Path) -> None:
+    lock = tmp_path / ".out.0123456789ab.lock"
+    lock.write_text("elsewhere 17\n", "utf-8")
+    (tmp_path / ".out.0123456789ab.tmp").mkdir()
+    sweep(tmp_path)
+    assert len(hidden(tmp_path)) == 2
+    os.utime(lock, (1e9, 1e9))
+    sweep(tmp_path)
+    assert hidden(tmp_path) == []
+
+
+def test_files_that_only_look_alike_stay(tmp_path: Path) -> None:
+    names = [".out.lock", ".out.0123456789ab.tmp", ".out.0123456789ab.old", "out.0123456789ab.lock", ".a.XYZ.lock"]
+    for name in names:
+        (tmp_path / name).write_text("mine", "utf-8")
+    link = tmp_path / ".out.ba9876543210.lock"
+    link.symlink_to(tmp_path / names[0])
+    sweep(tmp_path)
+    assert sorted([*names, link.name]) == sorted(path.name for path in tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("exchange", [True, False])
+def test_a_folder_is_replaced_or_as_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, exchange: bool) -> None:
+    """Also on file systems that cannot exchange two folders, and when the second renaming fails."""
+    if not exchange:
+        monkeypatch.setattr(staging, "_renamed", lambda *_: False)
+    for text in ("one", "two"):
+        (tmp_path / text).mkdir()
+        (tmp_path / text / "mark").write_text(text, "utf-8")
+    publish(tmp_path / "two", tmp_path / "one", replace=True)
+    assert (tmp_path / "one" / "mark").read_text("utf-8") == "two"
+    (tmp_path / "three").mkdir()
+    with pytest.raises(FileExistsError):
+        publish(tmp_path / "three", tmp_path / "one", replace=False)
+    if not exchange:
+        rename, calls = Path.rename, list[Path]()
+
+        def failing(source: Path, target: Path) -> Path:
+            calls.append(source)
+            if len(calls) == 2:
+                raise OSError(5, "Input/output error")
+            return rename(source, target)
+
+        monkeypatch.setattr(Path, "rename", failing)
+        with pytest.raises(OSError, match="Input/output"):
+            publish(tmp_path / "three", tmp_path / "one", replace=True)
+        assert (tmp_path / "one" / "mark").read_text("utf-8") == "two"
+
+
+def test_writers_at_once_leave_one_whole_output(tmp_path: Path) -> None:
+    """Without permission to overwrite one of them succeeds; with it all do, and the folder is that of one of them."""
+    codes: list[str] = []
+
+    def write(text: str, overwrite: bool, barrier: threading.Barrier) -> None:
+        try:
+            with staged_folder(tmp_path / "out", overwrite=overwrite, contents=CONTENTS) as folder:
+                for name in CONTENTS.names:
+                    (folder / name).write_text(text, "utf-8")
+                barrier.wait()
+            codes.append("")
+        except InputError as error:
+            codes.append(error.problems[0].code)
+
+    for overwrite in (False, True, True, True):
+        codes.clear()
+        barrier = threading.Barrier(4)
+        threads = [threading.Thread(target=write, args=(str(k), overwrite, barrier)) for k in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert sorted(codes) == (["", "", "", ""] if overwrite else ["", *["output.exists"] * 3])
+        assert len({path.read_text("utf-8") for path in (tmp_path / "out").iterdir()}) == 1
+        assert hidden(tmp_path) == []
+
+
+def test_several_files_change_together_or_not_at_all(tmp_path: Path) -> None:
+    first, second = tmp_path / "first", tmp_path / "second"
+    first.write_text("old", "utf-8")
+    with pytest.raises(InputError), together(first, second):
+        write_text(first, "new")
+        write_text(second, "new")
+        raise InputError.of("output.unwritable", file=second)
+    assert first.read_text("utf-8") == "old" and sorted(p.name for p in tmp_path.iterdir()) == ["first"]
+    with together(first, second):
+        write_text(first, "new")
+        write_text(second, "new")
+    assert first.read_text("utf-8") == "new" and hidden(tmp_path) == []
+
+
+def test_a_work_folder_is_of_the_user_alone(tmp_path: Path) -> None:
+    with scratch_folder(tmp_path) as folder:
+        assert folder.stat().st_mode & 0o777 == 0o700
+        (folder / "deep").mkdir()
+        (folder / "deep" / "file").write_text("text", "utf-8")
+        synchronise(folder)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "file"
+    write_text(path, "old")
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(InputError, match="No space left"):
+        write_text(path, "new")
+    with pytest.raises(InputError, match="No space left"), staged_folder(tmp_path / "out") as folder:
+        (folder / "mark").write_text("new", "utf-8")
+    assert path.read_text("utf-8") == "old" and [p.name for p in tmp_path.iterdir()] == ["file"]
+    with staged_file(path) as hidden_file:
+        hidden_file.write_text("without waiting", "utf-8")
+    assert path.read_text("utf-8") == "without waiting"

@@ -1,0 +1,144 @@
+"""Commands whose writing calls fail, on small inputs that this module makes."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from tests.faults.harness import Scenario, command, run
+
+
+def _good(folder: Path, *words: object) -> None:
+    ended = run(command(*words), folder, count=False)
+    assert ended.code == 0, ended
+
+
+def _twin(folder: Path) -> Path:
+    from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
+
+    return simulate_zonguldak(folder / "twin", ZonguldakOptions(seed=1))
+
+
+def adjust(folder: Path) -> Scenario:
+    _twin(folder)
+    words = ("--checkpoint-every", "0", "--quiet")
+    return Scenario("adjust", folder, lambda f: ("adjust", f / "twin/project.toml", "--out", f / "out", *words),
+                    ("--overwrite",), (".out.checkpoint.npz",))  # fmt: skip
+
+
+def replace(folder: Path) -> Scenario:
+    """``adjust`` with an existing result."""
+    project = _twin(folder)
+    _good(folder, "adjust", project, "--out", folder / "out", "--quiet")
+    words = ("--checkpoint-every", "0", "--quiet", "--overwrite")
+    return Scenario("replace", folder, lambda f: ("adjust", f / "twin/project.toml", "--out", f / "out", *words),
+                    (), (".out.checkpoint.npz",))  # fmt: skip
+
+
+def simulate(folder: Path) -> Scenario:
+    (folder / "empty").mkdir()
+    return Scenario("simulate", folder, lambda f: ("simulate", "zonguldak", "--out", f / "a/twin"), ("--overwrite",))
+
+
+def compare(folder: Path) -> Scenario:
+    _twin(folder)
+    words = ("--eop-sets", "1,9", "--solvers", "qr", "--backends", "dense", "--quiet")
+    return Scenario("compare", folder, lambda f: ("compare", f / "twin/project.toml", "--out", f / "out", *words),
+                    ("--overwrite",))  # fmt: skip
+
+
+def _survey(folder: Path) -> Path:
+    from fg_orient.formats.exchange.gis import write_geopackage
+    from fg_orient.formats.exchange.survey import Survey
+    from fg_orient.formats.registry import Settings
+    from fg_orient.model.names import Role
+
+    rng = np.random.default_rng(1)
+    place = np.column_stack([rng.uniform(31.0, 32.0, 50), rng.uniform(41.0, 42.0, 50), rng.uniform(0.0, 500.0, 50)])
+    names = tuple(f"p{k}" for k in range(50))
+    survey = Survey("EPSG:4979", names, (Role.CONTROL,) * 50, place, np.full((50, 3), 0.1), np.zeros(50, bool))
+    write_geopackage(survey, (folder / "points.gpkg",), Settings())
+    return folder / "points.gpkg"
+
+
+def convert(folder: Path) -> Scenario:
+    path = _survey(folder).name
+    return Scenario("convert", folder, lambda f: ("convert", f / path, "--out", f / "points.csv"), ("--overwrite",))
+
+
+def geopackage(folder: Path) -> Scenario:
+    """``convert`` into a file that SQLite writes."""
+    path = _survey(folder).name
+    return Scenario("geopackage", folder, lambda f: ("convert", f / path, "--to-crs", "EPSG:4978", "--out",
+                                                     f / "other.gpkg"), ("--overwrite",))  # fmt: skip
+
+
+def rectify(folder: Path) -> Scenario:
+    rng = np.random.default_rng(2)
+    image = rng.uniform(0.0, 1000.0, (30, 2))
+    plane = np.column_stack([4e5 + 28.0 * image[:, 1], 4.5e6 - 28.0 * image[:, 0]]) + rng.normal(0.0, 5.0, (30, 2))
+    rows = [
+        f"P{k},{a[0]!r},{a[1]!r},{b[0]!r},{b[1]!r},control"
+        for k, (a, b) in enumerate(zip(image.tolist(), plane.tolist(), strict=True))
+    ]
+    text = "\n".join(["id,line,sample,easting_m,northing_m,role", *rows, ""])
+    (folder / "points.csv").write_text(text, "utf-8")
+    words = ("--crs", "EPSG:32635", "--quiet")
+    return Scenario("rectify", folder, lambda f: ("rectify", "fit", f / "points.csv", "--out", f / "out", *words),
+                    ("--overwrite",))  # fmt: skip
+
+
+def ortho(folder: Path) -> Scenario:
+    """``rectify ortho`` to a cloud optimised GeoTIFF, which GDAL writes twice."""
+    import rasterio
+
+    rectify(folder)
+    _good(folder, "rectify", "fit", folder / "points.csv", "--crs", "EPSG:32635", "--out", folder / "fit")
+    grey = np.random.default_rng(3).integers(1, 255, (1000, 1000), dtype=np.uint8)
+    with rasterio.open(
+        folder / "image.tif", "w", driver="GTiff", width=1000, height=1000, count=1, dtype="uint8"
+    ) as sink:
+        sink.write(grey, 1)
+    return Scenario(
+        "ortho", folder, lambda f: ("rectify", "ortho", f / "image.tif", f / "fit", "--out", f / "map.tif", "--cog"),
+        ("--overwrite",),
+    )  # fmt: skip
+
+
+def match(folder: Path) -> Scenario:
+    from tests.support.rendered_pair import Scene, View, write_pair
+
+    views = View("a", (0.25, -0.05), 130), View("b", (-0.25, 0.1), 130, shift_px=(2.5, -1.5))
+    write_pair(folder, Scene(60.0, 3, relief_m=5.0, walls=3), views, snr=50.0)
+    return Scenario("match", folder, lambda f: ("match", f / "project.toml", "--quiet"), ("--overwrite",),
+                    (".project.match",))  # fmt: skip
+
+
+def report(folder: Path) -> Scenario:
+    project = _twin(folder)
+    _good(folder, "adjust", project, "--out", folder / "out", "--quiet")
+    return Scenario("report", folder, lambda f: ("report", f / "out", "--truth", f / "twin/truth", "--figures"))
+
+
+def layers(folder: Path) -> Scenario:
+    """``report --export`` to a GeoPackage."""
+    project = _twin(folder)
+    _good(folder, "adjust", project, "--out", folder / "out", "--quiet")
+    return Scenario("layers", folder, lambda f: ("report", f / "out", "--export", f / "layers.gpkg"), ("--overwrite",))
+
+
+SCENARIOS: dict[str, Callable[[Path], Scenario]] = {
+    one.__name__: one
+    for one in (adjust, replace, simulate, compare, convert, geopackage, rectify, ortho, match, report, layers)
+}
+
+
+def made(name: str, work: Path) -> Scenario:
+    """Make a scenario in a folder."""
+    folder = work / f"{name}-template"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    return SCENARIOS[name](folder)
