@@ -65,6 +65,8 @@ def held(target: Path, suffix: str = "") -> Iterator[Path]:
         yield staging
     finally:
         remove(staging)
+        if suffix:  # a writer in C may make further files
+            _remove_all(lock.parent, f"{lock.name.removesuffix('.lock')}.tmp")
         _release(lock, descriptor)
 
 
@@ -163,6 +165,13 @@ def _ours(descriptor: int) -> bool:
     return host in ("", platform.node()) or time.time() - os.fstat(descriptor).st_mtime > FOREIGN_S
 
 
+def _remove_all(folder: Path, *beginnings: str) -> None:
+    with contextlib.suppress(OSError):
+        for entry in list(os.scandir(folder)):
+            if entry.name.startswith(beginnings):
+                remove(folder / entry.name)
+
+
 @lru_cache(maxsize=256)
 def sweep_once(folder: Path) -> None:
     """Sweep a folder at the first output of this process in it: some commands write thousands of files."""
@@ -174,9 +183,7 @@ def _clear(folder: Path, target: str, stem: str) -> None:
     old = folder / f"{stem}.old"
     if old.exists() and not os.path.lexists(folder / target) and len(target) < LONGEST:
         old.rename(folder / target)
-    for entry in list(os.scandir(folder)):
-        if entry.name.startswith((f"{stem}.tmp", f"{stem}.old")):
-            remove(folder / entry.name)
+    _remove_all(folder, f"{stem}.tmp", f"{stem}.old")
     (folder / f"{stem}.lock").unlink()
 
 

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from factors.arrays import Array
 from fg_orient.formats.atomic import require_free_files, staged_file
-from fg_orient.formats.gdal import TIFF_MARKS, opened, rasterio_of
+from fg_orient.formats.gdal import TIFF_MARKS, Written, copy_as_cog, opened, rasterio_of
 from fg_orient.formats.sensor import read_sensor
 from fg_orient.geodesy import ecef_to_geodetic, from_geographic, same_crs
 from fg_orient.kernels.resampling import (
@@ -128,13 +128,15 @@ def orthorectify(
         with staged_file(Path(out), place="<out>", suffix=".tif") as staged:
             target = staged.with_suffix(".work.tif") if chosen.cog else staged
             try:
-                seen, filled = fill(rasterio, source, target, grid, knots, surface, limits, empty, chosen, progress)
+                seen, filled, written = fill(
+                    rasterio, source, target, grid, knots, surface, limits, empty, chosen, progress
+                )
                 if not seen:
                     raise InputError.of("ortho.no_overlap", file=image, what=surface.path)
+                written.require(target)
                 if chosen.cog:
-                    from rasterio.shutil import copy
-
-                    copy(target, staged, driver="COG", compress=chosen.compress, blocksize=TILE, overviews="AUTO")
+                    settings = {"compress": chosen.compress, "blocksize": TILE, "overviews": "AUTO"}
+                    copy_as_cog(rasterio, target, staged, written, **settings)
             finally:
                 if chosen.cog:
                     target.unlink(missing_ok=True)
@@ -249,26 +251,16 @@ RESAMPLING: Final = {
 
 
 def fill(
-    rasterio: Any,
-    source: Any,
-    target: Path,
-    grid: MapGrid,
-    knots: Lattice,
-    surface: Surface,
-    limits: Array,
-    nodata: float,
-    options: OrthoOptions,
-    progress: Progress | None,
-) -> tuple[int, int]:
-    """Write all windows.
-
-    Return the number of map pixels inside the image, and of those with a value in its first band.
-    """
+    rasterio: Any, source: Any, target: Path, grid: MapGrid, knots: Lattice, surface: Surface, limits: Array,
+    nodata: float, options: OrthoOptions, progress: Progress | None,
+) -> tuple[int, int, Written]:  # fmt: skip
+    """Write all windows; number of map pixels inside the image, of those with a value in its first band, checksums."""
     settings = grid.profile(bands=source.count, dtype=source.dtypes[0], nodata=nodata, compress=options.compress)
     edge = window_edge(options.window, knots)
     corners = [(r, c) for r in range(0, grid.rows, edge) for c in range(0, grid.columns, edge)]
     seen = filled = 0
-    with rasterio.open(target, "w", **settings) as sink:
+    with rasterio.open(target, "w", **settings) as opened_sink:
+        sink = Written(rasterio, opened_sink)
         for done, (row, column) in enumerate(corners):
             if progress is not None:
                 progress(done, len(corners), "windows")
@@ -285,7 +277,7 @@ def fill(
             filled += _window(rasterio, source, sink, place, line, sample, nodata, options.resampling)
     if progress is not None:
         progress(len(corners), len(corners), "windows")
-    return seen, filled
+    return seen, filled, sink
 
 
 def window_edge(wanted: int, knots: Lattice) -> int:
@@ -308,13 +300,13 @@ def _heights(surface: Surface, knots: Lattice, first: tuple[int, int], shape: tu
 
 
 def _window(
-    rasterio: Any, source: Any, sink: Any, place: Any, line: Array, sample: Array, nodata: float, resampling: str
+    rasterio: Any, source: Any, sink: Written, place: Any, line: Array, sample: Array, nodata: float, resampling: str
 ) -> int:
     """Resample all bands into one window; return the number of pixels of the first band with a value."""
     if np.isnan(line).all():
         empty = np.full(line.shape, nodata).astype(source.dtypes[0])
         for band in source.indexes:
-            sink.write(empty, band, window=place)
+            sink.write(empty, band, place)
         return 0
     first_l, last_l = _needed(line, source.height)
     first_s, last_s = _needed(sample, source.width)
@@ -325,7 +317,7 @@ def _window(
         grey = _read(rasterio, source, band, part)
         n = resample(grey, first_l, first_s, line, sample, kind, a, out)
         count = n if band == source.indexes[0] else count
-        sink.write(_stored(out, source.dtypes[0], nodata), band, window=place)
+        sink.write(_stored(out, source.dtypes[0], nodata), band, place)
     return count
 
 

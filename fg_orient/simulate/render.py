@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.arrays import Array
-from fg_orient.formats.gdal import rasterio_of
+from fg_orient.formats.gdal import Written, rasterio_of
 from fg_orient.geodesy import ecef_to_geodetic, from_geographic
 from fg_orient.kernels.rendering import RAY, TO_MAP, corners, expose
 from fg_orient.kernels.resampling import SCALING
@@ -118,13 +118,11 @@ def write_terrain(path: Path, terrain: Terrain) -> None:
         dtype="float32",
         crs=CRS,
         transform=rasterio.Affine(terrain.step_m, 0.0, terrain.left_m, 0.0, -terrain.step_m, terrain.top_m),
-        tiled=True,
-        blockxsize=256,
-        blockysize=256,
-        compress="deflate",
-        predictor=3,
-    ) as sink:
-        sink.write(terrain.heights_m, 1)
+        tiled=True, blockxsize=256, blockysize=256, compress="deflate", predictor=3,
+    ) as sink:  # fmt: skip
+        written = Written(rasterio, sink)
+        written.write(terrain.heights_m, 1, rasterio.windows.Window(0, 0, columns, rows))
+    written.require(path)
 
 
 DEM_FILE: Final = "dem.tif"

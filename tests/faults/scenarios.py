@@ -66,7 +66,8 @@ def _survey(folder: Path) -> Path:
 
 def convert(folder: Path) -> Scenario:
     path = _survey(folder).name
-    return Scenario("convert", folder, lambda f: ("convert", f / path, "--out", f / "points.csv"), ("--overwrite",))
+    return Scenario("convert", folder, lambda f: ("convert", f / path, "--to", "csv",
+                                                  "--out", f / "points.csv"), ("--overwrite",))  # fmt: skip
 
 
 def geopackage(folder: Path) -> Scenario:
