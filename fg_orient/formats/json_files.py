@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from factors.arrays import Array
-from fg_orient.formats.faults import Faults
-from fg_orient.formats.text_files import read_text
+from fg_orient.formats.load import load_bytes, parse_json
 from fg_orient.model.errors import InputError
 
 _ABSENT: Final = object()
@@ -38,17 +36,8 @@ class JsonFile:
         InputError
             It cannot be read, or it is not one object in JSON.
         """
-        faults = Faults(str(path))
-        text = read_text(path, faults)
-        faults.raise_if_any()
-        body = (text or "").split("\n", skip)[-1]
-        try:
-            values = json.loads(body, parse_constant=lambda word: word)
-        except json.JSONDecodeError as error:
-            line = f"line {error.lineno + skip}"
-            raise InputError.of("json.syntax", file=path, place=line, value=error.msg) from None
-        except RecursionError:
-            raise InputError.of("json.syntax", file=path, value="too many levels") from None
+        body = load_bytes(path, "json_bytes").split(b"\n", skip)[-1]
+        values = parse_json(body, str(path), "json.syntax", f"below line {skip}" if skip else "")
         if not isinstance(values, dict):
             raise InputError.of("json.object", file=path, value=type(values).__name__)
         return cls(path, values)

@@ -16,9 +16,9 @@ from typing import Final
 import numpy as np
 
 from factors.arrays import Array
-from fg_orient.formats.faults import Faults
-from fg_orient.formats.text_files import read_data
+from fg_orient.formats.load import load_bytes
 from fg_orient.model.errors import InputError
+from fg_orient.model.limits import within_memory
 
 _STATEMENT: Final = re.compile(
     r"""(?:\s|\#[^\n]*|/\*.*?\*/|;)*                       # blanks and comments
@@ -29,6 +29,8 @@ _STATEMENT: Final = re.compile(
     re.VERBOSE | re.DOTALL,
 )
 _ITEM: Final = re.compile(r'\s*("[^"]*"|[^,\s<>]+)\s*(?:<[^>]*>)?\s*(?:,|$)')
+#: Bytes of Python objects for each statement, at most.
+_OBJECTS: Final = 1500
 #: A long word that goes on in the next line.
 _BROKEN: Final = re.compile(r"-\n\s*")
 
@@ -105,10 +107,8 @@ def read_pvl(path: Path) -> Pvl:
     InputError
         It cannot be read, a value is not complete, or an object does not end.
     """
-    faults = Faults(str(path))
-    data = read_data(path, faults)
-    faults.raise_if_any()
-    assert data is not None
+    data = load_bytes(path, "pvl_bytes")
+    within_memory(data.count(b"=") * _OBJECTS, len(data), file=path)
     text = data.decode("latin-1").replace("\r\n", "\n")
     root = Pvl(str(path))
     stack, at, line, ended = [root], 0, 1, False

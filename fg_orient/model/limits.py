@@ -24,6 +24,7 @@ LIMITS: Final = {
     # Sizes of files, bytes.
     "toml_bytes": 16e6,
     "json_bytes": 1e9,
+    "pvl_bytes": 1e9,
     "xml_bytes": 64.0 * 2**20,
     "rpc_bytes": 16.0 * 2**20,
     "sqlite_bytes": 8e9,

@@ -166,7 +166,7 @@ DAMAGES: dict[str, tuple[Callable[[Path], None], str]] = {
     "other body": (_set("radii.semimajor", 3396.19), "body.differs"),
     "no position": (_isd(lambda v: v.pop("instrument_position")), "json.missing"),
     "position": (_set("instrument_position.positions", [[1.0, 2.0]]), "json.numbers"),
-    "nan": (_set("instrument_position.positions", [[1.0, 2.0, float("nan")]]), "json.numbers"),
+    "nan": (_set("instrument_position.positions", [[1.0, 2.0, float("nan")]]), "json.syntax"),
     "quaternion": (_set("instrument_pointing.quaternions", [[1.0, 1.0, 0.0, 0.0]]), "earth.quaternion"),
     "time": (_set("center_ephemeris_time", 5e8), "isd.times"),
     "times": (_set("instrument_pointing.ephemeris_times", [0.0, 1.0]), "json.numbers"),
