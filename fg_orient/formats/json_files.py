@@ -58,7 +58,7 @@ class JsonFile:
         given = self.value(place, default)
         try:
             out = np.array(given, float)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             out = np.full(1, np.nan)
         pairs = zip(out.shape, shape, strict=False)
         fits = out.ndim == len(shape) and all(n == m or (m == -1 and n > 0) for n, m in pairs)

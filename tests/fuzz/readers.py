@@ -116,6 +116,16 @@ def _bal(folder: Path) -> None:
     (folder / "plain.txt").write_bytes(gzip.decompress(packed.read_bytes()))
 
 
+def _planetary(folder: Path) -> None:
+    """Write image support data, labels, states and a network of frames above the Moon."""
+    from fg_orient.formats.metadata.csm_frame import write_state
+    from fg_orient.formats.metadata.isd import read_isd
+    from tests.support.planetary_files import write_block
+
+    names = write_block(folder, n_images=2, n_points=4)
+    write_state(folder / "state.json", read_isd(folder / f"{names[0]}.isd"))
+
+
 def _points() -> list[Reader]:
     return [
         _exchange("asp-gcp", ["points.gcp"], [_page("asp-gcp")], "EPSG:4979"),
@@ -129,6 +139,7 @@ def _points() -> list[Reader]:
         _exchange("dbat", ["markpts.txt", "control.txt"], [_page("dbat")], UTM),
         _exchange("geojson", ["seed.geojson"], [_written("geojson", ".geojson")]),
         _exchange("gpkg", ["seed.gpkg"], [_written("gpkg", ".gpkg")], UTM),
+        replace(_exchange("isis-network", ["net.pvl"], [_planetary]), only="net"),
         _exchange("libmv", ["problem_01.bin"], [_page("libmv")]),
         _exchange("metashape-csv", ["markers.csv"], [_page("metashape-csv")]),
         _exchange("metashape-xml", ["markers.xml"], [_page("metashape-xml")]),
@@ -290,6 +301,8 @@ def _metadata() -> list[Reader]:
         _sensor_file("dimap1", _dimap1, "", "METADATA.DIM"), _sensor_file("dimap2", _dimap2, "", "DIM_PHR.XML"),
         _sensor_file("dimap-spot6", _dimap6, "", "DIM_SPOT6.XML"),
         _sensor_file("pushbroom", _pushbroom, "", "sensor.toml"), _sensor_file("frame", _frame, "", "frame.toml"),
+        _sensor_file("isd", _planetary, "M-0000", "M-0000.isd"),
+        _sensor_file("csm-frame", _planetary, "state", "state.json"),
         Reader("metashape-camera", _metashape_camera, _read_metashape_camera),
     ]  # fmt: skip
 

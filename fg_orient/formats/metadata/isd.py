@@ -244,7 +244,7 @@ def write_isd(path: Path, sensor: Any, correction: Any = None) -> dict[str, Any]
     label = next((p for suffix in LABELS if (p := source.with_suffix(suffix)).is_file()), None)
     if label is not None and label.suffix != ".cub" and label.parent.absolute() != path.parent.absolute():
         write_text(path.with_suffix(label.suffix), label.read_text("latin-1"))
-    return {"label": label is not None}
+    return {"label": label is not None, "largest_px": 0.0, "mean_px": 0.0}
 
 
 FORMAT = Format(
