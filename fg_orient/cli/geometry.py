@@ -95,14 +95,14 @@ def _located(
     if not given_height and not heights:
         raise InputError.of("cli.no_height", file=points or image, option="height")
     if dem is not None:
-        return ground_records(ids, lines, samples, sensor.locate(lines, samples, dem=dem))
+        return ground_records(ids, lines, samples, sensor.locate(lines, samples, dem=dem), sensor.body)
     height_m = heights[0] if heights else np.full(len(ids), height)
     low, high = HEIGHT_RANGE_M
     bad = np.flatnonzero(~((height_m >= low) & (height_m <= high)))
     if len(bad):
         place, value = f"point {ids[bad[0]]}", f"{height_m[bad[0]]:g}"
         raise InputError.of("cli.height_range", file=points or image, place=place, value=value, low=low, high=high)
-    return ground_records(ids, lines, samples, sensor.locate(lines, samples, height_m=height_m))
+    return ground_records(ids, lines, samples, sensor.locate(lines, samples, height_m=height_m), sensor.body)
 
 
 @command(several=SENSORS)
@@ -123,7 +123,7 @@ def project(
     _exclude({"--lon": lon, "--lat": lat, "--height": height}, {"--points": points})
     import numpy as np
 
-    from fg_orient.geodesy import geodetic_to_ecef
+    from fg_orient.geodesy.bodies import ground_on
     from fg_orient.sensors.ground import pixel_records
 
     if points is not None:
@@ -133,7 +133,7 @@ def project(
     else:
         ids, columns = ["1"], [np.array([value]) for value in (lon, lat, height)]
     sensor = sensors.read(image)
-    _publish(sensor, pixel_records(sensor, ids, geodetic_to_ecef(*columns)), PIXEL, out, overwrite)
+    _publish(sensor, pixel_records(sensor, ids, ground_on(sensor.body, *columns)), PIXEL, out, overwrite)
 
 
 @command(several=SENSORS)

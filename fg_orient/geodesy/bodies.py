@@ -15,14 +15,14 @@ from typing import Final
 import numpy as np
 
 from factors.arrays import Array
-from fg_orient.geodesy import enu_from_ecef, offline_pyproj
+from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef, offline_pyproj
 from fg_orient.geodesy.crs import crs_names
 from fg_orient.model.errors import InputError
 
 #: Radii that differ by this share are equal.
 EQUAL: Final = 1e-9
 #: Ocentric CRS of the International Astronomical Union in PROJ.
-_OCENTRIC: Final = re.compile(r"(?P<name>.+) \(2015\) - (Sphere|Ellipsoid) / Ocentric")
+_OCENTRIC: Final = re.compile(r"(?P<name>.+) \(2015\)(?P<sphere> - Sphere)? / Ocentric")
 _STEPS: Final = 20
 
 
@@ -48,6 +48,11 @@ class Body:
     def __post_init__(self) -> None:
         if len(self.radii_m) != 3 or not all(np.isfinite(r) and r > 0.0 for r in self.radii_m):
             raise InputError.of("body.radii", place="radii", value=self.radii_m)
+
+    @property
+    def mean_radius_m(self) -> float:
+        """Mean of the three semi-axes."""
+        return sum(self.radii_m) / 3.0
 
     def same(self, other: Body) -> bool:
         """Whether two bodies have the same shape."""
@@ -101,11 +106,27 @@ class Body:
         return out
 
 
+def coordinates_on(body: Body | None, xyz_m: Array) -> tuple[Array, Array, Array]:
+    """Longitude, latitude (degrees) and height (m) of points (n, 3) on a body, None for the Earth: each (n,)."""
+    if body is None:
+        return ecef_to_geodetic(xyz_m)
+    lon, lat, height = body.coordinates(np.atleast_2d(xyz_m)).T
+    return lon, lat, height
+
+
+def ground_on(body: Body | None, lon_deg: Array, lat_deg: Array, height_m: Array) -> Array:
+    """Inverse of :func:`coordinates_on`: (n, 3) m."""
+    if body is None:
+        return geodetic_to_ecef(lon_deg, lat_deg, height_m)
+    return body.body_fixed(np.column_stack([lon_deg, lat_deg, height_m]))
+
+
 @cache
 def known_bodies() -> dict[str, str]:
-    """Codes of the ocentric CRS of PROJ by the names of the bodies in lower case."""
-    found = ((_OCENTRIC.fullmatch(name), code) for name, code in crs_names("IAU_2015"))
-    return {match["name"].lower(): f"IAU_2015:{code}" for match, code in reversed([*found]) if match}
+    """Codes of the ocentric CRS of PROJ by the names of the bodies in lower case: ellipsoids, else spheres."""
+    found = [(_OCENTRIC.fullmatch(name), code) for name, code in crs_names("IAU_2015")]
+    known = sorted(((m, code) for m, code in found if m), key=lambda one: one[0]["sphere"] is None)
+    return {match["name"].lower(): f"IAU_2015:{code}" for match, code in known}
 
 
 def body_named(name: str) -> Body:

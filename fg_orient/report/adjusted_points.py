@@ -31,7 +31,7 @@ from fg_orient.model.block import GroundSystem
 from fg_orient.model.errors import Finding, InputError, finding, findings_of, judged
 from fg_orient.model.names import Role, Status
 from fg_orient.result.plain import of_axes
-from fg_orient.result.record import Result, read_result
+from fg_orient.result.record import Result, read_result, require_earth
 
 SUFFIXES: Final = (".laz", ".las", ".ply", ".csv", ".gpkg")
 PURPOSE: Final = "points of an adjustment, a check of the orientation, no dense surface model"
@@ -181,7 +181,9 @@ def _system(
 ) -> GroundSystem:
     """Return CRS and zero level of the file: the given values, else the project's, else UTM and the ellipsoid."""
     place = result.points.numbers("lon_deg", "lat_deg", rows=rows)
-    if not np.isfinite(place).all():
+    if crs or geoid:
+        require_earth(result, folder, option="crs")
+    if not np.isfinite(place).all() or result.record.get("body"):
         if crs or geoid:
             raise InputError.of("report.no_map", file=folder, option="crs", value=crs or geoid)
         return GroundSystem()

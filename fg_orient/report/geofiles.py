@@ -29,7 +29,7 @@ from fg_orient.model.errors import InputError
 from fg_orient.report.chart import round_down
 from fg_orient.report.maps import KM_PER_DEGREE, shrink_at
 from fg_orient.result.plain import Table, plain
-from fg_orient.result.record import Result, read_result
+from fg_orient.result.record import Result, read_result, require_earth
 from fg_orient.sensors.viewing import polygon_geometry
 
 __all__ = ["export"]
@@ -78,6 +78,7 @@ def export(
     if vector_scale is not None and not (math.isfinite(vector_scale) and vector_scale > 0.0):
         raise InputError.of("options.value", option="vector_scale", value=vector_scale, expected="a positive number")
     result = read_result(folder)
+    require_earth(result, folder, option="export")
     if not np.isfinite(result.points.numbers("lon_deg", "lat_deg")).all(axis=1).any():
         raise InputError.of("report.no_map", file=folder, option="export")
     with foreign_bytes("report.damaged", folder):

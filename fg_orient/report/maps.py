@@ -6,7 +6,7 @@ The first view shows everything, or only the points where the footprints are so 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
@@ -30,12 +30,18 @@ LEAST_KM: Final = 0.1
 KM_PER_DEGREE: Final = 111.2
 
 
+def km_per_degree(record: Mapping[str, Any]) -> float:
+    """Kilometres of a degree of latitude on the body of a result."""
+    body = record.get("body")
+    return KM_PER_DEGREE if body is None else math.radians(1e-3 * sum(body["radii_m"]) / 3.0)
+
+
 def shrink_at(lat_deg: float) -> float:
     """Length of a degree of longitude as a share of one of latitude."""
     return max(math.cos(math.radians(lat_deg)), 0.01)
 
 
-def first_view(points_deg: Array, footprints_deg: Sequence[Array]) -> Array | None:
+def first_view(points_deg: Array, footprints_deg: Sequence[Array], of_degree: float = KM_PER_DEGREE) -> Array | None:
     """Corners of the first view, if it does not show everything.
 
     Parameters
@@ -44,6 +50,8 @@ def first_view(points_deg: Array, footprints_deg: Sequence[Array]) -> Array | No
         Longitude and latitude of the points; rows with nan are ignored.
     footprints_deg : sequence of (k, 2) array
         Corners of the images.
+    of_degree : float
+        Kilometres of a degree of latitude.
 
     Returns
     -------
@@ -56,7 +64,7 @@ def first_view(points_deg: Array, footprints_deg: Sequence[Array]) -> Array | No
         return None
     everything = np.vstack([located, *footprints_deg])
     middle = 0.5 * (located.min(axis=0) + located.max(axis=0))
-    km = KM_PER_DEGREE * np.array([shrink_at(float(middle[1])), 1.0])
+    km = of_degree * np.array([shrink_at(float(middle[1])), 1.0])
     size, whole = (float((np.ptp(part, axis=0) * km).max()) for part in (located, everything))
     if size >= FILLED * whole:
         return None
@@ -66,7 +74,9 @@ def first_view(points_deg: Array, footprints_deg: Sequence[Array]) -> Array | No
 
 def view_of(result: Result) -> Array | None:
     """First view of the points of a result; see :func:`first_view`."""
-    return first_view(result.points.numbers("lon_deg", "lat_deg"), footprints(result.record))
+    return first_view(
+        result.points.numbers("lon_deg", "lat_deg"), footprints(result.record), km_per_degree(result.record)
+    )
 
 
 def footprints(record: dict[str, Any]) -> list[Array]:
@@ -100,8 +110,9 @@ def point_map(result: Result, *, up: bool = False, most: int | None = None) -> C
     shrink = shrink_at(float(everything[:, 1].min() + everything[:, 1].max()) / 2.0)
     words = "Up errors at control and check points" if up else "Points and horizontal errors"
     chart = mapped(words, everything, shrink, per_width=large(vectors[rows]) / SHARE)
-    chart.x = replace(chart.x, words="longitude, WGS 84", write=lambda value: _degrees(value, "EW"))
-    chart.y = replace(chart.y, words="latitude, WGS 84", write=lambda value: _degrees(value, "NS"))
+    where = (result.record.get("body") or {"name": "WGS 84"})["name"]
+    chart.x = replace(chart.x, words=f"longitude, {where}", write=lambda value: _degrees(value, "EW"))
+    chart.y = replace(chart.y, words=f"latitude, {where}", write=lambda value: _degrees(value, "NS"))
     _footprints(chart, result.record)
     for role in ("tie", "control", "check"):
         mine = rows[roles[rows] == role]
@@ -113,7 +124,7 @@ def point_map(result: Result, *, up: bool = False, most: int | None = None) -> C
             chart.add(
                 "dots", role, place[mine, 0], place[mine, 1], label=label, tips=tips, vectors=vectors[mine], thick=up
             )
-    km = float(np.ptp(chart.x.limits)) * shrink * KM_PER_DEGREE
+    km = float(np.ptp(chart.x.limits)) * shrink * km_per_degree(result.record)
     ground = round_down(0.2 * km)
     chart.bars = [(ground / km, f"{ground:g} km on the ground" if ground >= 1.0 else f"{ground * 1000.0:g} m")]
     if chart.per_width:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from markupsafe import Markup
 
 from factors.arrays import Array, Index, Mask
-from fg_orient.report.maps import KM_PER_DEGREE, footprints, shrink_at, view_of
+from fg_orient.report.maps import footprints, km_per_degree, shrink_at, view_of
 from fg_orient.result.record import Result
 
 #: Maximum number of image points in the page; of more the page contains a sample.
@@ -144,18 +144,20 @@ def payload(result: Result, used: int = 0) -> Payload | None:
     number[points] = np.arange(len(points))
     drawn = number[of_ray] >= 0
     places = result.points.numbers("lon_deg", "lat_deg")
+    record = result.record
     everything, view = np.vstack([places, *footprints(result.record)]), view_of(result)
-    centre = 0.5 * (np.nanmin(everything, axis=0) + np.nanmax(everything, axis=0))
+    centre, degree = 0.5 * (np.nanmin(everything, axis=0) + np.nanmax(everything, axis=0)), km_per_degree(result.record)
     data = {
-        "view": None if view is None else np.round(_kilometres(view, centre), 4).tolist(),
+        "view": None if view is None else np.round(_kilometres(view, centre, result.record), 4).tolist(),
         "points": _point_columns(result, points, role[points], centre, width.kind),
         "rays": _ray_columns(result, rays[drawn], number[of_ray[drawn]], width.kind),
         "images": [
             {"id": image["id"], "lines": image["n_lines"], "samples": image["n_samples"],
-             "foot": np.round(_kilometres(np.array(image["footprint_lon_lat_deg"], float), centre), 4).tolist()}
-            for image in result.record["images"]
+             "foot": np.round(
+                 _kilometres(np.array(image["footprint_lon_lat_deg"], float), centre, record), 4).tolist()}
+            for image in record["images"]
         ],
-        "centre": centre.tolist(), "kmPerDegree": [KM_PER_DEGREE * shrink_at(float(centre[1])), KM_PER_DEGREE],
+        "centre": centre.tolist(), "kmPerDegree": [degree * shrink_at(float(centre[1])), degree],
         "roles": ROLES,
     }  # fmt: skip
     return Payload(data, words)
@@ -240,15 +242,15 @@ def _share(kept: int, flagged: Mask) -> str:
     return f"all {n:,}" if kept == n else f"the largest {kept:,} of {n:,}"
 
 
-def _kilometres(lon_lat_deg: Array, centre: Array) -> Array:
+def _kilometres(lon_lat_deg: Array, centre: Array, record: dict[str, Any]) -> Array:
     """Kilometres East and North of the centre, equirectangular."""
-    return np.asarray((lon_lat_deg - centre) * KM_PER_DEGREE * np.array([shrink_at(float(centre[1])), 1.0]))
+    return np.asarray((lon_lat_deg - centre) * km_per_degree(record) * np.array([shrink_at(float(centre[1])), 1.0]))
 
 
 def _point_columns(result: Result, rows: Index, role: Index, centre: Array, kind: str) -> dict[str, Any]:
     """Columns of the points; differences of control and check points only, which come first."""
     table = result.points
-    km = _kilometres(table.numbers("lon_deg", "lat_deg", rows=rows), centre)
+    km = _kilometres(table.numbers("lon_deg", "lat_deg", rows=rows), centre, result.record)
     known = int(np.searchsorted(role, 2))
     out: dict[str, Any] = {
         "id": [table.words["id"][k] for k in rows.tolist()],

@@ -15,7 +15,7 @@ from fg_orient.model.distributions import normal_probability
 from fg_orient.model.errors import InputError
 from fg_orient.model.parameters import N_EOP, parameter_name
 from fg_orient.result.plain import Table, read_table
-from fg_orient.result.record import Result
+from fg_orient.result.record import Result, require_earth
 
 #: Images, and rows of a table of directions or of coefficients, that the page shows.
 MAX_IMAGES: Final = 40
@@ -228,6 +228,7 @@ def _compare_points(result: Result, truth: Table, file: str) -> tuple[dict[str, 
     missing = [name for name in ids if name not in known]
     if missing:
         raise InputError.of("report.other_truth", file=file, value=f"point {missing[0]}")
+    require_earth(result, file)
     geodetic = truth.numbers("lon_deg", "lat_deg", "height_m")[[known[name] for name in ids]]
     difference = result.points.numbers("x_m", "y_m", "z_m") - geodetic_to_ecef(*geodetic.T)
     enu = np.einsum("nij,nj->ni", enu_from_ecef(geodetic[:, 0], geodetic[:, 1]), difference)

@@ -216,6 +216,7 @@ class Result:
 
         The properties are all columns of the table of points. Points without geographic coordinates are left out.
         """
+        require_earth(self, self.record["out"])
         table = self.points
         rows = np.flatnonzero(np.isfinite(table.numbers("lon_deg", "lat_deg")).all(axis=1)).tolist()
         features = [
@@ -230,6 +231,13 @@ class Result:
 
     def _repr_html_(self) -> str:
         return html_table("Result", overview(self.record))
+
+
+def require_earth(result: Result, file: object, *, option: str = "") -> None:
+    """Refuse a result on another body than the Earth, where coordinates are WGS 84."""
+    body = result.record.get("body")
+    if body is not None:
+        raise InputError.of("body.earth", file=file, option=option, value=body["name"])
 
 
 def overview(record: Mapping[str, Any]) -> dict[str, Any]:

@@ -131,6 +131,7 @@ def _about(problem: Problem, folder: Path, out: str, command: Sequence[str]) -> 
              "footprint_lon_lat_deg": image.sensor.footprint().tolist(), **model.facts()}
             for image, model in zip(block.images, problem.models, strict=True)
         ],
+        "body": None if block.body is None else {"name": block.body.name, "radii_m": list(block.body.radii_m)},
         "provenance": provenance(block, folder, command),
     }  # fmt: skip
 

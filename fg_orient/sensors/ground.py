@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from factors.arrays import Array
-from factors.geometry import ellipsoid
 from fg_orient.geodesy import enu_from_ecef, geodetic_to_ecef
+from fg_orient.geodesy.bodies import Body, coordinates_on
 from fg_orient.model.block import Image
 from fg_orient.model.errors import InputError
 from fg_orient.sensors import initial
@@ -31,8 +31,8 @@ LEAST_SLOPE = 0.01
 MAX_STEPS, STEP_M = 20, 1e-4
 
 
-def ground_records(ids: Sequence[str], line: Array, sample: Array, ecef_m: Array) -> Records:
-    """One record per point: id, line, sample, geodetic and ECEF coordinates.
+def ground_records(ids: Sequence[str], line: Array, sample: Array, ecef_m: Array, body: Body | None = None) -> Records:
+    """One record per point: id, line, sample, geodetic and ECEF coordinates, or those of another body.
 
     Parameters
     ----------
@@ -40,10 +40,10 @@ def ground_records(ids: Sequence[str], line: Array, sample: Array, ecef_m: Array
     line, sample : (n,) arrays
     ecef_m : (n, 3) array
     """
-    lon, lat, height = ellipsoid.geodetic_array(np.ascontiguousarray(ecef_m)).T
+    lon, lat, height = coordinates_on(body, ecef_m)
     return [
         {"id": ids[k], "line": float(line[k]), "sample": float(sample[k]),
-         "lon_deg": float(np.degrees(lon[k])), "lat_deg": float(np.degrees(lat[k])), "height_m": float(height[k]),
+         "lon_deg": float(lon[k]), "lat_deg": float(lat[k]), "height_m": float(height[k]),
          "x_m": float(ecef_m[k, 0]), "y_m": float(ecef_m[k, 1]), "z_m": float(ecef_m[k, 2])}
         for k in range(len(ids))
     ]  # fmt: skip
@@ -177,7 +177,8 @@ def intersection_records(images: tuple[Image, ...], observations: ImagePoints, i
     used = [int(j) for j in np.flatnonzero(count >= 2)]
     rows = [np.flatnonzero(observations.point == j) for j in used]
     first = [int(r[0]) for r in rows]
-    records = ground_records([ids[j] for j in used], observations.line[first], observations.sample[first], ground[used])
+    line, sample = observations.line[first], observations.sample[first]
+    records = ground_records([ids[j] for j in used], line, sample, ground[used], images[0].sensor.body)
     for record, j, seen in zip(records, used, rows, strict=True):
         apart = foot_points[seen][:, None] - foot_points[seen][None]
         axes = enu_from_ecef(record["lon_deg"], record["lat_deg"])[0]

@@ -18,7 +18,8 @@ import numpy as np
 
 from factors.arrays import Array
 from factors.geometry import ellipsoid
-from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
+from fg_orient.geodesy import enu_from_ecef
+from fg_orient.geodesy.bodies import Body, coordinates_on
 from fg_orient.model.block import Image
 from fg_orient.sensors.correction import HeightSurface
 
@@ -42,6 +43,7 @@ class View:
         self.image = image
         self.sensor: Any = image.sensor
         self._height, self._dem = height_m, dem
+        self.body = image.sensor.body
 
     def ground(self, line: Array, sample: Array) -> Array:
         """Ground points (n, 3) ECEF m of n pixels."""
@@ -51,7 +53,7 @@ class View:
     def to_image(self, line: Array, sample: Array, ground_m: Array) -> Array:
         """Unit vectors (n, 3) East, North, Up from ground points towards the sensor, through their pixels."""
         _, direction = self.sensor.rays(line, sample)
-        lon, lat, _ = ecef_to_geodetic(ground_m)
+        lon, lat, _ = coordinates_on(self.body, ground_m)
         return np.asarray(-np.einsum("nij,nj->ni", enu_from_ecef(lon, lat), direction))
 
     def grid(self, count: int) -> tuple[Array, Array]:
@@ -72,7 +74,7 @@ def footprint(view: View) -> Array:
     corners = [low, [low[0], high[1]], high, [high[0], low[1]], low]
     ways = [np.linspace(a, b, SIDE)[:-1] for a, b in pairwise(np.array(corners))]
     line, sample = np.concatenate(ways).T
-    lon, lat, _ = ecef_to_geodetic(view.ground(line, sample))
+    lon, lat, _ = coordinates_on(view.body, view.ground(line, sample))
     return np.stack([np.degrees(np.unwrap(np.radians(lon))), lat], axis=1)
 
 
@@ -97,7 +99,7 @@ def image_record(view: View) -> dict[str, Any]:
     up = view.to_image(line, sample, ground)
     incidence = np.degrees(np.arccos(np.clip(up[:, 2], -1.0, 1.0)))
     along, across = _sampling(view, line, sample)
-    lon, lat, height = ecef_to_geodetic(ground[-1:])
+    lon, lat, height = coordinates_on(view.body, ground[-1:])
     both = np.concatenate([along, across])
     return {
         "image": view.image.id, "file": view.sensor.file, "lon_deg": float(lon[0]), "lat_deg": float(lat[0]),
@@ -106,7 +108,7 @@ def image_record(view: View) -> dict[str, Any]:
         "gsd_range_m": [float(both.min()), float(both.max())],
         "incidence_deg": float(incidence[-1]), "incidence_range_deg": [float(incidence.min()), float(incidence.max())],
         "azimuth_deg": float(np.degrees(np.arctan2(up[-1, 0], up[-1, 1])) % 360.0),
-        "area_km2": _area_m2(footprint(view)) / 1e6,
+        "area_km2": _area_m2(footprint(view), view.body) / 1e6,
     }  # fmt: skip
 
 
@@ -119,14 +121,19 @@ def _sampling(view: View, line: Array, sample: Array) -> tuple[Array, Array]:
     return out[0], out[1]
 
 
-def _area_m2(ring_deg: Array) -> float:
-    """Area of a polygon on the ellipsoid (Lambert's cylindrical equal-area projection, with straight edges).
+def _area_m2(ring_deg: Array, body: Body | None) -> float:
+    """Area of a polygon on the ellipsoid; on another body on its mean sphere.
+
+    Lambert's cylindrical equal-area projection, with straight edges.
 
     Authalic latitude: Snyder 1987, Map Projections, eq. 3-12.
     """
     e, s = np.sqrt(ellipsoid.E2), np.sin(np.radians(ring_deg[:, 1]))
     q = (1.0 - ellipsoid.E2) * (s / (1.0 - ellipsoid.E2 * s**2) + np.arctanh(e * s) / e)
-    x, y = ellipsoid.A_M * np.radians(ring_deg[:, 0] - ring_deg[0, 0]), 0.5 * ellipsoid.A_M * q
+    radius = ellipsoid.A_M
+    if body is not None:
+        radius, q = body.mean_radius_m, 2.0 * s
+    x, y = radius * np.radians(ring_deg[:, 0] - ring_deg[0, 0]), 0.5 * radius * q
     return float(0.5 * abs(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)))
 
 
@@ -162,7 +169,7 @@ def pair_record(first: View, second: View) -> dict[str, Any]:
     there = second.sensor.project(point)
     a = first.to_image(line[chosen], sample[chosen], point)[0]
     b = second.to_image(there[0], there[1], point)[0]
-    lon, lat, _ = ecef_to_geodetic(point)
+    lon, lat, _ = coordinates_on(first.body, point)
     lean = a[:2] / a[2] - b[:2] / b[2]
     bisector, normal = (a + b) / np.linalg.norm(a + b), np.cross(a, b)
     across, asymmetry = float(np.linalg.norm(normal)), np.nan

@@ -139,8 +139,8 @@ def _body(isd: JsonFile) -> Body | None:
         return None
     keys = isd.value("naif_keywords", {})
     found = next((m for key in keys if (m := re.fullmatch(r"BODY(\d+)_RADII", str(key)))), None)
-    code = f"IAU_2015:{found[1]}00" if found else ""
-    name = next((name for name, own in known_bodies().items() if own == code), "body")
+    begin = f"IAU_2015:{found[1]}" if found else "none"
+    name = next((name for name, own in known_bodies().items() if own[:-2] == begin), "body")
     try:
         return Body(name.title(), (major, major, minor))
     except InputError as error:

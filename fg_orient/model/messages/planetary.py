@@ -15,6 +15,8 @@ body.differs: the image lies on a body with other radii than the body of the pro
     -> correct the entry body of the project, or leave it out
 body.mixed: the images lie on different bodies
     -> adjust the images of each body in a project of its own
+body.earth: longitude and latitude of this output are those of WGS 84, but the points lie on another body
+    -> use the table points of the result folder, which has body-fixed x, y, z
 body.dem: elevation models of other bodies than the Earth are not read
     -> give heights above the radii of the body
 body.crs: points and images lie on different bodies

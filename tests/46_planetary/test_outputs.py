@@ -1,0 +1,96 @@
+"""Results on another body: tables, report, files; bodies and their coordinates."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import fg_orient as fg
+from fg_orient.cli.app import app
+from fg_orient.geodesy.bodies import Body, body_named, coordinates_on, ground_on
+from fg_orient.model.errors import InputError
+from fg_orient.report.geofiles import export
+from tests.support.planetary_files import RADIUS_KM, write_block
+
+MARS = Body("Mars", (3396190.0, 3396190.0, 3376200.0))
+PHOBOS = Body("Phobos", (13000.0, 11400.0, 9100.0))
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("body", [MARS, PHOBOS], ids=lambda b: b.name)
+def test_rays_meet_the_ellipsoid(body: Body, rng: np.random.Generator) -> None:
+    """Points of rays satisfy the equation of the ellipsoid; at a height the radius is longer by it."""
+    away = rng.normal(size=(200, 3))
+    position = 3.0 * max(body.radii_m) * away / np.linalg.norm(away, axis=1, keepdims=True)
+    aim = rng.normal(size=(200, 3)) * 0.3 * min(body.radii_m)
+    direction = aim - position
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    ground = body.intersect(position, direction, np.zeros(200))
+    hit = np.isfinite(ground).all(axis=1)
+    assert hit.sum() > 150
+    assert np.abs(np.sum((ground[hit] / body.radii_m) ** 2, axis=1) - 1.0).max() < 1e-9
+    # the nearer of the two points: the surface faces the sensor
+    assert (np.sum(ground[hit] / np.square(body.radii_m) * direction[hit], axis=1) < 0.0).all()
+    lon, lat, height = coordinates_on(body, ground[hit])
+    assert np.abs(height).max() < 1e-6
+    raised = ground_on(body, lon, lat, np.full(len(lon), 500.0))
+    np.testing.assert_allclose(np.linalg.norm(raised, axis=1) - np.linalg.norm(ground[hit], axis=1), 500.0, atol=1e-6)
+    again = body.intersect(position[hit], direction[hit], np.full(hit.sum(), 500.0))
+    seen = np.isfinite(again).all(axis=1)
+    np.testing.assert_allclose(coordinates_on(body, again[seen])[2], 500.0, atol=1e-5)
+
+
+@pytest.mark.truth
+@pytest.mark.parametrize(
+    ("name", "radii"), [("Moon", (1737400.0,) * 3), ("mars", (3396190.0, 3396190.0, 3376200.0)),
+                        ("IAU_2015:19902", (2440530.0, 2440530.0, 2438260.0)), ("Venus", (6051800.0,) * 3)],
+)  # fmt: skip
+def test_bodies_by_name(name: str, radii: tuple[float, float, float]) -> None:
+    """Archinal et al. 2018 (IAU 2015)."""
+    np.testing.assert_allclose(body_named(name).radii_m, radii, rtol=1e-9)
+
+
+@pytest.mark.behaviour
+def test_result_on_the_moon(tmp_path: Path) -> None:
+    """The record names the body; maps are in its kilometres; files in WGS 84 are refused."""
+    write_block(tmp_path, n_points=20)
+    out = tmp_path / "out"
+    run = CliRunner().invoke(app, ["adjust", str(tmp_path / "project.toml"), "--out", str(out)])
+    assert run.exit_code in (0, 4), run.output
+    record = json.loads((out / "result.json").read_text())
+    assert record["body"] == {"name": "Moon", "radii_m": [1e3 * RADIUS_KM] * 3}
+    page = (out / "report.html").read_text()
+    degree = float(re.search(r'"kmPerDegree":\s*\[[-\d.e]+,\s*([-\d.e]+)', page)[1])  # type: ignore[index]
+    assert degree == pytest.approx(np.radians(RADIUS_KM), rel=1e-6)
+    assert "WGS 84" not in re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
+    with pytest.raises(InputError, match="another body"):
+        export(out, tmp_path / "points.geojson")
+    with pytest.raises(InputError, match="another body"):
+        fg.read_result(out).to_geo()
+
+
+@pytest.mark.consistency
+def test_commands_on_the_moon(tmp_path: Path) -> None:
+    """Locate and project are inverse to each other; heights are above the radii of the body."""
+    name = write_block(tmp_path, n_points=5)[0]
+    isd = str(tmp_path / f"{name}.isd")
+    runner = CliRunner()
+    run = runner.invoke(app, ["locate", isd, "--json", "--line", "300", "--sample", "700", "--height", "250"])
+    assert run.exit_code == 0, run.output
+    (point,) = json.loads(run.stdout)["points"]
+    assert np.linalg.norm([point[f"{axis}_m"] for axis in "xyz"]) == pytest.approx(1e3 * RADIUS_KM + 250.0, abs=1e-4)
+    back = ["--lon", repr(point["lon_deg"]), "--lat", repr(point["lat_deg"]), "--height", "250"]
+    run = runner.invoke(app, ["project", isd, "--json", *back])
+    assert run.exit_code == 0, run.output
+    (pixel,) = json.loads(run.stdout)["points"]
+    assert (pixel["line"], pixel["sample"]) == pytest.approx((300.0, 700.0), abs=1e-6)
+    run = runner.invoke(app, ["footprint", isd, "--height", "0", "--json"])
+    assert run.exit_code == 0, run.output
+    (image,) = json.loads(run.stdout)["images"]
+    assert image["gsd_line_m"] == pytest.approx(0.02 / 76.054 * 105e3, rel=0.1)  # height by pixel over focal length
+    assert image["area_km2"] == pytest.approx((2e-3 * image["gsd_line_m"] * 1e3) ** 2, rel=0.2)
