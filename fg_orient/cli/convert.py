@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from fg_orient.cli.command import (
+    SENSORS,
     CheckIds,
     Height,
     ImageSize,
     Overwrite,
+    Sensors,
     SigmaGround,
     SigmaImage,
     argument,
@@ -21,11 +23,14 @@ from fg_orient.cli.command import (
     option,
 )
 from fg_orient.cli.new import LEVEL, OFFICE, crs_code
-from fg_orient.cli.output import answer, flag, say, table, tell
+from fg_orient.cli.output import answer, flag, number, say, table, tell
 from fg_orient.model.errors import Finding, InputError
 
+if TYPE_CHECKING:
+    from fg_orient.formats.registry import Format
 
-@command(several=OFFICE | LEVEL)
+
+@command(several=OFFICE | LEVEL | SENSORS)
 def convert(
     files: Annotated[
         list[Path] | None, argument("IN [IN2]", "File to read, or both files of a format that has two.")
@@ -56,10 +61,12 @@ def convert(
     overwrite: Overwrite = False,
     office: Any = None,
     level: Any = None,
+    sensors: Any = None,
 ) -> None:
-    """Bring ground and image points from one format into another.
+    """Bring ground and image points, or an image's model, from one format into another.
 
-    The command prints one line for each kind of information that the new format cannot contain.
+    The command prints one line for each kind of information that the new format cannot contain. With --to csm-state IN
+    is the metadata of a pushbroom image, adjusted with --result.
     """
     from fg_orient.formats.exchange.convert import filled, placed, read_survey, write_survey
     from fg_orient.formats.heights import without_vertical
@@ -70,16 +77,20 @@ def convert(
     if formats:
         _list()
         return
+    image_formats = {name: f for name, f in all_formats("image").items() if f.write_image}
     if not files or not out:
         raise InputError.of("cli.usage", place="fg-orient convert", text="Give IN, --out and the formats")
+    if target in image_formats:
+        _convert_image(files, image_formats[target], out, sensors, overwrite)
+        return
     if sigma_axes not in ("ecef", "enu"):
         raise InputError.of("options.value", option="sigma_axes", value=sigma_axes, expected="ecef or enu")
     reader = format_named(source, place="<from>") if source else format_of(files[0], place="<from>")
     writer = format_named(target, place="<to>") if target else format_of(out[0], place="<to>")
     crs, to_crs = crs_code(crs), crs_code(to_crs, "to_crs")
-    sensors = {path.stem: read_sensor(path) for path in metadata or []}
+    images = {path.stem: read_sensor(path) for path in metadata or []}
     sizes = image_sizes(image_size)
-    settings = Settings(crs, image, sigma_axes, sizes, incomplete=True, office=office, sensors=sensors)
+    settings = Settings(crs, image, sigma_axes, sizes, incomplete=True, office=office, sensors=images)
     if reader.read_model is not None and writer.write_model is not None:
         from fg_orient.formats.exchange.convert import convert_model
         from fg_orient.formats.exchange.ties import model_survey
@@ -96,7 +107,7 @@ def convert(
             raise InputError.of("interchange.needs_model", file=out[0], option="to", value=writer.name,
                                 source=reader.name, known=known)  # fmt: skip
         survey, remarks = read_survey(
-            files, reader, settings, accept_unverified=accept_unverified, scenes=_scenes(sensors)
+            files, reader, settings, accept_unverified=accept_unverified, scenes=_scenes(images)
         )
         survey = filled(
             survey, sigma_ground_m=sigma_ground, sigma_image_px=sigma_image, height_m=height, check=check or ()
@@ -115,6 +126,25 @@ def convert(
         "notes": list(map(str, survey.notes)),
     }  # fmt: skip
     answer(record, _show, {"note": survey.notes, "remark": remarks, "lost": lost}, counts, written)
+
+
+def _convert_image(files: list[Path], form: Format, out: list[Path], sensors: Sensors, overwrite: bool) -> None:
+    """Write the model of an image, adjusted or not, in the format of another program."""
+    from fg_orient.formats.atomic import require_free_files
+
+    if len(files) != 1 or len(out) != 1:
+        raise InputError.of("cli.usage", place="fg-orient convert", text="Give one image and one --out")
+    require_free_files(out[0], overwrite=overwrite)
+    sensor = sensors.read(files[0])
+    assert form.write_image is not None  # a format that writes images
+    record = form.write_image(out[0], getattr(sensor, "sensor", sensor), getattr(sensor, "correction", None))
+    answer({"from": str(files[0]), "to": form.name, "out": [str(out[0])], **record}, _show_image, out[0], record)
+
+
+def _show_image(out: Path, record: dict[str, Any]) -> None:
+    largest, mean = (number(record[f"{name}_px"], 6) for name in ("largest", "mean"))
+    say(f"difference from the image: largest {largest} px, mean {mean} px")
+    say(f"written: {out}")
 
 
 def _scenes(sensors: dict[str, Any]) -> list[Any]:

@@ -118,9 +118,12 @@ class GeneralPushbroom(PushbroomSensor):
     def states(self, line: npt.ArrayLike) -> LineStates:
         """State of the projection centre at N lines; angles are 0, the mounting contains the whole attitude."""
         line = np.atleast_1d(np.asarray(line, float))
-        t = self._line_time(line)
         self._require_listed("earth.list_span", line, self.metadata.ephemeris.time_s, "orbit")
         self._require_attitude(line)
+        return self.states_at(self._line_time(line), line)
+
+    def states_at(self, t: Array, line: Array) -> LineStates:
+        """See :meth:`PushbroomSensor.states_at`."""
         p, v = self._orbit(t)
         payload = self._ecef_from_payload(t, p, v)
         p = np.ascontiguousarray(p + payload @ self.metadata.offset_m)

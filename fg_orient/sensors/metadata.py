@@ -47,6 +47,10 @@ class LineTiming:
         """Times of N lines, s."""
         return np.asarray(self.reference_time_s + self.line_period_s * (line - self.reference_line))
 
+    def line(self, time_s: Array) -> Array:
+        """Lines at N times."""
+        return np.asarray(self.reference_line + (time_s - self.reference_time_s) / self.line_period_s)
+
 
 @dataclass(frozen=True, eq=False)
 class SegmentTiming(LineTiming):
@@ -74,6 +78,11 @@ class SegmentTiming(LineTiming):
         """Times of N lines, s."""
         k = np.clip(np.searchsorted(self.start_line, line, side="right") - 1, 0, None)
         return np.asarray(self.start_time_s[k] + self.period_s[k] * (line - self.start_line[k]))
+
+    def line(self, time_s: Array) -> Array:
+        """Lines at N times, for times that increase with the line."""
+        k = np.clip(np.searchsorted(self.start_time_s, time_s, side="right") - 1, 0, None)
+        return np.asarray(self.start_line[k] + (time_s - self.start_time_s[k]) / self.period_s[k])
 
 
 @dataclass(frozen=True)

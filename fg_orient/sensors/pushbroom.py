@@ -140,7 +140,7 @@ class PushbroomSensor(Sensor):
         added = np.minimum(open_s, seconds)
         self.attitude = _extended(self.attitude, added)
         timing, time_s = self.metadata.timing, self.attitude.time_s[[0, -1]] + [-TIME_PRINT_S, TIME_PRINT_S]
-        ends = timing.reference_line + (time_s - timing.reference_time_s) / timing.line_period_s
+        ends = timing.line(time_s)
         self.first_line = max(0.0, float(np.ceil(ends.min())))
         self.last_line = min(self.n_lines - 1.0, float(np.floor(ends.max())))
         if self.first_line > self.last_line:
@@ -183,9 +183,12 @@ class PushbroomSensor(Sensor):
         OutOfTimeRange if the ephemeris or the attitudes do not cover a line.
         """
         line = np.atleast_1d(np.asarray(line, float))
-        t = self._line_time(line)
         self._require_listed("sensor.ephemeris_span", line, self.metadata.ephemeris.time_s)
         self._require_attitude(line)
+        return self.states_at(self._line_time(line), line)
+
+    def states_at(self, t: Array, line: Array) -> LineStates:
+        """Metadata state at N times, s, and their lines; the lists must cover the times, which is not checked here."""
         p, v = self._orbit(t)
         angles, mount = self._attitude(t, p, v)
         return LineStates(polynomials.normalised(line, self.n_lines), p, v, angles, mount)
@@ -282,15 +285,23 @@ class PushbroomSensor(Sensor):
         c = correction or Correction()
         lines, s = same_length(line, sample)
         states, psi = self.states(lines), self.look_angles(s)
-        mount = self._mounting(states, psi, to_ground_m)
-        delta, psi = c.eop_at(states.tau), self.corrected_look(psi, s, c)
+        p, ecef = self.oriented(states, self._mounting(states, psi, to_ground_m), c)
+        return p, light.unit(np.einsum("nij,nj->ni", ecef, look.direction(*self.corrected_look(psi, s, c))))
+
+    def oriented(self, states: LineStates, mount: Array, correction: Correction) -> tuple[Array, Array]:
+        """Projection centres (N, 3) m and rotations (N, 3, 3) from the body to ECEF, of N states and mountings."""
+        delta = correction.eop_at(states.tau)
         p = states.position_m + delta[:, 0:3]
         p_frame, v_frame = states.position_m, states.velocity_m_s
         if self.follows_orbit:
             p_frame, v_frame = p, states.velocity_m_s + delta[:, 3:6]
-        orbital = rotations.attitude_matrices(states.angles_rad + delta[:, 6:9], c.small_angle) @ mount
-        ecef = rotations.orbital_frames(p_frame, v_frame) @ orbital
-        return p, light.unit(np.einsum("nij,nj->ni", ecef, look.direction(*psi)))
+        orbital = rotations.attitude_matrices(states.angles_rad + delta[:, 6:9], correction.small_angle) @ mount
+        return p, np.asarray(rotations.orbital_frames(p_frame, v_frame) @ orbital)
+
+    def central_mounting(self, states: LineStates) -> Array:
+        """Mountings (N, 3, 3) of N states for the central sample and height 0."""
+        psi = self.look_angles(np.full(len(states.tau), 0.5 * (self.first_sample + self.last_sample)))
+        return self._mounting(states, psi, None)
 
     # --- ground to image ---------------------------------------------------------------------
 

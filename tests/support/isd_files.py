@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,7 @@ def states(time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, Rotation]:
     return *orbit(time_s), Rotation.from_rotvec(np.outer(time_s, [3e-4, -1.2e-3, 2e-4])) * start
 
 
+@functools.cache
 def isd_text() -> str:
     """Text of a file whose camera is turned and shifted in the spacecraft, with an inclined detector line."""
     t = STEP_S * np.arange(N_STATES)

@@ -59,6 +59,19 @@ isd.detector: the detector has no pixels on the focal plane: its affine map cann
     -> correct focal2pixel and the summing, which must be above zero
 isd.metric (note): the distortion is that of a metric camera in the keywords of NAIF: the file states a distortion of
     zero
+csm.sensor: only the rigorous model of a pushbroom image becomes a line-scan state
+    -> give its metadata with states and attitudes
+csm.parameters: a state with parameters that are not zero is not read
+    -> give a state in which the adjustment is applied to positions and quaternions
+csm.aircraft: the interpolation of aircraft is not read
+    -> give the state of a satellite, m_platformFlag = 1
+csm.body: line-scan states of other bodies than the Earth are not read
+    -> give a state on WGS84
+csm.list: two or more records of {width} numbers in steps above zero are needed
+    -> write the file again: it may be cut
+csm.camera: this camera is not possible: focal length and summing are above zero, m_zDirection is 1 or -1, and the
+    detector has pixels
+    -> correct the value
 json.syntax: this is not JSON
     -> correct the place, or write the file again: it may be cut
 json.object: an object in braces is expected

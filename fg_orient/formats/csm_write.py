@@ -1,0 +1,195 @@
+"""Pushbroom images as line-scan states of the Community Sensor Model, with their corrections.
+
+Positions and attitudes are sampled in equal steps, which are halved until the polynomials of CSM agree with the image
+to :data:`STATE_PX`. The look angles become a straight detector line with radial distortion
+(``fg_orient.sensors.line_detector``).
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from factors.arrays import Array
+from factors.geometry import ellipsoid, interpolation
+from factors.geometry.interpolation import MAX_SAMPLES, sign_aligned
+from fg_orient.formats.atomic import write_text
+from fg_orient.model.errors import InputError
+from fg_orient.sensors.correction import Correction
+from fg_orient.sensors.line_detector import COMPARED, LineDetector, fit_detector
+from fg_orient.sensors.metadata import QuaternionList, QuaternionPolynomial, SegmentTiming
+from fg_orient.sensors.pushbroom import PushbroomSensor
+
+MODEL: Final = "USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL"
+#: Largest error of the interpolation, px; first step, s; most samples.
+STATE_PX: Final = 2e-4
+FIRST_STEP_S: Final = 0.125
+MOST_SAMPLES: Final = 20_000
+#: Share of a step by which equal steps may differ: rounding of times of the day.
+EQUAL_STEP: Final = 1e-6
+#: Largest time of a state that counts from its image, s; others count from 0 h.
+NEAR_S: Final = 1e3
+#: Steps before and after the image.
+MARGIN: Final = MAX_SAMPLES // 2
+#: Turned body axes (x right, y backward, z down) from body axes.
+TURNED: Final = np.diag([1.0, -1.0, -1.0])
+_PARAMETERS: Final = 16
+
+
+def write_state(path: Path, sensor: Any, correction: Any = None) -> dict[str, Any]:
+    """Write the state of a pushbroom image.
+
+    Parameters
+    ----------
+    path : Path
+    sensor : PushbroomSensor
+    correction : Correction, optional
+        From an adjustment.
+
+    Returns
+    -------
+    dict
+        ``camera_px``: largest differences of the camera along lines and samples; ``step_s``, ``states``: sampling of
+        positions and attitudes.
+
+    Raises
+    ------
+    InputError
+        The sensor is not a pushbroom.
+    """
+    if not isinstance(sensor, PushbroomSensor):
+        raise InputError.of("csm.sensor", file=sensor.file, value=type(sensor).__name__)
+    c = correction or Correction()
+    detector = _detector(sensor, c)
+    zero_s, times, p, v, q = _sampled(sensor, c, detector)
+    write_text(path, f"{MODEL}\n{json.dumps(_fields(sensor, detector, zero_s, times, p, v, q), indent=2)}\n")
+    step_s = float(times[1] - times[0])
+    return {"camera_px": list(detector.largest_px), "step_s": step_s, "states": len(times)}
+
+
+def _detector(sensor: PushbroomSensor, correction: Correction) -> LineDetector:
+    """Camera of the look angles with their corrections, compared at samples of the whole line."""
+    sample = np.linspace(sensor.first_sample, sensor.last_sample, min(COMPARED, sensor.n_samples))
+    psi_x, psi_y = sensor.corrected_look(sensor.look_angles(sample), sample, correction)
+    return fit_detector(sample, np.stack([-np.tan(psi_y), -np.tan(psi_x)], axis=1))
+
+
+def _span(sensor: PushbroomSensor) -> tuple[Array, Array]:
+    """First and last time of the image, with half a line where states are listed, and of its lists of states."""
+    ends = np.array([sensor.first_line - 0.5, sensor.last_line + 0.5])
+    image = np.sort(sensor.metadata.timing.time_s(ends))
+    lists = [sensor.metadata.ephemeris.time_s]
+    if not isinstance(sensor.attitude, QuaternionPolynomial):
+        lists.append(sensor.attitude.time_s)
+    listed = np.array([max(t[0] for t in lists), min(t[-1] for t in lists)])
+    return np.clip(image, *listed), listed
+
+
+def _own_times(sensor: PushbroomSensor) -> Array:
+    """Times of the states of a file whose positions and attitudes have the same equal steps; empty for others."""
+    orbit, attitude = sensor.metadata.ephemeris, sensor.attitude
+    if isinstance(attitude, QuaternionList) and attitude.scheme != "usual":
+        step = np.diff(orbit.time_s)
+        if np.array_equal(orbit.time_s, attitude.time_s) and np.ptp(step) < EQUAL_STEP * step[0]:
+            return orbit.time_s
+    return np.zeros(0)
+
+
+def _sampled(
+    sensor: PushbroomSensor, correction: Correction, detector: LineDetector
+) -> tuple[float, Array, Array, Array, Array]:
+    """Time of the zero of the state, times (n,), positions, velocities (n, 3) and quaternions x, y, z, w (n, 4)."""
+    own = _own_times(sensor)
+    if len(own):
+        states = _states(sensor, correction, detector, own)
+        if _error_px(sensor, correction, detector, own, states) < STATE_PX:
+            zero = 0.0 if abs(own[0]) < NEAR_S else float(own[0])
+            return zero, own - zero, *states
+    image, listed = _span(sensor)
+    zero, step = float(np.round(0.5 * image.sum(), 3)), FIRST_STEP_S
+    while True:
+        before = min(MARGIN, int((image[0] - listed[0]) / step))
+        after = min(MARGIN, int((listed[1] - image[1]) / step))
+        inner = int(np.ceil((image[1] - image[0]) / step - 1e-9))
+        times = np.linspace(image[0] - before * step, image[1] + after * step, before + inner + after + 1)
+        states = _states(sensor, correction, detector, times)
+        most = len(times) >= MOST_SAMPLES
+        if most or _error_px(sensor, correction, detector, times, states) < STATE_PX:
+            return zero, times - zero, *states
+        step *= 0.5
+
+
+def _states(
+    sensor: PushbroomSensor, correction: Correction, detector: LineDetector, times: Array
+) -> tuple[Array, Array, Array]:
+    """Positions, velocities (n, 3) and quaternions (n, 4) of the camera at times of the metadata."""
+    from scipy.spatial.transform import Rotation
+
+    states = sensor.states_at(times, sensor.metadata.timing.line(times))
+    p, ecef = sensor.oriented(states, sensor.central_mounting(states), correction)
+    v = states.velocity_m_s + correction.eop_at(states.tau)[:, 3:6]
+    return p, v, sign_aligned(Rotation.from_matrix(ecef @ TURNED @ detector.rotation).as_quat())
+
+
+def _error_px(
+    sensor: PushbroomSensor, correction: Correction, detector: LineDetector, times: Array,
+    states: tuple[Array, Array, Array],
+) -> float:  # fmt: skip
+    """Largest error of the polynomials of CSM halfway between the samples inside the image, px."""
+    image, _ = _span(sensor)
+    middle = 0.5 * (times[1:] + times[:-1])
+    middle = middle[(middle >= image[0]) & (middle <= image[1])]
+    p, _, q = _states(sensor, correction, detector, middle)
+    got = interpolation.centred(times, np.hstack([states[0], states[2]]), middle)
+    turned = got[:, 3:] / np.linalg.norm(got[:, 3:], axis=1, keepdims=True)
+    angle = 2.0 * np.minimum(np.linalg.norm(turned - q, axis=1), np.linalg.norm(turned + q, axis=1))
+    height = np.linalg.norm(p, axis=1) - ellipsoid.A_M
+    return float((angle + np.linalg.norm(got[:, :3] - p, axis=1) / height).max() * detector.focal_px)
+
+
+def _lines(sensor: PushbroomSensor, zero_s: float) -> dict[str, list[float]]:
+    """Segments of the line times; a line is counted from 0.5 at the centre of the first one."""
+    timing = sensor.metadata.timing
+    segments: tuple[Any, ...] = (np.zeros(1), timing.time_s(np.zeros(1)), np.array([timing.line_period_s]))
+    if isinstance(timing, SegmentTiming):
+        segments = timing.start_line, timing.start_time_s, timing.period_s
+    line, time_s, period = segments
+    return {
+        "m_intTimeLines": (line + 0.5).tolist(), "m_intTimeStartTimes": (time_s - zero_s - 0.5 * period).tolist(),
+        "m_intTimes": period.tolist(),
+    }  # fmt: skip
+
+
+def _fields(
+    sensor: PushbroomSensor, detector: LineDetector, zero_s: float, times: Array, p: Array, v: Array, q: Array
+) -> dict[str, Any]:
+    """All fields of a state."""
+    image, _ = _span(sensor)
+    centre = sensor.centre_m
+    middle = p[len(p) // 2]
+    distance = float(np.linalg.norm(middle - centre))
+    start, step = float(times[0]), float((times[-1] - times[0]) / (len(times) - 1))
+    zeros = [0.0, 0.0, 0.0]
+    return {
+        "m_modelName": MODEL, "m_imageIdentifier": Path(sensor.file).stem, "m_sensorName": sensor.metadata.instrument,
+        "m_sensorIdentifier": sensor.metadata.instrument, "m_platformIdentifier": sensor.metadata.mission,
+        "m_nLines": sensor.n_lines, "m_nSamples": sensor.n_samples, "m_platformFlag": 1, "m_ikCode": 0,
+        **_lines(sensor, zero_s), "m_startingEphemerisTime": 0.0, "m_centerEphemerisTime": 0.0,
+        "m_detectorSampleSumming": 1.0, "m_detectorLineSumming": 1.0, "m_startingDetectorSample": 0.0,
+        "m_startingDetectorLine": 0.0, "m_zDirection": 1.0, "m_focalLength": detector.focal_px,
+        "m_detectorSampleOrigin": detector.origin_sample + 0.5, "m_detectorLineOrigin": 0.0,
+        "m_iTransS": [0.0, detector.sign, 0.0], "m_iTransL": [-detector.offset_px, -detector.slope, 1.0],
+        "m_distortionType": 0, "m_opticalDistCoeffs": list(detector.radial),
+        "m_majorAxis": ellipsoid.A_M, "m_minorAxis": ellipsoid.B_M, "m_minElevation": -10_000.0,
+        "m_maxElevation": 10_000.0, "m_referencePointXyz": centre.tolist(), "m_gsd": distance / detector.focal_px,
+        "m_flyingHeight": float(np.linalg.norm(middle) - np.linalg.norm(centre)),
+        "m_halfSwath": 0.5 * sensor.n_samples * distance / detector.focal_px,
+        "m_halfTime": float(0.5 * (image[1] - image[0])), "m_t0Ephem": start, "m_dtEphem": step, "m_t0Quat": start,
+        "m_dtQuat": step, "m_numPositions": p.size, "m_numQuaternions": q.size, "m_positions": p.ravel().tolist(),
+        "m_velocities": v.ravel().tolist(), "m_quaternions": q.ravel().tolist(),
+        "m_currentParameterValue": [0.0] * _PARAMETERS, "m_parameterType": [2] * _PARAMETERS,
+        "m_covariance": [0.0] * _PARAMETERS**2, "m_sunPosition": zeros, "m_sunVelocity": zeros,
+    }  # fmt: skip

@@ -1,0 +1,190 @@
+"""Line-scan states of the Community Sensor Model (USGSCSM, ``USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL``), read and written.
+
+A state is the name of its model and an object in JSON. Pixels of CSM are (0.5, 0.5) at the centre of the first one. The
+time of a line is linear within each segment; positions and quaternions (x, y, z, w: body-fixed from camera axes) are
+interpolated by Lagrange polynomials through eight samples. The line of sight in camera axes is ``(z x, z y, focal)``
+with z = ``m_zDirection``, and x, y of the focal plane without distortion (``fg_orient.sensors.focal_plane``). Fields
+follow the published definitions; the library itself is not needed (docs/line-scan.md).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from factors.arrays import Array
+from factors.geometry import ellipsoid
+from factors.geometry.interpolation import sign_aligned
+from fg_orient.formats.csm_write import MODEL, write_state
+from fg_orient.formats.json_files import JsonFile
+from fg_orient.formats.registry import Format
+from fg_orient.model.errors import InputError
+from fg_orient.sensors.focal_plane import Detector, Distortion
+from fg_orient.sensors.general import GeneralPushbroom
+from fg_orient.sensors.light_sizes import chosen, noted
+from fg_orient.sensors.metadata import (
+    DirectionTable,
+    Ephemeris,
+    GeneralMetadata,
+    LightEffects,
+    LineTiming,
+    QuaternionList,
+    SegmentTiming,
+)
+
+#: Models of distortion by their numbers in a state.
+DISTORTIONS: Final = {0: "radial", 1: "transverse"}
+#: Largest difference of an axis of the Earth's ellipsoid, m.
+SAME_AXIS_M: Final = 1.0
+#: Heights at which a written file is compared with its image, m, and lines and samples of the comparison.
+HEIGHTS_M: Final = (0.0, 1000.0)
+SIDE: Final = 25
+#: Times before and after a sample that its polynomial uses; a state of an aircraft has fewer.
+_SATELLITE: Final = 1
+_UNIT: Final = 1e-3
+#: Camera axes of a state (z to the ground) from ours (forward, left, z from the ground): for a detector line along x,
+#: and for one along y, so that the line is across.
+_THEIRS: Final = {
+    "x": np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), "y": np.diag([1.0, -1.0, -1.0]),
+}  # fmt: skip
+
+
+def read_state(path: str | Path, light: tuple[str, ...] = ()) -> GeneralMetadata:
+    """Read a line-scan state.
+
+    Raises
+    ------
+    InputError
+        A value is missing or impossible, or the state has a feature that is not read: parameters that are not zero,
+        another distortion than radial or transverse, the interpolation of aircraft, another body than the Earth.
+    """
+    path = Path(path)
+    state = JsonFile.read(path, skip=0 if path.read_bytes()[:200].lstrip()[:1] == b"{" else 1)
+    if state.text("m_modelName") != MODEL:
+        raise InputError.of("isd.model", file=path, place="m_modelName", value=state.text("m_modelName"), known=MODEL)
+    size = state.count("m_nLines"), state.count("m_nSamples")
+    _require_plain(state)
+    look, along = _directions(state, size[1])
+    sensor = state.text("m_sensorName", "") or state.text("m_sensorIdentifier", "")
+    return GeneralMetadata(
+        file=str(path), mission=state.text("m_platformIdentifier", ""), instrument=sensor, format="CSM state",
+        epoch=np.datetime64("1970-01-01", "D"), n_lines=size[0], n_samples=size[1], timing=_timing(state),
+        ephemeris=_ephemeris(state), attitude=_attitude(state), look=look, offset_m=np.zeros(3),
+        mounting=_THEIRS[along], effects=chosen(light, LightEffects()),
+    )  # fmt: skip
+
+
+def _require_plain(state: JsonFile) -> None:
+    """Refuse features that are not read."""
+    changed = np.flatnonzero(state.numbers("m_currentParameterValue", -1, default=[0.0]))
+    if len(changed):
+        place = f"m_currentParameterValue, number {changed[0] + 1}"
+        raise InputError.of("csm.parameters", file=state.path, place=place)
+    flag = state.number("m_platformFlag", default=_SATELLITE)
+    if flag != _SATELLITE:
+        raise InputError.of("csm.aircraft", file=state.path, place="m_platformFlag", value=f"{flag:g}")
+    axes = np.array([state.number("m_majorAxis"), state.number("m_minorAxis")])
+    if np.abs(axes - [ellipsoid.A_M, ellipsoid.B_M]).max() > SAME_AXIS_M:
+        value = f"{axes[0]:g}, {axes[1]:g} m"
+        raise InputError.of("csm.body", file=state.path, place="m_majorAxis, m_minorAxis", value=value)
+
+
+def _timing(state: JsonFile) -> LineTiming:
+    """Times of lines; a segment begins half a line before the centre of its first line."""
+    line = state.numbers("m_intTimeLines", -1)
+    start, period = (state.numbers(name, len(line)) for name in ("m_intTimeStartTimes", "m_intTimes"))
+    if (period == 0.0).any():
+        raise InputError.of("earth.period", file=state.path, place="m_intTimes", value="0")
+    if (np.diff(line) <= 0.0).any():
+        raise InputError.of("earth.order", file=state.path, place="m_intTimeLines", value=f"{len(line)} values")
+    return SegmentTiming.of(line - 0.5, start + 0.5 * period, period)
+
+
+def _listed(state: JsonFile, name: str, width: int, place: str) -> tuple[Array, Array]:
+    """Times (n,) and values (n, width) of a list, at least two."""
+    values = state.numbers(name, -1)
+    start, step = (state.number(f"m_{word}{place}") for word in ("t0", "dt"))
+    n = len(values) // width
+    if len(values) != n * width or n < 2 or not step > 0.0:
+        value = f"{len(values)} numbers, step {step:g}"
+        raise InputError.of("csm.list", file=state.path, place=name, width=width, value=value)
+    return np.asarray(start + step * np.arange(n)), np.asarray(values.reshape(n, width))
+
+
+def _ephemeris(state: JsonFile) -> Ephemeris:
+    time_s, position = _listed(state, "m_positions", 3, "Ephem")
+    velocity = state.numbers("m_velocities", position.size).reshape(-1, 3)
+    return Ephemeris(time_s, position, velocity, scheme="centred")
+
+
+def _attitude(state: JsonFile) -> QuaternionList:
+    time_s, xyzw = _listed(state, "m_quaternions", 4, "Quat")
+    away = np.abs(np.linalg.norm(xyzw, axis=1) - 1.0)
+    if away.max() > _UNIT:
+        raise InputError.of("earth.quaternion", file=state.path, place=f"m_quaternions, record {away.argmax() + 1}",
+                            value=f"{away.max():.2g} off 1")  # fmt: skip
+    return QuaternionList(time_s, sign_aligned(np.roll(xyzw, 1, axis=1)), scheme="centred")
+
+
+def _directions(state: JsonFile, n_samples: int) -> tuple[DirectionTable, str]:
+    """Directions of all samples, and the axis of the camera along which the detector line lies.
+
+    The line of the detector is always the first one: the time contains the line of the image.
+    """
+    kind = int(state.number("m_distortionType", default=0))
+    if kind not in DISTORTIONS:
+        raise InputError.of("isd.distortion", file=state.path, place="m_distortionType", value=kind,
+                            known=", ".join(f"{k} ({name})" for k, name in DISTORTIONS.items()))  # fmt: skip
+    try:
+        distortion = Distortion(DISTORTIONS[kind], tuple(state.numbers("m_opticalDistCoeffs", -1).tolist()))
+    except InputError as error:
+        problem = error.problems[0]
+        raise InputError.of(problem.code, file=state.path, place="m_opticalDistCoeffs", value=problem.value,
+                            **dict(problem.data)) from None  # fmt: skip
+    lines, samples = (tuple(state.numbers(name, 3).tolist()) for name in ("m_iTransL", "m_iTransS"))
+    detector = Detector(
+        (state.number("m_detectorLineOrigin"), state.number("m_detectorSampleOrigin")), lines, samples,
+        (1.0, state.number("m_detectorSampleSumming", default=1.0)),
+        (state.number("m_startingDetectorLine", default=0.0), state.number("m_startingDetectorSample", default=0.0)),
+    )  # fmt: skip
+    focal, z = state.number("m_focalLength"), state.number("m_zDirection", default=1.0)
+    summing = detector.summing[1]
+    if not (focal > 0.0 and abs(z) == 1.0 and summing > 0.0 and np.linalg.det(detector.per_mm) != 0.0):
+        place = "m_focalLength, m_zDirection, m_detectorSampleSumming, m_iTransL, m_iTransS"
+        raise InputError.of("csm.camera", file=state.path, place=place, value=f"{focal:g}, {z:g}, {summing:g}")
+    sample = np.arange(n_samples, dtype=float)
+    x, y = (z * distortion.ideal(detector.millimetres(np.full(n_samples, -0.5), sample)) / focal).T
+    along = "x" if np.ptp(x) >= np.ptp(y) else "y"
+    forward, left = (y, x) if along == "x" else (x, -y)
+    return DirectionTable(sample, np.ascontiguousarray(forward), np.ascontiguousarray(left)), along
+
+
+def write_compared(path: Path, sensor: Any, correction: Any = None) -> dict[str, Any]:
+    """Write a state, read it and compare it with the image: from pixels to the ground by the file, back by the image.
+
+    Returns
+    -------
+    dict
+        As of :func:`fg_orient.formats.csm_write.write_state`, and ``largest_px``, ``mean_px`` over image and heights.
+    """
+    record = write_state(path, sensor, correction)
+    written = GeneralPushbroom(read_state(path))
+    line, sample = (a.ravel() for a in np.meshgrid(
+        np.linspace(sensor.first_line, sensor.last_line, SIDE),
+        np.linspace(sensor.first_sample, sensor.last_sample, SIDE), indexing="ij",
+    ))  # fmt: skip
+    apart = [np.hypot(*(np.stack(sensor.project(written.locate(line, sample, height_m=h), correction))
+                        - [line, sample])) for h in HEIGHTS_M]  # fmt: skip
+    return record | {"largest_px": float(np.max(apart)), "mean_px": float(np.mean(apart))}
+
+
+def _is_state(_: Path, head: str) -> bool:
+    return MODEL in head[:400] and "name_model" not in head[:400]
+
+
+FORMAT = Format(
+    name="csm-state", title="CSM line-scan state", sniff=_is_state, chooses_light=True, write_image=write_compared,
+    read_image=lambda path, light=(): noted(GeneralPushbroom(read_state(path, light))),
+)  # fmt: skip
