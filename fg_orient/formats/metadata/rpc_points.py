@@ -1,4 +1,4 @@
-"""Ground points by the RPC of a file, with which the command ``locate`` compares the rigorous model of the same file."""
+"""Ground points by the RPC of a file, with which ``locate`` compares the rigorous model of the same file."""
 
 from __future__ import annotations
 
