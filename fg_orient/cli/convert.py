@@ -65,8 +65,8 @@ def convert(
 ) -> None:
     """Bring ground and image points, or an image's model, from one format into another.
 
-    The command prints one line for each kind of information that the new format cannot contain. With --to csm-state IN
-    is the metadata of a pushbroom image, adjusted with --result.
+    The command prints one line for each kind of information that the new format cannot contain. With --to csm-state or
+    isd IN is the metadata of an image, adjusted with --result.
     """
     from fg_orient.formats.exchange.convert import filled, placed, read_survey, write_survey
     from fg_orient.formats.heights import without_vertical
@@ -142,8 +142,9 @@ def _convert_image(files: list[Path], form: Format, out: list[Path], sensors: Se
 
 
 def _show_image(out: Path, record: dict[str, Any]) -> None:
-    largest, mean = (number(record[f"{name}_px"], 6) for name in ("largest", "mean"))
-    say(f"difference from the image: largest {largest} px, mean {mean} px")
+    if "largest_px" in record:
+        largest, mean = (number(record[f"{name}_px"], 6) for name in ("largest", "mean"))
+        say(f"difference from the image: largest {largest} px, mean {mean} px")
     say(f"written: {out}")
 
 

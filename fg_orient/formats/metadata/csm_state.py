@@ -19,9 +19,11 @@ from factors.geometry import ellipsoid
 from factors.geometry.interpolation import sign_aligned
 from fg_orient.formats.csm_write import MODEL, write_state
 from fg_orient.formats.json_files import JsonFile
+from fg_orient.formats.metadata.csm_frame import write_state as write_frame
 from fg_orient.formats.registry import Format
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.focal_plane import Detector, Distortion
+from fg_orient.sensors.framing import FramingSensor
 from fg_orient.sensors.general import GeneralPushbroom
 from fg_orient.sensors.light_sizes import chosen, noted
 from fg_orient.sensors.metadata import (
@@ -164,11 +166,15 @@ def _directions(state: JsonFile, n_samples: int) -> tuple[DirectionTable, str]:
 def write_compared(path: Path, sensor: Any, correction: Any = None) -> dict[str, Any]:
     """Write a state, read it and compare it with the image: from pixels to the ground by the file, back by the image.
 
+    A frame image becomes a frame state.
+
     Returns
     -------
     dict
         As of :func:`fg_orient.formats.csm_write.write_state`, and ``largest_px``, ``mean_px`` over image and heights.
     """
+    if isinstance(sensor, FramingSensor):
+        return write_frame(path, sensor, correction)
     record = write_state(path, sensor, correction)
     written = GeneralPushbroom(read_state(path))
     line, sample = (a.ravel() for a in np.meshgrid(
