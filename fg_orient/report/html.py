@@ -61,7 +61,7 @@ SECTIONS: Final = [Section(name, title) for name, title in (
     ("residuals", "Image residuals"), ("reliability", "Reliability"),
     ("orientation", "Corrections of the exterior orientation"), ("constraints", "Constraints"),
     ("features", "Control features"),
-    ("metadata", "Orientation of the metadata"), ("observability", "Observability"),
+    ("metadata", "Orientation of the metadata"), ("light", "Effects on light"), ("observability", "Observability"),
     ("regularisation", "Regularisation"), ("iterations", "Iterations"),
 )]  # fmt: skip
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import fg_orient as fg
+from factors.geometry.ellipsoid import geodetic_array
 from fg_orient.formats.sensor import read_sensor
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.general import GeneralPushbroom
@@ -207,3 +209,38 @@ def test_resampled_levels_are_not_a_line_scan(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="element RPB"):
         read_sensor(path)
     assert len(TLC) == 3
+
+
+@pytest.mark.behaviour
+def test_the_report_states_the_size_of_each_effect(tmp_path: Path) -> None:
+    """A block of two images with tie points: a row for each effect of each image."""
+    source = write_isd(tmp_path)
+    sensor = read_sensor(source)
+    line, sample = grid(sensor, 4)
+    ground = sensor.locate(line, sample, height_m=30.0)
+    pixels = np.stack(sensor.project(ground), axis=1)
+    rows = [f"{image},{k},{a:.4f},{b:.4f},0.3,0.3" for image in ("a", "b") for k, (a, b) in enumerate(pixels)]
+    (tmp_path / "points.csv").write_text(
+        "id,role,lon_deg,lat_deg,height_m,sigma_east_m,sigma_north_m,sigma_up_m\n"
+        + "\n".join(
+            f"{k},control,{np.degrees(lon):.9f},{np.degrees(lat):.9f},{h:.4f},0.1,0.1,0.1"
+            for k, (lon, lat, h) in enumerate(geodetic_array(ground))
+        )
+        + "\n", encoding="utf-8",
+    )  # fmt: skip
+    (tmp_path / "observations.csv").write_text(
+        "\n".join(["image,id,line,sample,sigma_line_px,sigma_sample_px", *rows]) + "\n", encoding="utf-8"
+    )
+    images = "".join(f'[[images]]\nid = "{name}"\nmetadata = "{source.name}"\n' for name in "ab")
+    (tmp_path / "project.toml").write_text(
+        f'schema = 1\nname = "wv"\n{images}[points]\nfile = "points.csv"\ncrs = "EPSG:4979"\n'
+        '[observations]\nfile = "observations.csv"\n[orientation]\nlight = ["refraction"]\n', encoding="utf-8",
+    )  # fmt: skip
+    done = in_process("adjust", tmp_path / "project.toml", "--out", tmp_path / "result", "--json")
+    assert done.code in (0, 4), done.stderr
+    record = json.loads((tmp_path / "result" / "result.json").read_text("utf-8"))
+    assert [(one["effect"], one["applied"]) for one in record["images"][0]["light"]] == [
+        ("light_time", False), ("aberration", False), ("refraction", True)
+    ]  # fmt: skip
+    page = (tmp_path / "result" / "report.html").read_text("utf-8")
+    assert "Effects on light" in page and page.count("<td>light time</td>") == 2
