@@ -1,1 +1,1 @@
-"""Data model of all floors: blocks, options, unknowns, names, errors and messages."""
+"""Data model used by all other packages: blocks, options, unknowns, names, errors and messages."""

@@ -17,7 +17,7 @@ from factors.arrays import Array, Index, Mask
 from fg_orient.model.errors import InputError, finding
 from fg_orient.model.names import LARGEST, SMALLEST, Role
 
-#: Kinds of numpy's types that are accepted for each kind of value; no text, no masks as numbers, no truncation.
+#: Numpy types accepted for each kind of value. Texts are refused, masks are not numbers, and no value is truncated.
 _ACCEPTED: Final[dict[type, tuple[str, str]]] = {
     np.float64: ("iuf", "numbers"), np.intp: ("iu", "whole numbers"), np.bool_: ("b", "true and false"),
 }  # fmt: skip
@@ -25,7 +25,7 @@ _SIGMAS: Final = f"standard deviations from {SMALLEST:g} to {LARGEST:g}"
 
 
 def wrong(place: str, value: object, expected: str) -> InputError:
-    """Error of an argument."""
+    """Return the error for an argument."""
     return InputError(
         finding("argument.value (failure): the value of this argument is not allowed -> give {expected}",
                 place=place, value=value, expected=expected)
@@ -35,28 +35,28 @@ def wrong(place: str, value: object, expected: str) -> InputError:
 def array(
     values: npt.ArrayLike, place: str, shape: tuple[int, ...] | None = None, kind: type = np.float64
 ) -> npt.NDArray[Any]:
-    """Copy of an array, in C order.
+    """Return a copy of an array, in C order.
 
     Parameters
     ----------
     values : array_like
-        Numbers, whole numbers or masks, by ``kind``; empty arrays of any type.
+        Numbers, whole numbers or masks, as ``kind`` requires; an empty array may have any type.
     place : str
         Name of the argument, for the message.
     shape : tuple of int, optional
-        Required shape; -1: any length.
+        Required shape; -1 allows any length.
     kind : type
         ``numpy.float64``, ``numpy.intp`` or ``numpy.bool_``.
 
     Raises
     ------
     InputError
-        Another type or shape.
+        The array has another type or shape.
     """
     accepted, words = _ACCEPTED[kind]
     try:
         given = np.asarray(values)
-    except ValueError:  # rows of unequal length
+    except ValueError:  # rows of different lengths
         raise wrong(place, "rows of unequal length", f"an array of {words}") from None
     if given.size and given.dtype.kind not in accepted:
         seen = type(values).__name__ if given.dtype == object and not given.ndim else given.dtype
@@ -71,7 +71,7 @@ def array(
 
 
 def refuse(bad: Mask, place: str, values: Any, expected: str) -> None:
-    """Raise InputError for the first row that is ``bad`` (n,) or (n, k)."""
+    """Raise InputError for the first row (n,) or (n, k) that is ``bad``."""
     rows = bad if bad.ndim == 1 else bad.any(axis=1)
     if rows.any():
         k = int(rows.argmax())
@@ -80,7 +80,10 @@ def refuse(bad: Mask, place: str, values: Any, expected: str) -> None:
 
 
 def require_size(values: Array, place: str, *, missing: Mask | None = None) -> None:
-    """Refuse rows (n,) or (n, k) that are not finite or too large to be a coordinate, except ``missing`` ones (n,)."""
+    """Refuse rows (n,) or (n, k) that are not finite or too large to be a coordinate.
+
+    Rows ``missing`` (n,) are allowed.
+    """
     bad = ~(np.abs(values) <= LARGEST)
     if missing is not None:
         bad &= ~(missing if bad.ndim == 1 else missing[:, None])
@@ -88,13 +91,13 @@ def require_size(values: Array, place: str, *, missing: Mask | None = None) -> N
 
 
 def require_sigmas(values: Array, place: str, *, missing: bool = False) -> None:
-    """Refuse rows (n,) or (n, k) of impossible standard deviations; ``missing``: nan is allowed."""
+    """Refuse rows (n,) or (n, k) of impossible standard deviations; nan is allowed if ``missing``."""
     possible = (values >= SMALLEST) & (values <= LARGEST)
     refuse(~(possible | np.isnan(values) if missing else possible), place, values, _SIGMAS)
 
 
 def require_positions(values: Index, place: str, of: str, count: int | None = None) -> None:
-    """Refuse positions (n,) below 0, or not below the ``count`` of what they are positions ``of``."""
+    """Refuse positions (n,) below 0 or from ``count`` on; ``of`` names the things that are counted."""
     if len(values) and (values.min() < 0 or (count is not None and values.max() >= count)):
         last = "" if count is None else f" to {count - 1}"
         beyond = values < 0 if count is None else (values < 0) | (values >= count)
@@ -102,19 +105,19 @@ def require_positions(values: Index, place: str, of: str, count: int | None = No
 
 
 def having_role(roles: Sequence[Role | None], wanted: Role | None) -> Mask:
-    """Points (n,) that have a role."""
+    """Return True for each point (n,) that has the wanted role."""
     return np.fromiter(map(operator.is_, roles, repeat(wanted)), bool, len(roles))
 
 
 def sequence(values: Any, place: str) -> tuple[Any, ...]:
-    """Items of a sequence or array as a tuple; InputError for one text and for anything else."""
+    """Return the items of a sequence or array as a tuple; raise InputError for a single text or any other value."""
     if isinstance(values, str | bytes) or not isinstance(values, Collection):
         raise wrong(place, repr(values), "a sequence, such as a tuple")
     return tuple(values.tolist() if isinstance(values, np.ndarray) else values)
 
 
 def name_fault(name: object) -> str:
-    """Reason why this is not a name of a point or image that tables can hold; "" if it is one."""
+    """Return the reason why tables cannot hold this name of a point or image; "" if they can."""
     if not isinstance(name, str):
         return "text"
     if not name:
@@ -125,12 +128,12 @@ def name_fault(name: object) -> str:
 
 
 def names(values: Sequence[str], place: str) -> tuple[str, ...]:
-    """Names as a tuple: texts that tables can hold, each once.
+    """Return the names as a tuple; each must be a text that tables can hold, and must occur once.
 
     Raises
     ------
     InputError
-        Another type, an impossible name, or a name twice.
+        A name has another type, is impossible, or occurs twice.
     """
     out = sequence(values, place)
     try:

@@ -1,8 +1,8 @@
-"""The data model of an adjustment: images, ground points, image points. Immutable, arrays included.
+"""Data model of an adjustment: images, ground points and image points. All records and arrays are immutable.
 
-A :class:`Block` contains the data known before the adjustment. The coordinates of **check
-points** are not in :class:`GroundPoints` (their rows are nan): they stay sealed in
-:class:`WithheldCoordinates` and are opened by the accuracy assessment after convergence.
+A :class:`Block` contains the data known before the adjustment. :class:`GroundPoints` does not contain the coordinates
+of **check points** (their rows are nan): :class:`WithheldCoordinates` keeps them sealed until the accuracy assessment
+opens them after convergence.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def _set(record: object, **values: object) -> None:
-    """Replace fields of a frozen record; arrays become read-only."""
+    """Replace fields of a frozen record, and make its arrays read-only."""
     for name, value in values.items():
         if isinstance(value, np.ndarray):
             value.setflags(write=False)
@@ -36,10 +36,10 @@ def _set(record: object, **values: object) -> None:
 
 @dataclass(frozen=True)
 class Image:
-    """One image: its id and the sensor that binds its metadata to the equations.
+    """One image: its id, and the sensor, which connects its metadata with the equations.
 
-    ``pixels`` and ``pixels_origin`` are the entries of the project file: path of its raster, and line and sample of the
-    first pixel of that. The orientation of a ``held`` image stays as in its metadata.
+    ``pixels`` and ``pixels_origin`` are entries of the project file: the path of the raster, and the line and sample of
+    its first pixel. The orientation of a ``held`` image stays as in its metadata.
     """
 
     id: str
@@ -55,7 +55,7 @@ class Image:
             arrays.require_size(arrays.array(self.pixels_origin, "pixels_origin", (2,)), "pixels_origin")
 
     def require_model(self) -> None:
-        """Raise InputError for a sensor without image model."""
+        """Raise InputError if the sensor has no image model."""
         if not hasattr(self.sensor, "image_model"):
             raise InputError.of("adjust.no_model", place=f"image {self.id}", value=type(self.sensor).__name__)
 
@@ -69,14 +69,14 @@ class Coordinates:
     ecef_m : (n, 3) array
         WGS84 Earth-centred coordinates; rows without coordinates are nan.
     sigma_enu_m : (n, 3) array
-        Sigmas East, North, Up at the point itself; nan for fixed points and rows without coordinates.
+        Standard deviations East, North, Up at the point itself; nan for fixed points and rows without coordinates.
     fixed : (n,) bool array
-        Constant in the adjustment: such a point has no residual.
+        True for points that are constant in the adjustment: such a point has no residual.
 
     Raises
     ------
     InputError
-        Wrong types or shapes.
+        The arrays have wrong types or shapes.
     """
 
     ecef_m: Array
@@ -89,33 +89,32 @@ class Coordinates:
         _set(self, ecef_m=ecef_m, sigma_enu_m=sigma, fixed=arrays.array(self.fixed, "fixed", (len(ecef_m),), np.bool_))
 
     def take(self, rows: Index) -> Coordinates:
-        """Selected rows."""
+        """Return the coordinates of the selected rows."""
         return Coordinates(self.ecef_m[rows], self.sigma_enu_m[rows], self.fixed[rows])
 
     def only(self, known: Mask) -> Coordinates:
-        """Return all rows; rows that are not ``known`` (n,) lose their coordinates."""
+        """Return all rows, without the coordinates of rows that are not ``known`` (n,)."""
         ecef_m, sigma_m = (np.where(known[:, None], values, np.nan) for values in (self.ecef_m, self.sigma_enu_m))
         return Coordinates(ecef_m, sigma_m, self.fixed & known)
 
 
 @dataclass(frozen=True)
 class GroundPoints:
-    """Ground points in file order.
+    """Ground points in the order of the file.
 
     Parameters
     ----------
     ids : tuple of str
         Unique ids.
     roles : tuple of Role
-        Control, check or tie, one per id.
+        Control, check or tie; one role per id.
     known : Coordinates
-        One row per id; rows of control points hold coordinates, those of check points never, those of tie points
-        start values or nan.
+        One row per id. Control points always have coordinates, check points never; tie points have start values or nan.
 
     Raises
     ------
     InputError
-        Wrong types, unknown roles, lengths that differ. A block refuses repeated ids and impossible values, too.
+        Types are wrong, roles are unknown, or lengths differ. A block also refuses repeated ids and impossible values.
     """
 
     ids: tuple[str, ...]
@@ -133,7 +132,7 @@ class GroundPoints:
 
     @cached_property
     def require_possible(self) -> None:
-        """InputError for impossible or repeated ids and impossible coordinates; checked once."""
+        """Raise InputError for impossible or repeated ids and for impossible coordinates; the check runs only once."""
         known, place = self.known, "points"
         arrays.names(self.ids, f"{place}.ids")
         control = arrays.having_role(self.roles, Role.CONTROL)
@@ -145,22 +144,22 @@ class GroundPoints:
                       known.sigma_enu_m, "standard deviations of each control point that is not fixed")  # fmt: skip
 
     def where(self, role: Role) -> Index:
-        """Indices of the points with this role."""
+        """Return the indices of the points with this role."""
         return np.flatnonzero(arrays.having_role(self.roles, role))
 
     def take(self, rows: Index) -> GroundPoints:
-        """Selected points."""
+        """Return the selected points."""
         ids, roles = (tuple(values[k] for k in rows) for values in (self.ids, self.roles))
         return GroundPoints(ids, roles, self.known.take(rows))
 
     def without_coordinates(self, gone: Mask, role: Role) -> GroundPoints:
-        """Remove the coordinates of the points ``gone`` (n,), which get this role."""
+        """Remove the coordinates of the points ``gone`` (n,), and give these points this role."""
         roles = tuple(role if away else r for away, r in zip(gone, self.roles, strict=True))
         return GroundPoints(self.ids, roles, self.known.only(~gone))
 
 
 def _roles(given: tuple[Role, ...]) -> tuple[Role, ...]:
-    """Roles of texts or roles; InputError for other ones."""
+    """Return the roles named by texts or roles; raise InputError for unknown ones."""
     known, allowed = {str(role): role for role in Role}, f"one of {', '.join(Role)} for each point"
     roles = arrays.sequence(given, "roles")
     if not set(map(type, roles)) <= {Role}:
@@ -175,7 +174,8 @@ def _roles(given: tuple[Role, ...]) -> tuple[Role, ...]:
 class WithheldCoordinates:
     """Coordinates of the check points, sealed until :meth:`open` after convergence.
 
-    ``ids`` names the points; opening calls ``reader`` and gives rows in the order of ``ids``. Default: no points.
+    ``ids`` names the points. Opening calls ``reader``, which returns rows in the order of ``ids``. By default there are
+    no points.
     """
 
     ids: tuple[str, ...] = ()
@@ -193,16 +193,16 @@ class ImagePoints:
     Parameters
     ----------
     image, point : (n,) int arrays
-        Positions in the block's images and ground points.
+        Positions of the image and of the ground point in the block.
     line, sample : (n,) arrays
         Pixels; (0, 0) is the centre of the first pixel.
     sigma_line_px, sigma_sample_px : (n,) arrays
-        Their standard deviations.
+        Standard deviations of line and sample, pixels.
 
     Raises
     ------
     InputError
-        Wrong types, lengths that differ. A block refuses impossible values, too.
+        Types are wrong or lengths differ. A block also refuses impossible values.
     """
 
     image: Index
@@ -221,7 +221,10 @@ class ImagePoints:
 
     @cached_property
     def require_possible(self) -> None:
-        """InputError for pixels that are not finite and for impossible standard deviations; checked once."""
+        """Raise InputError for pixels that are not finite and for impossible standard deviations.
+
+        The check runs only once.
+        """
         part = "observations"
         for name in ("line", "sample"):
             arrays.require_size(getattr(self, name), f"{part}.{name}")
@@ -231,7 +234,7 @@ class ImagePoints:
         return len(self.line)
 
     def take(self, rows: Mask | Index | slice) -> ImagePoints:
-        """Give the selected rows."""
+        """Return the image points of the selected rows."""
         return ImagePoints(
             self.image[rows], self.point[rows], self.line[rows],
             self.sample[rows], self.sigma_line_px[rows], self.sigma_sample_px[rows],
@@ -240,29 +243,30 @@ class ImagePoints:
 
 @dataclass(frozen=True, eq=False)
 class ExtraObservation:
-    """An observation of any registered equation, in addition to image and control points.
+    """Observation with any registered equation, in addition to image points and control points.
 
     Parameters
     ----------
     equation : factors._contract.Equation
-        Whitened: a unit of its residual is one sigma.
+        Its residuals are whitened: one unit is one standard deviation.
     unknowns : tuple of str
-        One per argument of the equation: "image:left" (its coefficients in prior sigmas) or
-        "point:12" (metres relative to the block's local origin, axes parallel to ECEF).
+        One unknown per argument of the equation: "image:left" (its coefficients in prior sigmas) or "point:12" (metres
+        relative to the block's local origin, with axes parallel to ECEF).
     record : array
-        Constants of the observation, see ``factors._contract``.
+        Constants of the observation; see ``factors._contract``.
     setup : array or None
-        What all observations of a group share; None: that of the image that it names first, the codes and prior
-        sigmas of the unknowns in force (``ImageParameters.setup``).
+        Values shared by all observations of a group. None: the setup of the first named image, which contains the codes
+        and prior sigmas of the unknowns in force (``ImageParameters.setup``).
     n_residuals : int
-        Length of the residual.
+        Number of residuals.
     label : str
-        Named in messages.
+        Name in messages.
 
     Raises
     ------
     InputError
-        No registered equation, another number of unknowns than its arguments, a short record, impossible values.
+        The equation is not registered, the number of unknowns is not the number of its arguments, the record is short,
+        or a value is impossible.
     """
 
     equation: Equation
@@ -297,9 +301,9 @@ class GroundSystem:
     Parameters
     ----------
     crs : str
-        ``EPSG:n``, or ``EPSG:n+m`` with a vertical CRS; "" if the points have none.
+        ``EPSG:n``, or ``EPSG:n+m`` with a vertical CRS; "" if the points have no CRS.
     geoid : str
-        Path of the geoid file that has the zero level; "" for none.
+        Path of the geoid file that defines the zero level; "" if there is none.
     undulation_m : float or None
         Constant height of the zero level above the WGS84 ellipsoid.
     """
@@ -311,7 +315,7 @@ class GroundSystem:
 
 @dataclass(frozen=True)
 class Source:
-    """An input file of the block, for the provenance record."""
+    """Input file of the block, for the provenance record."""
 
     path: str
     sha256: str
@@ -327,27 +331,27 @@ class Block:
         Name of the project, for the report.
     images : tuple of Image
     points : GroundPoints
-        All ground points; their rows are what ``observations.point`` counts. Coordinates of tie points are start
-        values and nothing else; those without are intersected.
+        All ground points; ``observations.point`` contains row numbers of them. Coordinates of tie points are only start
+        values; tie points without coordinates are intersected.
     observations : ImagePoints
     withheld : WithheldCoordinates
         Coordinates of the check points, sealed until the adjustment has converged.
     options : Options
     sources : tuple of Source
-        Files it was read from; empty for a block made in memory.
+        Files from which the block was read; empty for a block made in memory.
     notes : tuple of Finding
         Remarks of the readers, shown in the report.
     extra : tuple of ExtraObservation, Constraint or gtsam.NonlinearFactor
-        Further observations of any registered equation, constraints between ground points, or factors of GTSAM between
-        images and points; their keys are those of :func:`fg_orient.factor_graph`.
+        Further observations with any registered equation, constraints between ground points, or GTSAM factors between
+        images and points; their keys come from :func:`fg_orient.factor_graph`.
     ground : GroundSystem
         CRS and zero level of the point table, for outputs.
 
     Raises
     ------
     InputError
-        Parts of another type, an image or a point twice, positions beyond the images or points, values that are not
-        finite, impossible standard deviations, control points without coordinates, unknown withheld points.
+        A part has another type, an image or point occurs twice, positions lie beyond the images or points, values are
+        not finite, standard deviations are impossible, control points lack coordinates, or withheld points are unknown.
     """
 
     name: str
@@ -384,7 +388,7 @@ class Block:
         return f"<Block {self.name[:60]}: {counts}>"
 
     def require_adjustable(self) -> None:
-        """Raise InputError without images, or for an image whose sensor cannot be adjusted."""
+        """Raise InputError if there are no images, or if a sensor cannot be adjusted."""
         if not self.images:
             raise arrays.wrong("images", 0, "one or more")
         for image in self.images:
@@ -407,11 +411,14 @@ class Block:
         return first
 
     def image_index(self, image_id: str) -> int:
-        """Index of the image with this id."""
+        """Return the index of the image with this id."""
         return [image.id for image in self.images].index(image_id)
 
     def find(self, name: str) -> tuple[str, int] | None:
-        """Kind ("image", "point") and position of a name such as "image:left" or "point:12"; None if there is none."""
+        """Return kind ("image", "point") and position of a name such as "image:left" or "point:12".
+
+        None if it is unknown.
+        """
         kind, _, identifier = name.partition(":")
         ids = {"image": tuple(image.id for image in self.images), "point": self.points.ids}.get(kind, ())
         return (kind, ids.index(identifier)) if identifier in ids else None

@@ -1,4 +1,4 @@
-"""Constraints between ground points or images, as they are stated."""
+"""Constraints between ground points or images, as the user states them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fg_orient.model import arrays
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import LARGEST, SMALLEST
 
-#: Kinds with their smallest number of members; kinds between photos are last.
+#: Kinds of constraints with their smallest number of members; the kinds between photos are last.
 LEAST: Final = {
     "distance": 2, "parallel": 4, "perpendicular": 4, "equal": 4,
     "plane": 3, "line": 2, "plumb line": 1, "circle": 3, "horizontal circle": 3,
@@ -21,7 +21,7 @@ LEAST: Final = {
 }  # fmt: skip
 KINDS: Final = tuple(LEAST)
 OF_PHOTOS: Final = ("base", "equal attitude")
-#: Kinds that need a value, m, and those with a fixed number of members.
+#: Kinds that need a value in metres, and kinds with a fixed number of members.
 MEASURED: Final = ("distance", "base")
 EXACT: Final = ("distance", "parallel", "perpendicular", "equal", *OF_PHOTOS)
 #: Observable parameters of figures.
@@ -29,7 +29,7 @@ OBSERVABLE: Final = {
     "circle": ("radius",), "horizontal circle": ("radius",), "sphere": ("radius",), "spheroid": ("a", "b"),
 }  # fmt: skip
 AXES: Final = ("x", "y", "z")
-#: Residuals of each point, and unknowns, of each figure.
+#: Number of residuals of each point, and number of unknowns, for each figure.
 SIZES: Final = {
     "plane": (1, 3), "line": (2, 4), "plumb line": (2, 2), "circle": (2, 6), "horizontal circle": (2, 4),
     "sphere": (1, 4), "spheroid": (1, 5),
@@ -38,32 +38,33 @@ SIZES: Final = {
 
 @dataclass(frozen=True)
 class Constraint:
-    """Relation between points or photos.
+    """Geometric relation between points or photos.
 
     Parameters
     ----------
     kind : str
-        One of ``KINDS``: "distance", "parallel", "perpendicular" and "equal" (two points on each of two lines),
-        "plane", "line", "plumb line", "circle", "horizontal circle", "sphere", "spheroid"; of photos "base" and
-        "equal attitude".
+        One of ``KINDS``. For points: "distance", "parallel", "perpendicular" and "equal" (two points on each of two
+        lines), "plane", "line", "plumb line", "circle", "horizontal circle", "sphere", "spheroid". For photos: "base"
+        and "equal attitude".
     members : tuple of str
-        Points, or photos.
+        Names of points or photos.
     value_m : float, optional
         Distance or base.
     sigma : float, optional
-        m; rad for "parallel", "perpendicular" and "equal attitude". None: a hard constraint, which holds exactly.
+        Standard deviation in m; in rad for "parallel", "perpendicular" and "equal attitude". None: a hard constraint,
+        which holds exactly.
     observed : mapping
-        Observed parameters of the figure, value and sigma, m: ``radius`` of circles and spheres, ``a`` (across the
-        axis) and ``b`` of a spheroid.
+        Value and sigma, m, of each observed parameter of the figure: ``radius`` of circles and spheres, ``a`` (across
+        the axis) and ``b`` of a spheroid.
     axis : str
-        Of a spheroid: "x", "y" or "z".
+        Axis of a spheroid: "x", "y" or "z".
     offset : (3, 3) array
-        For "equal attitude": axes of the second camera from those of the first; default: equal.
+        Rotation from the axes of the first camera to the axes of the second for "equal attitude"; default: identity.
 
     Raises
     ------
     InputError
-        An impossible kind, number of members or value.
+        The kind, the number of members or a value is impossible.
     """
 
     kind: str
@@ -106,37 +107,37 @@ class Constraint:
 
     @property
     def label(self) -> str:
-        """Words for messages."""
+        """Name of the constraint in messages."""
         return f"{self.kind} of {', '.join(self.members)}"
 
     @property
     def surplus(self) -> int:
-        """Residuals of a figure minus its unknowns: 0 if it goes exactly through any points."""
+        """Number of residuals of a figure minus its unknowns; 0 if the figure passes exactly through any points."""
         rows, free = SIZES[self.kind]
         return len(self.members) * rows + len(self.observed) - free
 
     def require_surplus(self, least: int = 1) -> None:
-        """Refuse a figure through too few points."""
+        """Refuse a figure that has too few points."""
         if self.kind in SIZES and self.surplus < least:
             expected = "more points: a figure of this kind goes through any such points"
             raise self.fault("members", len(self.members), expected)
 
     def fault(self, place: str, value: object, expected: str) -> InputError:
-        """Error of the constraint."""
+        """Return the error for an impossible constraint."""
         more = ", ..." if len(self.members) > 6 else ""
         text = f"{self.kind if self.kind in LEAST else 'constraint'} of {', '.join(self.members[:6])}{more}"
         return InputError.of("closerange.constraint", place=f"{text}, {place}", value=value, expected=expected)
 
 
 def place_of(number: int) -> str:
-    """Place of a constraint in a file, by its number from 0."""
+    """Return the text that names a constraint of a file; numbers begin at 0."""
     return f"constraints[{number + 1}]"
 
 
 def foreign_members(
     constraints: Sequence[Constraint], points: Collection[str], images: Collection[str], file: str = ""
 ) -> list[Finding]:
-    """Errors of members that are no points or images; with a file they have its name and the number of the entry."""
+    """Return errors for members that are no points or images; ``file`` adds the file's name and the entry's number."""
     out = []
     for k, c in enumerate(constraints):
         known = images if c.kind in OF_PHOTOS else points

@@ -1,7 +1,7 @@
-"""Declaration of options: each is one field of a dataclass.
+"""Declaration of options: each option is one field of a dataclass.
 
-The check of values, the project file's schema, the command line, the keyword arguments of
-:func:`fg_orient.adjust` and the reference page (docs/options.md) are made from the field.
+The field defines the check of values, the schema of the project file, the command line, the keyword arguments of
+:func:`fg_orient.adjust` and the reference page (docs/options.md).
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from fg_orient.model.errors import InputError, finding
 Three = tuple[float, float, float]
 Names = tuple[str, ...]
 Record = TypeVar("Record")
-#: Longest metavar that stays readable in the help of a command.
+#: Longest placeholder of a value that is readable in the help of a command.
 _METAVAR_LENGTH: Final = 26
 
 
 @dataclass(frozen=True)
 class Group:
-    """Heading of related options, their table of the project file, if any, and the page that explains them."""
+    """Heading of related options, with their table of the project file (if any) and the page that explains them."""
 
     title: str
     table: str = ""
@@ -34,7 +34,7 @@ class Group:
 
 @dataclass(frozen=True, kw_only=True)
 class Option:
-    """One option.
+    """Declaration of one option.
 
     Parameters
     ----------
@@ -42,29 +42,29 @@ class Option:
     kind : type
         bool, int, float, str, ``Three``, ``Names`` or a Literal of words.
     optional : bool
-        None is a value.
+        True if None is allowed.
     default : object
     group : Group
     help : str
-        The first sentence is the help of the command line; the reference page has all sentences.
+        The help of the command line shows the first sentence, the reference page all sentences.
     within : (float, float) or None
-        Smallest and largest value. A float without it must be above zero.
+        Smallest and largest value. Without it a float must be above zero.
     below : float
         Exclusive upper bound.
     zero, left_out : str
-        Meaning of 0, if 0 is allowed below ``within``; meaning of None or of no names.
+        Meaning of 0, if 0 is allowed below ``within``; meaning of None or of an empty list of names.
     such : str or tuple of str
-        Example; of a number: name that is accepted in its place by all but ``Options``.
+        Example of a value. For a number: name accepted instead of it, except by ``Options``.
     usual : tuple of str
-        Names for which the command line has a flag; other names are given by ``--...-of``.
+        Names for which the command line has a flag; ``--...-of`` sets the value of any other name.
     spelled : str
-        Name on the command line if it is not the name without its unit.
+        Name on the command line, if it differs from the name without its unit.
     iterates : bool
-        The option changes an iteration: a checkpoint is of no use with another value.
+        True if the option changes an iteration: a checkpoint is then useless with another value.
     recorded : bool
-        ``result.json`` holds the option among its figures.
+        True if ``result.json`` lists the option among its figures.
     component : str
-        Group of observations, for variance components, whose standard deviation the option is.
+        Group of observations whose standard deviation is this option, for variance components.
     """
 
     name: str
@@ -87,7 +87,7 @@ class Option:
 
     @property
     def words(self) -> tuple[str, ...]:
-        """Allowed words; none if any text or number is possible."""
+        """Allowed words; empty if any text or number is possible."""
         return get_args(self.kind) if get_origin(self.kind) is Literal else ()
 
     @property
@@ -97,13 +97,13 @@ class Option:
 
     @property
     def flag(self) -> str:
-        """Option of the command line."""
+        """Flag on the command line."""
         suffix = f"_{self.unit.lower().replace('/', '_')}"
         return "--" + (self.spelled or self.name.removesuffix(suffix).replace("_", "-"))
 
     @property
     def metavar(self) -> str:
-        """Placeholder of the value in the help of a command."""
+        """Placeholder for the value in the help of a command."""
         if words := "|".join(self.words):
             return words if len(words) <= _METAVAR_LENGTH else "NAME"
         if self.kind in (float, Three) and self.unit:
@@ -112,20 +112,20 @@ class Option:
 
     @property
     def short_help(self) -> str:
-        """First sentence of the help, with words that the metavar has no room for."""
+        """First sentence of the help, followed by the allowed words if the placeholder has no room for them."""
         first = self.help.partition(". ")[0].rstrip(".")
         return f"{first}: {', '.join(self.words)}." if self.words and self.metavar == "NAME" else f"{first}."
 
     @property
     def default_text(self) -> str:
-        """Default in words."""
+        """Default as text."""
         if self.default in (None, ()):
             return self.left_out
         return toml(self.default) if isinstance(self.default, bool | tuple) else str(self.default)
 
     @property
     def expected(self) -> str:
-        """Allowed values in words, for messages and the reference."""
+        """Description of the allowed values, for messages and the reference page."""
         within, such, unit = self.within, self.such or self.usual, f" in {self.unit}" if self.unit else ""
         example = f", such as {toml(such)}" if such else ""
         bounds = "above zero" + (f" and below {self.below:g}" if self.below < math.inf else "")
@@ -140,13 +140,13 @@ class Option:
         return text + (f"; leave it out for {self.left_out}" if self.left_out else "")
 
     def allows(self, value: Any) -> bool:
-        """Whether the option can have this value."""
+        """Return whether the option can have this value."""
         if value is None:
             return self.optional
         if self.words:
             return isinstance(value, str) and value in self.words
         if self.kind is bool:
-            import numpy as np  # not above: the help of a command needs no numpy
+            import numpy as np  # imported here because the help of a command needs no numpy
 
             return isinstance(value, bool | np.bool_)
         if self.kind is str:
@@ -159,7 +159,7 @@ class Option:
         return self._in_range(value)
 
     def _in_range(self, value: Any) -> bool:
-        import numpy as np  # not above, as in allows
+        import numpy as np  # imported here as in allows
 
         whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
         if not whole and (self.kind is int or not isinstance(value, float | np.floating)):
@@ -170,12 +170,12 @@ class Option:
 
 
 def option(default: Any, group: Group, help: str, **more: Any) -> Any:
-    """Field of a dataclass that declares an option; ``more`` are further parameters of :class:`Option`."""
+    """Return a dataclass field that declares an option; ``more`` contains further parameters of :class:`Option`."""
     return field(default=default, metadata={"group": group, "help": help, **more})
 
 
 def declared(*records: type) -> Mapping[str, Option]:
-    """Options of dataclasses by name, in the order of their declaration."""
+    """Return the options of dataclasses by name, in the order of declaration."""
     return _declared(records)
 
 
@@ -190,7 +190,7 @@ def _declared(records: tuple[type, ...]) -> Mapping[str, Option]:
 
 
 def require_allowed(record: Any) -> None:
-    """Check all values of a record; InputError has one problem per value that is not allowed."""
+    """Check all values of a record; the InputError contains one problem per value that is not allowed."""
     wrong = [one for name, one in declared(type(record)).items() if not one.allows(getattr(record, name))]
     if wrong:
         raise InputError(
@@ -200,14 +200,17 @@ def require_allowed(record: Any) -> None:
 
 
 class Checked:
-    """Base of dataclasses of options: the values of a record are checked when it is made."""
+    """Base class for dataclasses of options: it checks the values of a record at its creation."""
 
     def __post_init__(self) -> None:
         require_allowed(self)
 
 
 def require_declared(names: Iterable[str], caller: str, *records: type, only: Collection[str] = ()) -> None:
-    """Raise TypeError for a name that no record declares, or that is not among ``only``, with the most similar name."""
+    """Raise TypeError for a name that no record declares or ``only`` excludes.
+
+    The message suggests the most similar name.
+    """
     known = [name for name in declared(*records) if not only or name in only]
     for name in sorted(set(names) - set(known)):
         close = get_close_matches(name, known, 1)
@@ -216,7 +219,7 @@ def require_declared(names: Iterable[str], caller: str, *records: type, only: Co
 
 
 def documented(record: type[Record]) -> type[Record]:
-    """Decorate a dataclass: add its options to the docstring as parameters."""
+    """Decorate a dataclass of options: add them to its docstring as parameters."""
     lines = [f"{record.__doc__}\n\nParameters\n----------"]
     for name, one in declared(record).items():
         kind = " or ".join(f'"{word}"' for word in one.words) or _KIND_NAMES[one.kind]
@@ -231,7 +234,7 @@ _KIND_NAMES: Final[dict[Any, str]] = {
 
 
 def toml(value: object) -> str:
-    """TOML text of a str, bool, int, float or tuple of these."""
+    """Return the TOML text of a str, bool, int, float, or tuple of such values."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, tuple):

@@ -1,4 +1,4 @@
-"""Comparison of a number with a printed one by its digits."""
+"""Comparison of numbers with printed numbers, by digits."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ import math
 from typing import Final, Literal
 
 Agreement = Literal["equal", "rounding", "sigma", "differs"]
-#: Meaning of each agreement.
+#: Meaning of each kind of agreement.
 MEANING: Final[dict[Agreement, str]] = {
     "equal": "all printed digits", "rounding": "one unit of the last digit", "sigma": "within one standard deviation",
     "differs": "differs by more than one standard deviation",
 }  # fmt: skip
-#: Share of a number by which the decimal print of a double may miss it.
+#: Largest relative difference between a double and its decimal print.
 SLACK: Final = 1e-9
 
 
 def last_digit(text: str, significant: int | None = None) -> float:
-    """Size of one unit of the last printed digit: 0.001 for "0.510", 1e-12 for "-8.5e-11".
+    """Return the size of one unit of the last printed digit: 0.001 for "0.510", 1e-12 for "-8.5e-11".
 
-    ``significant``: number of significant digits of a print without its last zeros; it does not apply to 0.
+    ``significant``: number of significant digits, for a number printed without its final zeros; it does not apply to 0.
     """
     mantissa, _, exponent = text.lower().partition("e")
     if significant is not None and float(text):
@@ -28,17 +28,17 @@ def last_digit(text: str, significant: int | None = None) -> float:
 
 
 def agreement(off: float, printed: float, unit: float, sigma: float = math.nan) -> Agreement:
-    """Return the first agreement that is met; "differs" if none is met or the difference is nan.
+    """Return the closest agreement that applies; "differs" if none applies or the difference is nan.
 
     Parameters
     ----------
     off : float
-        Difference of the number from the printed one.
+        Difference between the number and the printed one.
     printed : float
     unit : float
         One unit of the last printed digit.
     sigma : float
-        Standard deviation; nan if it is not known.
+        Standard deviation; nan if unknown.
     """
     slack = SLACK * abs(printed)
     limits: dict[Agreement, float] = {"equal": 0.5 * unit + slack, "rounding": unit + slack, "sigma": sigma}

@@ -1,9 +1,9 @@
-"""Findings, and exceptions that carry them.
+"""Findings, and exceptions that contain them.
 
-A :class:`Finding` is the record of a failure, doubt, warning or note: a code with data. Its words come from the entry
-of the code (``fg_orient.model.messages``) when it is shown. ``<out>`` names an option there: "option out" for callers
-of the library, a flag on the command line. Exceptions contain findings and the exit code of the command line: 2 bad
-input, 3 no solution.
+A :class:`Finding` records a failure, doubt, warning or note by a code with data. Its text comes from the catalogue
+entry of the code (``fg_orient.model.messages``) when it is shown. In that text ``<out>`` names an option: "option out"
+for callers of the library, a flag on the command line. Exceptions contain findings and the exit code of the command
+line: 2 for bad input, 3 for no solution.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from fg_orient.model.messages import CATALOGUE
 from fg_orient.model.messages.adjustment import figures_in_words
 from fg_orient.model.messages.entry import Severity, words
 
-#: Function that names an option as a reader writes it.
+#: Function that returns the name of an option as the reader writes it.
 Naming = Callable[[str], str]
-#: Longest value that is shown.
+#: Longest value shown, characters.
 _LONGEST: Final = 80
 #: Severities that make a result not trustworthy.
 DECISIVE: Final = ("doubt", "failure")
-#: Items of a list that a finding keeps.
+#: Largest number of list items kept by a finding.
 _MOST: Final = 50
 #: Control characters but for blanks, marks of the direction of writing, lone surrogates.
 _UNSHOWN: Final = re.compile("[\\x00-\\x08\\x0e-\\x1f\\x7f-\\x9f\\u202a-\\u202e\\u2066-\\u2069\\ud800-\\udfff]")
@@ -44,15 +44,15 @@ class Finding:
     Parameters
     ----------
     code : str
-        Key of the entry with its words.
+        Key of the catalogue entry with its text.
     severity : str
-        "failure" stops the work, "doubt" makes the result not trustworthy, "warning" and "note" do neither.
+        "failure" stops the work; "doubt" makes the result not trustworthy; "warning" and "note" do neither.
     file, option, place, value : str
-        File name, option that was given, line / element / point / image, and the offending value ("" if none).
+        File name; option that was given; line, element, point or image; offending value. Each is "" if there is none.
     data : mapping
-        Plain values of the message: numbers, text, lists of them.
+        Plain values for the message: numbers, texts and lists of them.
     names : mapping
-        Entries of the file by option, shown instead of the options.
+        Entry of the file for each option; it is shown instead of the option.
     """
 
     code: str
@@ -75,7 +75,7 @@ class Finding:
         return self._words((CATALOGUE[self.code].remedy,), of_library)
 
     def text(self, naming: Naming = of_library) -> str:
-        """One line: file, place, message, value, remedy."""
+        """Return one line with file, place, message, value and remedy."""
         shown = self.as_dict(naming)
         where = ", ".join(part for part in (self.file, shown["place"]) if part)
         seen = f" (found {self.value})" if self.value else ""
@@ -87,7 +87,7 @@ class Finding:
         return self.text()
 
     def as_dict(self, naming: Naming = of_library) -> dict[str, Any]:
-        """Give the record of result files and ``json`` output: the fields, ``message`` and ``remedy``."""
+        """Return the record for result files and ``json`` output: the fields, ``message`` and ``remedy``."""
         record = asdict(self) | {"place": " ".join(filter(None, (self._option(naming), self.place)))}
         del record["option"], record["names"]
         message, remedy, _ = CATALOGUE[self.code]
@@ -101,13 +101,13 @@ class Finding:
         data = known | dict(self.data)
         name = (lambda option: self.names.get(option, option)) if self.names else naming
         named = [_OPTION.sub(lambda found: name(found[1]), part) for part in parts]
-        empty: tuple[object, ...] = ("", None, [])  # a further part with an empty field is not shown
+        empty: tuple[object, ...] = ("", None, [])  # a part of the message with an empty field is not shown
         shown = named[:1] + [part for part in named[1:] if not any(data[item] in empty for item in _fields(part))]
         return "".join(_FORMAT.vformat(_agreeing(part, data), (), data) for part in shown)
 
 
 class _Format(string.Formatter):
-    """Writes lists as "a, b"; the format of a list is how many of it are named at most, ``!w`` names figures."""
+    """Formatter that writes lists as "a, b"; the format of a list limits its items, and ``!w`` names figures."""
 
     def convert_field(self, value: Any, conversion: str | None) -> Any:
         if conversion != "w":
@@ -122,13 +122,16 @@ class _Format(string.Formatter):
 
 
 _FORMAT: Final = _Format()
-#: Field of a number, its noun with "(s)", and the verb after it.
+#: A number's field, its noun with "(s)", and the verb that follows.
 _COUNTED: Final = re.compile(r"(\{(\w+)[^{}]*\}(?: [a-z]+){1,5})\(s\)( (?:are|have|lie)\b)?")
 _SINGULAR: Final = {"": "", " are": " is", " have": " has", " lie": " lies"}
 
 
 def _agreeing(part: str, data: Mapping[str, Any]) -> str:
-    """Part of a message whose nouns and verbs agree with the numbers before them; the data themselves stay."""
+    """Return part of a message with nouns and verbs that agree with the numbers before them.
+
+    Keep the data unchanged.
+    """
 
     def agree(counted: re.Match[str]) -> str:
         verb = counted[3] or ""
@@ -140,24 +143,24 @@ def _agreeing(part: str, data: Mapping[str, Any]) -> str:
 def finding(
     code: str, *, file: object = "", place: object = "", value: object = "", option: object = "", **data: object
 ) -> Finding:
-    """Finding of a code with its data.
+    """Return a finding of this code with its data.
 
     Parameters
     ----------
     code : str
-        Code of the catalogue; or a whole entry, ``"code (severity): sentence -> remedy"``, which is added to the
-        catalogue, so that a message of one place is declared there.
+        Code of the catalogue; or a whole entry, ``"code (severity): sentence -> remedy"``, which is then added to the
+        catalogue. A message used in one place is declared there.
     file, place, value, option : object
         See :class:`Finding`. A place that begins with an option, ``"<out>"`` or ``"<compensation> shift"``, is split.
     **data
-        Values for the fields of the entry.
+        Values for the fields in the message.
 
     Raises
     ------
     KeyError
-        The code is not in the catalogue.
+        The catalogue does not contain the code.
     ValueError
-        The code of a whole entry has another entry.
+        The catalogue contains another entry for the code.
     """
     code = _entered(code) if ": " in code else code
     begin = _OPTION.match(str(place))
@@ -177,7 +180,7 @@ def _shown(text: str) -> str:
 
 @cache
 def _entered(table: str) -> str:
-    """Add an entry to the catalogue and give its code."""
+    """Add an entry to the catalogue and return its code."""
     ((code, entry),) = words(re.sub(r" (?=(->|\+) )", "\n    ", table)).items()
     if CATALOGUE.setdefault(code, entry) != entry:
         raise ValueError(f"two entries of {code}")
@@ -185,7 +188,7 @@ def _entered(table: str) -> str:
 
 
 def _plain(item: Any) -> Any:
-    """Value for JSON: numbers, text, shortened lists of them; any other value as text."""
+    """Return the value for JSON: numbers, texts and shortened lists; convert any other value to text."""
     item = item.item() if hasattr(item, "item") and getattr(item, "ndim", 0) == 0 else item
     if isinstance(item, (list, tuple)):
         return [_plain(one) for one in item[:_MOST]]
@@ -193,18 +196,21 @@ def _plain(item: Any) -> Any:
 
 
 def as_record(findings: Sequence[Finding]) -> dict[str, Any]:
-    """Keys ``findings`` and, as sentences, ``warnings`` of a result."""
+    """Return ``findings`` and, as sentences, ``warnings`` for a result."""
     return {"warnings": [str(one) for one in findings], "findings": [one.as_dict() for one in findings]}
 
 
 def judged(findings: Sequence[Finding]) -> dict[str, Any]:
-    """Status that follows from findings, and :func:`as_record`: for results without another assessment."""
+    """Return the status that follows from findings, with :func:`as_record`, for results without another assessment."""
     doubtful = any(one.severity in DECISIVE for one in findings)
     return {"status": "not_trustworthy" if doubtful else "good", **as_record(findings)}
 
 
 def findings_of(record: Mapping[str, Any]) -> tuple[Finding, ...]:
-    """Findings of a result. An earlier version has sentences; there the reason of the assessment is a doubt."""
+    """Return the findings of a result. Earlier versions stored sentences.
+
+    The reason given there by the assessment becomes a doubt.
+    """
     if "findings" in record:
         return tuple(read(one) for one in record["findings"])
     stated = [finding("record.sentence", text=text) for text in record.get("warnings", ())]
@@ -212,12 +218,12 @@ def findings_of(record: Mapping[str, Any]) -> tuple[Finding, ...]:
 
 
 def sentences(record: Mapping[str, Any]) -> list[str]:
-    """Findings of a result in words."""
+    """Return the findings of a result as sentences."""
     return [str(one) for one in findings_of(record)]
 
 
 def read(record: Mapping[str, Any]) -> Finding:
-    """Finding of a record; a code without an entry here keeps the words of the record."""
+    """Return the finding of a record; keep the record's own text if its code has no entry here."""
     known = {name: record.get(name, "") for name in ("file", "place", "value")}
     severity, data = record.get("severity", "failure"), record.get("data", {})
     if record["code"] in CATALOGUE:
@@ -229,13 +235,13 @@ def read(record: Mapping[str, Any]) -> Finding:
 
 
 def _fields(part: str) -> set[str]:
-    """Names of the data in a part of a message."""
+    """Return the names of data fields in a part of a message."""
     names = {name.partition("[")[0] for _, name, _, _ in string.Formatter().parse(part) if name}
     return names - {"file", "place", "value", "option"}
 
 
 class FgOrientError(Exception):
-    """Base of all errors of this package; ``problems`` holds one finding per error."""
+    """Base class of all errors of this package; ``problems`` contains one finding per error."""
 
     exit_code = 1
 
@@ -245,7 +251,7 @@ class FgOrientError(Exception):
 
     @classmethod
     def of(cls, code: str, **fields: object) -> Self:
-        """Build the error from one finding."""
+        """Return an error with one finding."""
         return cls(finding(code, **fields))
 
 
@@ -256,11 +262,11 @@ class InputError(FgOrientError):
 
 
 class OutOfTimeRange(InputError):
-    """A line time lies outside the ephemeris or attitude list."""
+    """A line time is outside the ephemeris or attitude list."""
 
 
 class OutOfImage(InputError):
-    """A pixel lies outside the image."""
+    """A pixel is outside the image."""
 
 
 class NoSolutionError(FgOrientError):
@@ -270,10 +276,10 @@ class NoSolutionError(FgOrientError):
 
 
 class RankDeficientError(NoSolutionError):
-    """The normal equations are singular; the problems name the directions.
+    """The normal equations are singular; the problems name the undetermined directions.
 
-    ``rank_defect`` counts the undetermined directions of each image, ``counts`` holds n_observations, n_unknowns and
-    redundancy, ``evidence`` is a ``fg_orient.quality.deficiency.Evidence`` or None.
+    ``rank_defect`` counts the undetermined directions of each image. ``counts`` contains n_observations, n_unknowns and
+    redundancy. ``evidence`` is a ``fg_orient.quality.deficiency.Evidence`` or None.
     """
 
     def __init__(

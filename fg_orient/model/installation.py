@@ -1,7 +1,7 @@
-"""Installed distributions and their versions; cause and remedy if Python does not find our own package ``factors``.
+"""Versions of installed distributions; cause and remedy if Python does not find our package ``factors``.
 
-A distribution ``factors`` exists, and users have files of that name. ``import fg_orient`` imports this module only if
-something is wrong.
+Another distribution is called ``factors``, and users may have files of that name. ``import fg_orient`` imports this
+module only if something is wrong.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from urllib.parse import unquote, urlsplit
 
 from fg_orient.model.errors import Finding, finding
 
-#: Distributions whose versions decide on the digits of a result.
+#: Distributions whose versions influence the digits of a result.
 COMPUTING: Final = ("gtsam", "numpy", "scipy", "numba")
-#: All that fg_orient needs.
+#: All distributions that fg_orient needs.
 REQUIRED: Final = (
     *COMPUTING, "llvmlite", "pyproj", "pyerfa", "lxml", "pydantic", "typer", "rich", "jinja2", "markupsafe",
     "threadpoolctl", "orjson",
 )  # fmt: skip
-#: Those of the extras.
+#: Distributions needed by the extras.
 OPTIONAL: Final = (
     "rasterio", "pyogrio", "shapely", "opencv-python-headless", "pandas", "openpyxl", "pyarrow", "matplotlib", "dask",
     "laspy", "lazrs", "python-flint", "cryptography",
@@ -38,7 +38,7 @@ _OURS: Final = _HOME / "factors"
 
 
 def version_of(distribution: str) -> str | None:
-    """Version of an installed distribution, None if it is missing."""
+    """Return the version of an installed distribution, None if it is missing."""
     try:
         return metadata.version(distribution)
     except metadata.PackageNotFoundError:
@@ -46,7 +46,7 @@ def version_of(distribution: str) -> str | None:
 
 
 def versions(distributions: Sequence[str] = COMPUTING) -> dict[str, str | None]:
-    """Versions of Python, fg_orient and the given distributions."""
+    """Return the versions of Python, of fg_orient and of the given distributions."""
     import fg_orient
 
     found = {name: version_of(name) for name in distributions}
@@ -54,7 +54,7 @@ def versions(distributions: Sequence[str] = COMPUTING) -> dict[str, str | None]:
 
 
 def stamp(command: Sequence[str]) -> dict[str, Any]:
-    """Versions, words of the command line without folders, and time of a run, for its record."""
+    """Return versions, command line (file names without folders) and time of a run, for its record."""
     words, now = [_without_folders(word) for word in command], datetime.now(UTC).isoformat(timespec="seconds")
     return {"versions": versions(), "command": words, "date_time_utc": now}
 
@@ -67,23 +67,23 @@ def _without_folders(word: str) -> str:
 
 
 def is_ours(found: str) -> bool:
-    """Whether a file, with links resolved, belongs to fg_orient."""
+    """Return whether a file belongs to fg_orient, after links are resolved."""
     return os.path.realpath(os.path.dirname(found)) == os.path.realpath(_OURS)
 
 
 def clash(found: str | None, version: str, other: object = None) -> ImportError | SystemExit:
-    """Error that names the file in the way, the distribution that owns it, and a remedy.
+    """Return an error with the file found instead of ours, the distribution that owns it, and a remedy.
 
-    The command ``fg-orient`` cannot catch an error of this import: it ends with that line and exit code 1.
+    The command ``fg-orient`` cannot catch an error of this import, so it ends with the text and exit code 1.
 
     Parameters
     ----------
     found : str or None
-        File of the ``factors`` that Python finds; None if there is no such package, or one without ``__init__``.
+        File of the package ``factors`` found by Python; None if there is none, or if it has no ``__init__``.
     version : str
         Version of ``fg_orient``.
     other : object
-        Mark of the ``factors`` that was imported: the version of fg_orient that it belongs to.
+        Mark of the imported ``factors``: the fg_orient version to which it belongs.
     """
     ours = _OURS / "__init__.py"
     file = ours if found is None or not ours.exists() else Path(found)
@@ -94,7 +94,7 @@ def clash(found: str | None, version: str, other: object = None) -> ImportError 
 
 
 def shared_file() -> Finding | None:
-    """Warning of a distribution that lists our file too."""
+    """Return a warning if another distribution also lists our file."""
     file = _OURS / "__init__.py"
     owner = _owner(file)
     if owner is None:
@@ -108,7 +108,7 @@ def shared_file() -> Finding | None:
 
 
 def _own(file: Path, version: str, other: object) -> Finding:
-    """Error of a wrong file in the place of ours."""
+    """Return the error for a wrong file in the place of ours."""
     source = _source()
     owner = _owner(file)
     if owner is not None:
@@ -122,7 +122,7 @@ def _own(file: Path, version: str, other: object) -> Finding:
 
 
 def _hidden(file: Path) -> Finding:
-    """Error of a file that Python finds before ours."""
+    """Return the error for a file that Python finds before ours."""
     package = file.stem == "__init__"
     thing, root = (file.parent, file.parent.parent) if package else (file, file.parent)
     listed = [Path(entry).resolve() for entry in os.environ.get("PYTHONPATH", "").split(os.pathsep) if entry]
@@ -138,14 +138,14 @@ def _hidden(file: Path) -> Finding:
 
 
 def _owner(file: Path) -> metadata.Distribution | None:
-    """Distribution other than fg-orient that lists the file, or whose source tree it lies in."""
+    """Return the other distribution that lists the file, or whose source tree contains it."""
     place = file.resolve()
     for distribution in _others():
         tree = _direct_url(distribution)
         if tree.get("dir_info", {}).get("editable") and place.is_relative_to(_local(tree).resolve()):
             return distribution
         if "factors" not in (distribution.read_text("RECORD") or "factors"):
-            continue  # to take the list apart is slow
+            continue  # parsing the requirement is slow
         listed = (f for f in distribution.files or () if f.name == file.name and "factors" in (f.parent.name, f.stem))
         if any(Path(str(distribution.locate_file(f))).resolve() == place for f in listed):
             return distribution
@@ -154,13 +154,13 @@ def _owner(file: Path) -> metadata.Distribution | None:
 
 def _others() -> Iterable[metadata.Distribution]:
     for distribution in metadata.distributions():
-        name = distribution.metadata["Name"] or ""  # none in the remains of an interrupted installation
+        name = distribution.metadata["Name"] or ""  # the name is missing after an interrupted installation
         if name and re.sub(r"[-_.]+", "-", name).lower() != "fg-orient":
             yield distribution
 
 
 def _source() -> str | None:
-    """Requirement by which pip installs this fg_orient again; None if it is used from its source tree."""
+    """Return the requirement with which pip reinstalls this fg_orient; None if it runs from its source tree."""
     try:
         own = metadata.distribution("fg-orient")
     except metadata.PackageNotFoundError:
@@ -168,7 +168,7 @@ def _source() -> str | None:
     if not Path(str(own.locate_file("fg_orient"))).exists() or not os.path.samefile(
         str(own.locate_file("fg_orient")), _HOME / "fg_orient"
     ):
-        return None  # an editable installation, or another one
+        return None  # editable, or installed in another way
     origin = _direct_url(own)
     if not origin:
         return "fg-orient"
@@ -179,7 +179,7 @@ def _source() -> str | None:
 
 
 def _direct_url(distribution: metadata.Distribution) -> dict[str, Any]:
-    """Origin of a distribution that pip did not take from an index (PEP 610); empty otherwise."""
+    """Return the origin of a distribution that pip did not take from an index (PEP 610); otherwise an empty record."""
     text = distribution.read_text("direct_url.json")
     return json.loads(text) if text else {}
 

@@ -1,6 +1,6 @@
-"""Memory of this machine: what a process can still allocate, freed memory, garbage collection during an adjustment.
+"""Memory of this machine: available memory, freed memory, and garbage collection during an adjustment.
 
-The effort of a piece of work is its processor time and the rise of the resident memory (:func:`measured`).
+Effort is measured as processor time and rise of the resident memory (:func:`measured`).
 
 A graph of thousands of factors produces no garbage, but each garbage collection costs 7 us per factor. Each
 elimination of a graph frees megabytes of small blocks. glibc returns the top of its heap to the system as soon as
@@ -26,10 +26,10 @@ from functools import cache
 from pathlib import Path
 from typing import Final
 
-#: Default limit as share of the available memory.
+#: Default limit as a share of the available memory.
 SHARE: Final = 0.8
 GB: Final = 1e9
-#: Limits of unlimited control groups are a word or above this.
+#: A limit above this, or a word, means that the control group is unlimited.
 _UNLIMITED: Final = 2**62
 _MEMINFO: Final = Path("/proc/meminfo")
 _GROUPS: Final = Path("/sys/fs/cgroup")
@@ -37,12 +37,12 @@ _OWN_GROUPS: Final = Path("/proc/self/cgroup")
 
 
 def in_gb(n_bytes: float) -> str:
-    """Text of a number of bytes in GB."""
+    """Return the text of a number of bytes, in GB."""
     return f"{n_bytes / GB:.3g} GB"
 
 
 def allowed_bytes(limit_gb: float | None) -> int | None:
-    """The given limit, or 80 % of the available memory; None if unknown."""
+    """Return the given limit, or 80 % of the available memory; None if that is unknown."""
     if limit_gb is not None:
         return int(limit_gb * GB)
     available = available_bytes()
@@ -50,7 +50,7 @@ def allowed_bytes(limit_gb: float | None) -> int | None:
 
 
 def available_bytes() -> int | None:
-    """Memory that this process can still allocate, by the system and the control groups."""
+    """Return the memory that this process can still allocate, by system and control groups."""
     return min([*_of_system(), *_of_group()], default=None)
 
 
@@ -68,7 +68,7 @@ def is_out_of_memory(error: BaseException | None) -> bool:
 
 
 def _of_system() -> Iterator[int]:
-    """``MemAvailable`` of Linux; for other systems the free pages."""
+    """Yield ``MemAvailable`` on Linux, the free pages on other systems."""
     try:
         rows = dict(line.split(":", 1) for line in _MEMINFO.read_text("ascii").splitlines() if ":" in line)
         yield 1024 * int(rows["MemAvailable"].split()[0])
@@ -79,7 +79,7 @@ def _of_system() -> Iterator[int]:
 
 
 def _of_group() -> Iterator[int]:
-    """Free memory in the control groups of this process (versions 2 and 1), including reclaimable file memory."""
+    """Yield free memory, with reclaimable file memory, of this process's control groups (versions 2 and 1)."""
     for limit, usage, reclaimable, folder in _group_files():
         try:
             most, used = (int((folder / name).read_text("ascii")) for name in (limit, usage))
@@ -94,7 +94,7 @@ def _of_group() -> Iterator[int]:
 
 
 def _group_files() -> Iterator[tuple[str, str, str, Path]]:
-    """Names of limit, use and reclaimable part, and folder, from the group of this process up to the root."""
+    """Yield file names of limit, use and reclaimable part, and the folder, from this process's group to the root."""
     two = ("memory.max", "memory.current", "inactive_file")
     one = ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file")
     try:
@@ -117,20 +117,21 @@ def _group_files() -> Iterator[tuple[str, str, str, Path]]:
 #: Parameters of glibc's ``mallopt`` (malloc.h).
 M_TRIM_THRESHOLD: Final = -1
 M_MMAP_THRESHOLD: Final = -3
-#: Free bytes at the top of the heap that are kept. glibc's own limit is 64 MiB for a process with large arrays.
+#: Free bytes kept at the top of the heap. The limit of glibc is 64 MiB for a process with large arrays.
 KEPT_BYTES: Final = 256 << 20
-#: Rows above which it is worth the time to give memory back.
+#: Number of rows above which returning memory is worth the time.
 MANY_ROWS: Final = 100_000
 VERY_MANY_ROWS: Final = 500_000
-#: Size from which blocks come directly from the system: upper limit of glibc's adaptive rule, which a value disables.
+#: Size from which the system provides blocks directly: upper limit of glibc's adaptive rule, which is disabled by
+#: setting a value.
 OWN_MAPPING_BYTES: Final = 32 << 20
 
 
 @cache
 def keep_freed_memory() -> bool:
-    """Let glibc keep up to `KEPT_BYTES` of freed memory for the rest of the process.
+    """Let glibc keep up to `KEPT_BYTES` of freed memory until the process ends.
 
-    Returns whether the allocator accepts it; False for other C libraries (musl, macOS, Windows).
+    Return whether the allocator accepts it; False for other C libraries (musl, macOS, Windows).
     """
     if not sys.platform.startswith("linux"):
         return False
@@ -142,9 +143,9 @@ def keep_freed_memory() -> bool:
 
 
 def return_memory(rows: int) -> None:
-    """Give freed memory back to the system after work on so many rows, if they are many.
+    """Return freed memory to the system after work on many rows.
 
-    Of very many rows also that of objects that refer to each other: to find them takes 0.1 s.
+    After very many rows, also free objects that refer to each other, which takes 0.1 s.
     """
     if rows < MANY_ROWS:
         return
@@ -160,7 +161,7 @@ def _trim() -> None:
 
 @contextmanager
 def calm_memory() -> Iterator[None]:
-    """No garbage collection inside, and freed memory is kept for the next iteration."""
+    """Prevent garbage collection inside the context, and keep freed memory for the next iteration."""
     keep_freed_memory()
     enabled = gc.isenabled()
     gc.disable()
@@ -178,18 +179,18 @@ _CLEAR: Final = Path("/proc/self/clear_refs")
 
 
 def status_bytes(name: str) -> int:
-    """Value of /proc/self/status in bytes: VmRSS, VmHWM; OSError where the system has no such file."""
+    """Return a value of /proc/self/status in bytes (VmRSS, VmHWM); raise OSError if the system has no such file."""
     line = next(line for line in _STATUS.read_text("ascii").splitlines() if line.startswith(f"{name}:"))
     return int(line.split()[1]) * 1024
 
 
 def reset_peak() -> None:
-    """Let VmHWM start again from the present size; OSError where it is not possible."""
+    """Reset VmHWM to the present size; raise OSError if this is not possible."""
     _CLEAR.write_text("5", "ascii")
 
 
 def release() -> None:
-    """Collect garbage and give freed memory back to the system."""
+    """Collect garbage and return freed memory to the system."""
     gc.collect()
     _trim()
 
@@ -198,7 +199,7 @@ def release() -> None:
 class Effort:
     """Effort of a piece of work: processor seconds of all threads, and rise of the resident memory, bytes.
 
-    ``peak_bytes`` is nan where the system does not tell. A rise below the size of a few pages is noise.
+    ``peak_bytes`` is nan if the system does not report it. A rise of less than a few pages is noise.
     """
 
     processor_s: float = math.nan
@@ -207,7 +208,10 @@ class Effort:
 
 @contextmanager
 def measured() -> Iterator[Effort]:
-    """Measure the work inside; the values are there at its end. Garbage is not collected, which takes 0.1 s."""
+    """Measure the work inside the context; the values are available at its end.
+
+    Garbage is not collected, because that takes 0.1 s.
+    """
     effort, before = Effort(), math.nan
     _trim()
     with suppress(OSError, StopIteration):
@@ -221,7 +225,7 @@ def measured() -> Iterator[Effort]:
 
 
 def processor_name() -> str:
-    """Name of the processor, as the system tells it."""
+    """Return the name of the processor, as the system reports it."""
     try:
         lines = Path("/proc/cpuinfo").read_text("utf-8", "replace").splitlines()
     except OSError:

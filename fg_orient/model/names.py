@@ -1,4 +1,4 @@
-"""Names shared by all floors: roles, statuses, components of the exterior orientation and the EOP sets."""
+"""Shared names: roles, statuses, components of the exterior orientation, and EOP sets."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from collections.abc import Callable
 from enum import StrEnum
 from typing import Final, Literal, NamedTuple
 
-#: Coordinates beyond this (m, mm or pixels) have a resolution of more than 1e-4 in double precision.
+#: Coordinates larger than this (m, mm or pixels) have a resolution worse than 1e-4 in double precision.
 LARGEST: Final = 1e12
-#: Standard deviations and focal lengths below this do not occur in measurements, in any unit.
+#: No measurement has a standard deviation or focal length below this, in any unit.
 SMALLEST: Final = 1e-12
-#: Forms of the tables of a result or a simulated block: the ends of their names; and the usual one.
+#: File extensions of the tables of a result or a simulated block, and the usual one.
 TableForm = Literal["csv", "parquet", "arrow"]
 TABLE_FORM: Final = "csv"
-#: Callback of long work: steps done, steps in all, name of this step.
+#: Callback of long work: steps done, total number of steps, name of the current step.
 Progress = Callable[[int, int, str], None]
 
 
@@ -26,7 +26,7 @@ class Role(StrEnum):
 
 
 class Status(StrEnum):
-    """End of an adjustment."""
+    """How an adjustment ended."""
 
     CONVERGED = "converged"
     NOT_CONVERGED = "not_converged"
@@ -46,15 +46,15 @@ POSITION, VELOCITY, ATTITUDE = (0, 1, 2), (3, 4, 5), (6, 7, 8)
 
 
 class EopSet(NamedTuple):
-    """Set of exterior orientation parameters: name, positions in ``COMPONENTS``, degrees in time of each."""
+    """Set of EOP: its name, positions in ``COMPONENTS``, and degrees in time of each component."""
 
     name: str
     components: tuple[int, ...]
     degrees: tuple[int, ...]
 
 
-#: EOP sets by number; a further set is one more row. 1 to 20: Terlemezoğlu 2019, Table 4.2 (1 to 19: Topan & Maktav
-#: 2010, Table 2). PU: position, V: velocity, A: attitude.
+#: EOP sets by number; add a row for a further set. 1 to 20: Terlemezoğlu 2019, Table 4.2 (1 to 19: Topan & Maktav 2010,
+#: Table 2). PU: position, V: velocity, A: attitude.
 EOP_SETS: Final = dict(enumerate((
     EopSet("PU", POSITION, (0, 1, 2)),
     EopSet("PU0", POSITION, (0,)),
@@ -77,9 +77,9 @@ EOP_SETS: Final = dict(enumerate((
     EopSet("PUVA0", POSITION + VELOCITY + ATTITUDE, (0,)),
     EopSet("PUVA", POSITION + VELOCITY + ATTITUDE, (0, 1, 2)),
 ), start=1))  # fmt: skip
-#: Numbers of all EOP sets, as a range in text.
+#: Range of the numbers of all EOP sets, as text.
 ALL_SETS: Final = f"1-{len(EOP_SETS)}"
-#: Default limit of the predicted processor time of an adjustment in a comparison, s.
+#: Default limit for the predicted processor time, s, of an adjustment in a comparison.
 TIME_LIMIT_S: Final = 60.0
 
 

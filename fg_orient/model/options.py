@@ -1,6 +1,6 @@
-"""Options of an adjustment and of reading a project; each field is the only declaration of its option.
+"""Options of an adjustment and of reading a project; each option is declared only by its field.
 
-The types are read when the program runs, so annotations are not postponed here.
+Annotations are not postponed, because the types are read at run time.
 """
 
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ PenaltyKind = Literal["deviation", "gradient", "laplace"]
 RegularisedUnits = Literal["prior_sigmas", "raw", "columns"]
 MultipleTesting = Literal["none", "bonferroni", "sidak", "holm", "benjamini_hochberg"]
 
-#: Longest extrapolation of attitudes, s: a rate that is wrong by 1e-6 rad/s gives an error of 5 m on the ground.
+#: Longest extrapolation of attitudes, s: a rate error of 1e-6 rad/s gives an error of 5 m on the ground.
 MAX_EXTRAPOLATION_S: Final = 5.0
 #: Groups of observations whose standard deviations are estimated if no others are named.
 USUAL_GROUPS: Final = ("image", "position", "height")
@@ -41,7 +41,7 @@ RESULTS: Final = Group("Result folder", "adjustment", "results.md")
 @documented
 @dataclass(frozen=True)
 class Options(Checked):
-    """Choices of one adjustment: values of the project file, replaced by those of the command line."""
+    """Options of one adjustment: values of the project file, unless the command line replaces them."""
 
     # fmt: off
     eop_set: int = option(
@@ -291,14 +291,14 @@ class Options(Checked):
 
     @property
     def holds_unknowns(self) -> bool:
-        """Whether priors or a regularisation hold what the observations do not determine."""
+        """True if priors or a regularisation determine what the observations do not."""
         return self.priors or self.regularisation != "none"
 
 
 @documented
 @dataclass(frozen=True)
 class Reading(Checked):
-    """Choices of reading a project file; the block that is read has no trace of them."""
+    """Options for reading a project file; the block does not store them."""
 
     # fmt: off
     extrapolate_attitude_s: float = option(

@@ -1,8 +1,8 @@
 """Named parameters of an image: EOP coefficients and look-angle polynomial.
 
-Codes are defined in ``factors.cameras.pushbroom``: ``3 component + degree`` for the 27 EOP
-coefficients, ``27 + 2 k`` and ``28 + 2 k`` for the coefficients of ``s^k`` in psi_x and
-psi_y. Unknowns are in prior sigmas, coefficients belong to tau in [-1, 1].
+Codes are defined in ``factors.cameras.pushbroom``: ``3 component + degree`` for the 27 EOP coefficients, ``27 + 2 k``
+and ``28 + 2 k`` for the coefficients of ``s^k`` in psi_x and psi_y. Unknowns are in prior sigmas; coefficients are for
+tau in [-1, 1].
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from fg_orient.model.options import Datum
 
 UNITS = ("m", "m", "m", "m/s", "m/s", "m/s", "rad", "rad", "rad")
 N_EOP = 27
-#: Coefficients of a look polynomial of the highest degree, 5.
+#: Number of coefficients of a look polynomial of the highest degree, 5.
 N_LOOK = 12
 #: Codes of curves: CURVE + CURVES component + number (``factors.cameras.pushbroom``).
 CURVE, CURVES = 64, 32
-#: Degrees of tau in words.
+#: Names of the degrees in tau.
 DEGREES = ("constant", "linear in time", "quadratic in time")
 
-#: Short names of terms, and the variable of their degree in words.
+#: Short names of terms, and the description of their degree.
 _TERMS: Final = (
     (re.compile(rf"(?P<component>{'|'.join(COMPONENTS)})_(?P<degree>[012])"), "degree {} in time"),
     (re.compile(rf"(?P<component>{'|'.join(COMPONENTS)})_c[0-9]+(?P<degree>)"), "the curves"),
@@ -45,7 +45,7 @@ _TERMS: Final = (
 
 
 def eop_set_number(name: int | str) -> int:
-    """Number of an EOP set given by number or name; raises InputError if the set is unknown."""
+    """Return the number of an EOP set given by number or name; raises InputError if the set is unknown."""
     text = str(name).strip().upper()
     for number, one in EOP_SETS.items():
         if text in (str(number), one.name):
@@ -55,7 +55,7 @@ def eop_set_number(name: int | str) -> int:
 
 
 def with_options(block: Block, caller: str, **given: Any) -> Block:
-    """Block with options replaced; None keeps the block's.
+    """Return the block with replaced options; an option that is None keeps its value.
 
     Raises
     ------
@@ -78,10 +78,10 @@ def with_options(block: Block, caller: str, **given: Any) -> Block:
 
 
 def chosen_datum(options: Options, images: Sequence[Image], *, control: bool) -> Datum:
-    """Datum of a block: "auto" means "vendor" if only the metadata determine the images' position, else "control".
+    """Return the datum of a block: "auto" means "vendor" if only metadata determine the position, otherwise "control".
 
-    ``control``: whether the block has control points, or observations that may replace them. "inner" stands for
-    "vendor", too, where the metadata orient all images: these have no exact datum defect.
+    ``control``: True if the block has control points, or observations that may replace them. "inner" also becomes
+    "vendor" if the metadata orient all images, because such a block has no exact datum defect.
     """
     by_metadata = options.priors and not control and all(image.sensor.orients for image in images)
     if options.datum == "auto":
@@ -90,7 +90,7 @@ def chosen_datum(options: Options, images: Sequence[Image], *, control: bool) ->
 
 
 def eop_codes(number: int) -> tuple[int, ...]:
-    """Codes of the coefficients in a set, by component, then degree."""
+    """Return the codes of the coefficients in a set, ordered by component, then degree."""
     return tuple(3 * c + k for c in EOP_SETS[number].components for k in EOP_SETS[number].degrees)
 
 
@@ -101,11 +101,12 @@ class Term:
     Parameters
     ----------
     component : str
-        "roll", "psi_x", "line", "centre".
+        Such as "roll", "psi_x", "line", "centre".
     degree : int or None
         None for a coordinate or a curve.
     kind : str
-        Of the degree, in words: "degree 1 in time". Degrees of different variables are of different kinds; "" without.
+        Description of the degree: "degree 1 in time". Degrees in different variables are of different kinds; "" without
+        a degree.
     """
 
     component: str
@@ -114,7 +115,7 @@ class Term:
 
 
 def term_of(name: str) -> Term | None:
-    """Component, degree and kind of an unknown by its short name; None for one that stands alone (``k1``)."""
+    """Return component, degree and kind of an unknown by its short name; None for a name without them (``k1``)."""
     for pattern, kind in _TERMS:
         found = pattern.fullmatch(name)
         if found:
@@ -125,22 +126,22 @@ def term_of(name: str) -> Term | None:
 
 @dataclass(frozen=True, eq=False)
 class ImageParameters:
-    """The unknowns of one image in the order of its vector, whatever its sensor.
+    """Unknowns of one image in the order of its vector, for any sensor.
 
     Parameters
     ----------
     codes : tuple of int
         Codes of the image's observation equation: ``factors.cameras.pushbroom``, ``factors.cameras.rfm_equation``.
     sigma : (k,) array
-        Prior sigmas in ``units``; the vector itself is in prior sigmas.
+        Prior sigmas in ``units``; the vector itself is in units of these prior sigmas.
     names : tuple of str
-        Short names, component and degree: ``x_0``, ``roll_2``, ``psi_y_s1``, ``line_0``.
+        Short names of component and degree: ``x_0``, ``roll_2``, ``psi_y_s1``, ``line_0``.
     units : tuple of str
         Physical unit of each unknown.
     words : tuple of str
-        Each unknown in words: "position X (constant, m)".
+        Description of each unknown: "position X (constant, m)".
     shared : tuple of str
-        Id under which images share each unknown, "" for the image's own; () if all are its own.
+        Id under which images share each unknown, "" if only this image has it; () if the image shares none.
     """
 
     codes: tuple[int, ...]
@@ -155,11 +156,11 @@ class ImageParameters:
 
     @cached_property
     def own(self) -> Mask:
-        """Unknowns (k,) that no other image shares."""
+        """True for unknowns (k,) that no other image shares."""
         return np.array([not name for name in self.shared or ("",) * len(self)], dtype=bool)
 
     def take(self, which: Mask) -> ImageParameters:
-        """Some of the unknowns (k,)."""
+        """Return the selected unknowns (k,)."""
         at = np.flatnonzero(which).tolist()
 
         def of(values: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -171,12 +172,12 @@ class ImageParameters:
 
     @cached_property
     def setup(self) -> Array:
-        """Setup array of the equation: codes and prior sigmas (2, k)."""
+        """Setup array of the equation (2, k): codes and prior sigmas."""
         return np.ascontiguousarray(np.stack([np.array(self.codes, float), self.sigma]))
 
 
 def chosen_codes(options: Options) -> tuple[int, ...]:
-    """Codes of the unknowns of a pushbroom image: those named, else of EOP set and look polynomial."""
+    """Return the codes of a pushbroom image's unknowns: the named ones, otherwise from EOP set and look polynomial."""
     if options.image_unknowns:
         every = (*range(N_EOP + N_LOOK), *curve_codes(options, POSITION + ATTITUDE))
         known = {parameter_name(code): code for code in every}
@@ -188,12 +189,12 @@ def chosen_codes(options: Options) -> tuple[int, ...]:
 
 
 def curve_codes(options: Options, components: Iterable[int]) -> tuple[int, ...]:
-    """Codes of the curves of these components, by component, then number."""
+    """Return the codes of the curves of these components, ordered by component, then number."""
     return tuple(CURVE + CURVES * c + k for c in components for k in range(options.curve_intervals))
 
 
 def require_unknowns(options: Options, codes: tuple[int, ...], file: str, known: Iterable[str]) -> None:
-    """Refuse an image that ``image_unknowns`` leaves without any unknown."""
+    """Refuse an image if ``image_unknowns`` contains none of its unknowns."""
     if not codes:
         raise InputError.of(
             "parameters.unknowns", file=file, place="image_unknowns", value=", ".join(options.image_unknowns),
@@ -202,9 +203,9 @@ def require_unknowns(options: Options, codes: tuple[int, ...], file: str, known:
 
 
 def orientation_parameters(options: Options, file: str = "", camera: str = "") -> ImageParameters:
-    """Unknowns of a pushbroom image: EOP coefficients, then coefficients of the look polynomial, then curves.
+    """Return the unknowns of a pushbroom image: EOP coefficients, then look polynomial, then curves.
 
-    ``camera``: with option ``look_shared``, images of the same camera share the look polynomial. InputError if
+    ``camera``: images of the same camera share the look polynomial, if option ``look_shared`` is set. InputError if
     ``image_unknowns`` contains none of the unknowns.
     """
     codes = chosen_codes(options)
@@ -222,12 +223,12 @@ def orientation_parameters(options: Options, file: str = "", camera: str = "") -
 
 
 def _component(code: int) -> int:
-    """Position of the EOP of a coefficient or curve in ``COMPONENTS``."""
+    """Return the position of the EOP of a coefficient or curve in ``COMPONENTS``."""
     return code // 3 if code < N_EOP else (code - CURVE) // CURVES
 
 
 def parameter_name(code: int) -> str:
-    """Short name of one coefficient: ``roll_1``, of a curve ``roll_c4``."""
+    """Return the short name of one coefficient, such as ``roll_1``, or of a curve, such as ``roll_c4``."""
     if code >= CURVE:
         return f"{COMPONENTS[_component(code)]}_c{(code - CURVE) % CURVES}"
     if code < N_EOP:
@@ -236,7 +237,7 @@ def parameter_name(code: int) -> str:
 
 
 def parameter_words(code: int) -> str:
-    """Name a coefficient in words: "velocity Y (constant, m/s)", "look angle psi_x_s1"."""
+    """Return the description of a coefficient: "velocity Y (constant, m/s)", "look angle psi_x_s1"."""
     if N_EOP <= code < CURVE:
         return f"look angle {parameter_name(code)}"
     component = _component(code)

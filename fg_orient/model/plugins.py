@@ -1,7 +1,7 @@
-"""A user's own file, loaded by the command line: it registers sensors, equations, solvers, kappa rules and losses.
+"""Loading of a user's own file by the command line: it registers sensors, equations, solvers, kappa rules and losses.
 
-The command line imports the file of its option ``plugin`` before the command begins; from Python it is imported as any
-other module. Nothing else loads code; a project file from another source cannot load code.
+The command line imports the file of its option ``plugin`` before the command begins; Python code imports it as any
+other module. Nothing else loads code, so a project file from another source cannot do so.
 """
 
 from __future__ import annotations
@@ -14,15 +14,16 @@ from types import ModuleType
 
 from fg_orient.model.errors import FgOrientError, Finding, InputError, finding
 
-#: Files that were loaded, as tracebacks name them.
+#: Loaded files, with the names that tracebacks contain.
 _LOADED: set[str] = set()
 
 
 def load_plugin(path: str | Path) -> ModuleType:
-    """Import a Python file under its own name, once.
+    """Import a Python file under its own name, only once.
 
-    The path is ``NAME.py``, and no other module is named NAME. Its folder is added to the end of ``sys.path``, so that
-    worker processes find the module. InputError names the line if the file cannot be imported.
+    The path must be ``NAME.py``, and no other module may be called NAME. Its folder is added to the end of
+    ``sys.path``, so that worker processes find the module. If the file cannot be imported, the InputError names the
+    line.
     """
     path = Path(path).resolve()
     if not path.is_file() or path.suffix != ".py" or not path.stem.isidentifier():
@@ -40,11 +41,12 @@ def load_plugin(path: str | Path) -> ModuleType:
 
 def _imported(path: Path) -> ModuleType:
     spec = spec_from_file_location(path.stem, path)
-    assert spec is not None and spec.loader is not None  # it ends in .py
+    assert spec is not None and spec.loader is not None  # true for a file that ends in .py
     module = sys.modules[path.stem] = module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
-    except (Exception, SystemExit) as error:  # a script that calls exit would end the command without an error
+    # else a script that calls exit would end the command
+    except (Exception, SystemExit) as error:
         del sys.modules[path.stem]
         value = error if isinstance(error, FgOrientError) else told(error)
         raise InputError.of("plugin.failed", file=path, place=_line(error, path), value=value) from error
@@ -55,7 +57,7 @@ def _imported(path: Path) -> ModuleType:
 
 
 def fault_of(error: BaseException) -> Finding | None:
-    """Finding of an exception, other than ``FgOrientError``, that came through a plugin; None if none did."""
+    """Return the finding of an exception other than ``FgOrientError`` that came from a plugin; None if none did."""
     file = next((name for name, _ in reversed(_frames(error)) if name in _LOADED), None)
     if file is None:
         return None
@@ -63,22 +65,28 @@ def fault_of(error: BaseException) -> Finding | None:
 
 
 def raised_in(error: BaseException, file: str) -> str:
-    """File and line of a user's own code that raised an exception; the file alone if a built-in function did."""
+    """Return file and line of the user's code that raised an exception.
+
+    Only the file if a built-in function raised it.
+    """
     return f"{file}, {_line(error, Path(file))}" if file in dict(_frames(error)) else file
 
 
 def told(error: BaseException) -> str:
-    """Class and text of an exception on one line."""
+    """Return class and text of an exception as one line."""
     return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 
 def _frames(error: BaseException) -> list[tuple[str, int]]:
-    """Files and lines that an exception came through, the innermost last."""
+    """Return the files and lines through which an exception passed, innermost last."""
     return [(frame.f_code.co_filename, line) for frame, line in traceback.walk_tb(error.__traceback__)]
 
 
 def _line(error: BaseException, path: Path) -> str:
-    """Last line of the file that the error came through; of a syntax error the line itself."""
+    """Return the last line of the file through which the error passed.
+
+    For a syntax error, the line of the error itself.
+    """
     if isinstance(error, SyntaxError) and error.filename == str(path):
         return f"line {error.lineno}"
     lines = [line for file, line in _frames(error) if file == str(path)]

@@ -8,14 +8,14 @@ from typing import Any
 
 
 def on_first_use(package: dict[str, Any], home: Mapping[str, str]) -> Callable[[str], Any]:
-    """Make the ``__getattr__`` of a package.
+    """Return the ``__getattr__`` function of a package.
 
     Parameters
     ----------
     package : dict
         ``globals()`` of the package.
     home : mapping
-        Public name to the module that defines it; ``module:name`` where it has another name there.
+        Module that defines each public name; ``module:name`` if the name there differs.
     """
 
     def load(name: str) -> Any:
@@ -29,5 +29,5 @@ def on_first_use(package: dict[str, Any], home: Mapping[str, str]) -> Callable[[
 
 
 def names_of(package: str, modules: Mapping[str, str]) -> dict[str, str]:
-    """Give the public names of a package by those of its modules: module to names, with blanks between them."""
+    """Return the full module of each public name; ``modules`` gives names, separated by blanks, for each module."""
     return {name: f"{package}.{module}" for module, names in modules.items() for name in names.split()}

@@ -1,10 +1,10 @@
-"""Message catalogue: entries of errors, warnings and notes by code.
+"""Message catalogue: entries for errors, warnings and notes, by code.
 
 Each entry gives the message, remedy and severity of a stable code (:class:`fg_orient.model.messages.entry.Entry`).
 Message and remedy are format strings of the keyword arguments of :func:`fg_orient.model.errors.finding`; ``<out>``
-names an option. The first part of the code is the domain (``xml``, ``dimap``, ``points``, ...). Entries that one place
-raises may stand there instead: ``finding`` takes them in the same notation and adds them. Tests compare catalogue and
-sources: no code is unknown or unused, no field of a message is missing.
+names an option. The first part of the code is the domain (``xml``, ``dimap``, ``points``, ...). An entry that is raised
+in only one place may be declared there: ``finding`` accepts the same notation and adds it. Tests compare the catalogue
+with the sources: every code is known and used, and no field of a message is missing.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Final
 
 from fg_orient.model.messages.entry import Entry
 
-#: Modules with a table of entries each.
+#: Modules that each contain a table of entries.
 MODULES: Final = (
     "adjustment", "closerange", "exchange", "files", "match", "office", "planetary", "program", "rectify", "sensors",
     "studies",

@@ -8,9 +8,9 @@ Severity = Literal["note", "warning", "doubt", "failure"]
 
 
 class Entry(NamedTuple):
-    """Words of a code, format strings of its data.
+    """Text of a code: format strings for its data.
 
-    ``message`` has one part or more: one with an empty field is left out, but the first.
+    ``message`` has one or more parts. A part with an empty field is left out, except the first.
     """
 
     message: tuple[str, ...]
@@ -21,9 +21,9 @@ class Entry(NamedTuple):
 def words(table: str) -> dict[str, Entry]:
     """Read a table of the catalogue.
 
-    An entry begins with ``code: message`` or ``code (severity): message`` and goes on in indented lines: further parts
-    of the message begin with ``+``, the remedy with ``->``. Without a severity it is a failure; failures that follow
-    each other share the remedy of the last one.
+    An entry begins with ``code: message`` or ``code (severity): message``. In the indented lines that follow, further
+    parts of the message begin with ``+`` and the remedy with ``->``. An entry without severity is a failure.
+    Consecutive failures without a remedy share the remedy of the last one.
     """
     found: list[list[str]] = []
     for line in table.split("\n"):
