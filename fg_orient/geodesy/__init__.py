@@ -1,12 +1,12 @@
-"""Coordinate reference systems: access to PROJ (also used by rectification.projections), with checks.
+"""Coordinate reference systems: checked access to PROJ (also used by rectification.projections).
 
 Inside the package a ground point is Earth-fixed Cartesian (ECEF, WGS84, EPSG:4978) in metres. Files may use any EPSG
-code. Silent behaviour of PROJ is excluded: the axis order is always easting or longitude first, results must be finite,
-a "ballpark" transformation (which returns heights unchanged if a geoid grid is missing) is never used, and the network
-is off. Grids are also searched for in the folders of PROJ_DATA, which the wheel of pyproj ignores. Heights are
-ellipsoidal, above the ellipsoid of the named CRS, unless a compound code such as ``EPSG:4326+5773`` names a vertical
-CRS (:mod:`fg_orient.geodesy.heights`). One operation, the best for their area, is chosen for all points of a call; its
-name and accuracy are returned for the record.
+code. The silent behaviour of PROJ is prevented. The axis order is always easting or longitude first, results must be
+finite, and the network is off. A "ballpark" transformation, which returns heights unchanged if a geoid grid is missing,
+is never used. Grids are also searched for in the folders of PROJ_DATA, which the wheel of pyproj ignores. Heights are
+above the ellipsoid of the named CRS, unless a compound code such as ``EPSG:4326+5773`` names a vertical CRS
+(:mod:`fg_orient.geodesy.heights`). All points of a call use one operation, the best for their area; the record contains
+its name and accuracy.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ __all__ = ["ecef_to_geodetic", "enu_from_ecef", "from_geographic", "geodetic_to_
 Kind = Literal["geographic", "projected", "geocentric"]
 
 ECEF: Final = "EPSG:4978"
-#: In place of a code: Cartesian coordinates, m, in the axes of the body of the images, whichever it is.
+#: Used instead of a code: Cartesian coordinates, m, in the axes of the body of the images, whatever body it is.
 BODY_FIXED: Final = "body-fixed"
-#: WGS84 as PROJ and EPSG define it.
+#: WGS84 as defined by PROJ and EPSG.
 _A_M: Final = 6378137.0
 _E2: Final = (2.0 - 1.0 / 298.257223563) / 298.257223563
-#: Columns of a point table, by the kind of its CRS.
+#: Columns of a point table, for each kind of CRS.
 COORDINATE_COLUMNS: Final[dict[Kind, tuple[str, str, str]]] = {
     "geographic": ("lon_deg", "lat_deg", "height_m"),
     "projected": ("easting_m", "northing_m", "height_m"),
@@ -57,11 +57,11 @@ class Operation:
     Parameters
     ----------
     crs : str
-        Source CRS, for instance ``EPSG:32636``.
+        Source CRS, such as ``EPSG:32636``.
     name : str
         PROJ's name of the operation.
     accuracy_m : float
-        Its stated accuracy; nan if PROJ states none.
+        Accuracy stated by PROJ; nan if there is none.
     missing_grids : tuple of str
         Grid files that a more accurate operation would need; empty if the best one was used.
     height : str
@@ -82,9 +82,9 @@ class Operation:
 
 
 def crs_kind(crs: str) -> Kind:
-    """Kind of the coordinates in ``crs``: geographic, projected or geocentric.
+    """Return the kind of the coordinates in ``crs``: geographic, projected or geocentric.
 
-    InputError if the code is unknown, or its axes are not degrees / metres towards east, north, up.
+    Raise InputError if the code is unknown, or if the axes are not degrees or metres towards east, north, up.
     """
     if crs == BODY_FIXED:
         return "geocentric"
@@ -117,8 +117,8 @@ def to_ecef(
     crs : str
         ``EPSG:n``, or ``EPSG:n+m`` with a vertical CRS.
     east_or_lon, north_or_lat, height : (N,) array_like
-        Easting and northing (m) or longitude and latitude (degrees), height (m); x, y, z
-        (m) if the CRS is geocentric. The order does not depend on the definition of the CRS.
+        Easting and northing (m) or longitude and latitude (degrees), and height (m); x, y, z (m) if the CRS is
+        geocentric. This order holds for any definition of the CRS.
 
     Returns
     -------
@@ -128,7 +128,7 @@ def to_ecef(
     Raises
     ------
     InputError
-        Unknown CRS, no exact operation (a grid is missing), or a point outside its domain.
+        The CRS is unknown, there is no exact operation (a grid is missing), or a point lies outside the domain.
     """
     return to_ecef_with_operation(crs, east_or_lon, north_or_lat, height)[0]
 
@@ -142,10 +142,10 @@ def to_ecef_with_operation(
     labels: Sequence[str] | None = None,
     deciding: npt.NDArray[np.bool_] | None = None,
 ) -> tuple[Array, Operation]:
-    """ECEF coordinates as in :func:`to_ecef`, and the operation.
+    """Return the ECEF coordinates as in :func:`to_ecef`, and the operation.
 
     Messages contain the places ``labels`` of the points. The area of the points ``deciding`` (N,) selects the
-    operation; if it is absent or empty, the area of all points.
+    operation; if ``deciding`` is absent or empty, the area of all points selects it.
     """
     first, second, third = (np.atleast_1d(np.asarray(a, float)) for a in (east_or_lon, north_or_lat, height))
     source, kind = spatial_crs(crs), crs_kind(crs)
@@ -179,7 +179,7 @@ def geodetic_to_ecef(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike, height_m: n
     """
     given = np.stack([np.atleast_1d(np.asarray(a, float)) for a in (lon_deg, lat_deg, height_m)], axis=1)
     require_finite("EPSG:4979", given, given, None)
-    # one operation for all places: it is not searched for each time
+    # one operation for all places, so that PROJ does not search each time
     xyz = np.stack(_transformer("EPSG:4979", ECEF).transform(*given.T), axis=1)
     require_finite("EPSG:4979", xyz, given, None)
     return np.ascontiguousarray(xyz)
@@ -188,9 +188,8 @@ def geodetic_to_ecef(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike, height_m: n
 def ecef_to_geodetic(xyz_m: npt.ArrayLike) -> tuple[Array, Array, Array]:
     """Transform (N, 3) ECEF m to WGS84 longitude, latitude (degrees) and ellipsoidal height (m), each (N,).
 
-    Iterates on the latitude (docs/equations.md 5; the error shrinks by e^2 = 0.0067 each
-    time). PROJ is not used: its single step has errors of 1e-6 m at 9 km height and of
-    7 mm at the height of a satellite.
+    The latitude is iterated (docs/equations.md 5); each step multiplies the error by e^2 = 0.0067. PROJ is not used,
+    because its single step has errors of 1e-6 m at 9 km height and 7 mm at the height of a satellite.
 
     Raises
     ------
@@ -227,7 +226,7 @@ def from_geographic(crs: str, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) ->
     Raises
     ------
     InputError
-        The CRS is unknown, or no exact operation leads to it.
+        The CRS is unknown, or there is no exact operation to it.
     """
     return _horizontal("EPSG:4326", crs, lon_deg, lat_deg)
 
@@ -235,13 +234,13 @@ def from_geographic(crs: str, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) ->
 def to_geographic(crs: str, x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[Array, Array]:
     """Transform horizontal coordinates (N,) of a raster's CRS to WGS84 longitude, latitude (N,) degrees.
 
-    Inverse of :func:`from_geographic`, with its errors; nan outside the domain of the CRS.
+    This is the inverse of :func:`from_geographic` and raises the same errors; nan outside the domain of the CRS.
     """
     return _horizontal(crs, "EPSG:4326", x, y)
 
 
 def _horizontal(source: str, target: str, first: npt.ArrayLike, second: npt.ArrayLike) -> tuple[Array, Array]:
-    """Horizontal coordinates of N points in another CRS; nan outside its domain."""
+    """Return the horizontal coordinates of N points in another CRS; nan outside its domain."""
     first, second = np.atleast_1d(np.asarray(first, float)), np.atleast_1d(np.asarray(second, float))
     x, y = (np.asarray(a) for a in _transformer(source, target, horizontal=True).transform(first, second))
     inside = np.isfinite(x) & np.isfinite(y)
@@ -249,18 +248,18 @@ def _horizontal(source: str, target: str, first: npt.ArrayLike, second: npt.Arra
 
 
 def same_crs(one: str, other: str) -> bool:
-    """Return whether two CRS (WKT or EPSG codes) differ only in the order of their axes; InputError if unknown."""
+    """Return whether two CRS (WKT or EPSG codes) differ only in axis order; raise InputError if one is unknown."""
     return bool(known_crs(one).equals(known_crs(other), ignore_axis_order=True))
 
 
 def area_of_use(crs: str) -> tuple[float, float, float, float] | None:
-    """West, south, east, north (degrees) of the area for which a CRS was made; None if it states no area."""
+    """Return west, south, east, north (degrees) of the area of use of a CRS; None if it states none."""
     area = known_crs(crs).area_of_use
     return None if area is None else (area.west, area.south, area.east, area.north)
 
 
 def enu_from_ecef(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> Array:
-    """Rotations that turn an ECEF vector into East, North, Up.
+    """Return the rotations from ECEF to East, North, Up.
 
     Parameters
     ----------
@@ -269,7 +268,7 @@ def enu_from_ecef(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> Array:
     Returns
     -------
     (N, 3, 3) array
-        Rows are the unit vectors of East, North and Up in ECEF, Up along the ellipsoid normal.
+        The rows are the unit vectors of East, North and Up in ECEF; Up is the ellipsoid normal.
     """
     lon, lat = np.broadcast_arrays(*(np.radians(np.atleast_1d(np.asarray(a, float))) for a in (lon_deg, lat_deg)))
     sl, cl, sp, cp = np.sin(lon), np.cos(lon), np.sin(lat), np.cos(lat)
@@ -278,13 +277,13 @@ def enu_from_ecef(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> Array:
 
 
 def data_folder() -> str:
-    """Folders from which PROJ reads its database and grids."""
+    """Return the folders from which PROJ reads its database and grids."""
     proj = offline_pyproj()
     return str(proj.datadir.get_data_dir())
 
 
 def grid_folders() -> tuple[str, ...]:
-    """Folders in which PROJ searches for grids."""
+    """Return the folders in which PROJ searches for grids."""
     proj = offline_pyproj()
     return (*data_folder().split(os.pathsep), str(proj.datadir.get_user_data_dir()))
 
@@ -293,7 +292,7 @@ def grid_folders() -> tuple[str, ...]:
 
 
 def offline_pyproj() -> Any:
-    """Import pyproj: its network access off, since results must not depend on it, and PROJ_DATA searched last."""
+    """Import pyproj without network access, on which results must not depend, and with PROJ_DATA searched last."""
     import pyproj
     import pyproj.network
 
@@ -305,13 +304,13 @@ def offline_pyproj() -> Any:
     return pyproj
 
 
-#: Exceptions of pyproj, in addition to its own, for texts that are not those of a CRS.
+#: Exceptions that pyproj raises, in addition to its own, for texts that do not describe a CRS.
 UNUSABLE: Final = (ValueError, TypeError, KeyError, AttributeError)
 
 
 @cache
 def _transformer(source: str, target: str, *, horizontal: bool = False) -> Transformer:
-    """Transformer between two CRS, made once: easting or longitude first, never a ballpark."""
+    """Return the cached transformer between two CRS: easting or longitude first, never a ballpark."""
     proj = offline_pyproj()
     try:
         goal = proj.CRS.from_user_input(target)
@@ -325,7 +324,7 @@ def _transformer(source: str, target: str, *, horizontal: bool = False) -> Trans
 
 
 def spatial_crs(crs: str) -> CRS:
-    """CRS of the code, with an ellipsoidal height axis if it has no height axis."""
+    """Return the CRS of the code; add an ellipsoidal height axis if it has no height axis."""
     text = str(crs).strip()
     if not _CODE.fullmatch(text):
         raise InputError.of("geodesy.not_epsg", place="crs", value=crs)
@@ -340,24 +339,24 @@ def _spatial(crs: str) -> CRS:
 
 @cache
 def known_crs(crs: str) -> CRS:
-    """CRS of a code, WKT or PROJ string; InputError if it is unknown."""
+    """Return the CRS of a code, WKT or PROJ string; raise InputError if it is unknown."""
     proj = offline_pyproj()
     within("crs_characters", len(crs), place="crs", unit="characters")
     try:
         known: CRS = proj.CRS.from_user_input(crs)
-        known.to_json_dict()  # of a damaged definition it fails later
+        known.to_json_dict()  # a damaged definition fails only here
     except (proj.exceptions.ProjError, *UNUSABLE):
         raise InputError.of("geodesy.unknown_crs", place="crs", value=crs) from None
     return known
 
 
 def horizontal_part(crs: CRS) -> CRS:
-    """Horizontal part of a CRS."""
+    """Return the horizontal part of a CRS."""
     return crs.sub_crs_list[0] if crs.is_compound else crs.to_2d()
 
 
 def longitude_latitude(crs: str, source: CRS, kind: Kind, given: Array, labels: Sequence[str] | None) -> Array:
-    """Longitude, latitude (N, 2) degrees on the CRS's own datum, accurate enough to choose an operation."""
+    """Return longitude, latitude (N, 2) degrees on the CRS's own datum, accurate enough to choose an operation."""
     if kind == "geographic":
         return np.asarray(given[:, :2])
     if kind == "geocentric":
@@ -373,9 +372,9 @@ def longitude_latitude(crs: str, source: CRS, kind: Kind, given: Array, labels: 
 
 
 def operation_to_ecef(crs: str, source: CRS, lonlat: Array) -> tuple[Transformer, Operation]:
-    """Best operation to ECEF for the area of the points (N, 2) in degrees, never a ballpark; its record.
+    """Return the best operation to ECEF for the area of points (N, 2) in degrees, never a ballpark; and its record.
 
-    InputError if there is none.
+    Raise InputError if there is no such operation.
     """
     proj = offline_pyproj()
     from pyproj.transformer import AreaOfInterest, TransformerGroup
@@ -383,7 +382,7 @@ def operation_to_ecef(crs: str, source: CRS, lonlat: Array) -> tuple[Transformer
     low, high = lonlat.min(axis=0) - _AREA_MARGIN_DEG, lonlat.max(axis=0) + _AREA_MARGIN_DEG
     low, high = np.clip(low, [-180.0, -90.0], [180.0, 90.0]), np.clip(high, [-180.0, -90.0], [180.0, 90.0])
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # "best not available": recorded in Operation instead
+        warnings.simplefilter("ignore", UserWarning)  # Operation records that the best operation is not available
         group = TransformerGroup(
             source, proj.CRS.from_user_input(ECEF), always_xy=True, allow_ballpark=False,
             area_of_interest=AreaOfInterest(low[0], low[1], high[0], high[1]),
@@ -403,7 +402,7 @@ def operation_to_ecef(crs: str, source: CRS, lonlat: Array) -> tuple[Transformer
 
 
 def require_finite(crs: str, values: Array, given: Array, labels: Sequence[str] | None) -> None:
-    """Refuse points whose ``values`` are not finite; messages contain ``given`` and ``labels``."""
+    """Refuse points whose ``values`` are not finite; messages show ``given`` and ``labels``."""
     bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
     if len(bad):
         raise InputError(*(

@@ -1,7 +1,7 @@
 """Names of coordinate reference systems in files, the order of their axes, and the transformation from ECEF.
 
-Other programs' files name their CRS by WKT, by a PROJ string or by words; this package names it by an EPSG code.
-:func:`known_shifts`: differences of coordinates of other datums from WGS84 coordinates of the same place.
+Files of other programs name their CRS by WKT, PROJ string or words; this package uses EPSG codes. :func:`known_shifts`
+returns the differences between coordinates in other datums and the WGS84 coordinates of the same place.
 """
 
 from __future__ import annotations
@@ -41,18 +41,18 @@ if TYPE_CHECKING:
 
 #: WGS84 longitude, latitude, ellipsoidal height.
 WGS84: Final = "EPSG:4979"
-#: Per cent of agreement from which the result of PROJ's search for an EPSG code is used: all but the names is equal.
+#: Smallest confidence, per cent, at which PROJ's EPSG code is used: everything but the names agrees.
 _CONFIDENCE: Final = 70
-#: Names of an unspecified datum begin so, for instance that of a PROJ string with an ellipsoid alone.
+#: Beginnings of names of an unspecified datum, as in a PROJ string that only has an ellipsoid.
 _NO_DATUM: Final = ("unknown", "unspecified", "not specified")
 _UTM = re.compile(r"WGS ?84[ /]+UTM(?: zone)?[ /]+([0-9]{1,2}) ?([NS])", re.IGNORECASE)
 _CODE = re.compile(r"EPSG:{1,2}([0-9]{1,6}(?:\+[0-9]{1,6})?)", re.IGNORECASE)
 
 
 def epsg_code(text: str) -> str:
-    """EPSG code of a CRS that a file names by code, WKT, PROJ string or as ``WGS84 UTM 32N``.
+    """Return the EPSG code of a CRS that a file states as code, WKT, PROJ string or ``WGS84 UTM 32N``.
 
-    ``EPSG:n``, or ``EPSG:n+m`` if it has a vertical part; "" if it is not a CRS of EPSG.
+    The result is ``EPSG:n``, or ``EPSG:n+m`` with a vertical part; "" if EPSG does not contain the CRS.
     """
     words = text.strip()
     if words == BODY_FIXED:
@@ -77,14 +77,14 @@ def epsg_code(text: str) -> str:
 
 
 def utm_code(zone: int, *, north: bool) -> str:
-    """EPSG code of a zone (1 to 60) of UTM on WGS84."""
+    """Return the EPSG code of a UTM zone (1 to 60) on WGS84."""
     return f"EPSG:{(32600 if north else 32700) + zone}"
 
 
 def with_codes(text: str) -> str:
-    """CRS as ``EPSG:n`` or ``EPSG:n+m`` whose vertical part may be a name, as in ``EPSG:32636+EGM96``.
+    """Return ``EPSG:n`` or ``EPSG:n+m`` for a CRS whose vertical part may be a name, as in ``EPSG:32636+EGM96``.
 
-    Other texts are unchanged; InputError for a name that EPSG does not have.
+    Other texts are returned unchanged; a name that EPSG does not contain raises InputError.
     """
     flat, plus, vertical = (part.strip() for part in text.partition("+"))
     if not _CODE.fullmatch(flat) or not vertical or vertical.isdecimal():
@@ -93,7 +93,10 @@ def with_codes(text: str) -> str:
 
 
 def vertical_code(text: str) -> str:
-    """``EPSG:n`` of a vertical CRS by its code or name, with or without "height"; InputError if it is unknown."""
+    """Return ``EPSG:n`` of a vertical CRS, given its code or name (with or without "height").
+
+    Raise InputError if unknown.
+    """
     if _CODE.fullmatch(text.strip()) or not text.strip():
         return text
     names = _vertical_names()
@@ -116,7 +119,7 @@ def crs_names(authority: str) -> list[tuple[str, str]]:
 
 @cache
 def _vertical_names() -> dict[str, list[str]]:
-    """Codes of the vertical CRS of EPSG by their names."""
+    """Return the codes of EPSG's vertical CRS by name."""
     from pyproj.database import query_crs_info
 
     names: dict[str, list[str]] = {}
@@ -126,12 +129,12 @@ def _vertical_names() -> dict[str, list[str]]:
 
 
 def _plain(name: str) -> str:
-    """Letters and digits of a name."""
+    """Return only the letters and digits of a name."""
     return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
 def _without_null_shift(crs: CRS) -> CRS:
-    """CRS that a file binds to WGS84 by a shift of zero, as ``TOWGS84[0,0,0,0,0,0,0]``; other CRS are unchanged."""
+    """Return a CRS without a shift of zero to WGS84 (``TOWGS84[0,0,0,0,0,0,0]``); other CRS are unchanged."""
     if not crs.is_bound or crs.source_crs is None or crs.coordinate_operation is None:
         return crs
     shift = crs.coordinate_operation.towgs84  # empty for a grid of shifts
@@ -139,47 +142,50 @@ def _without_null_shift(crs: CRS) -> CRS:
 
 
 def _code_of(crs: CRS) -> int | None:
-    """EPSG number of a horizontal CRS: the stated number, else the number of the CRS that PROJ finds equal."""
+    """Return the EPSG number of a horizontal CRS: the stated number, otherwise that of a CRS that PROJ finds equal."""
     stated = crs.to_json_dict().get("id", {})
     if stated.get("authority") == "EPSG":
         return int(stated["code"])
     datum = crs.datum
     if datum is not None and datum.name.lower().startswith(_NO_DATUM):
-        return None  # PROJ takes every datum of this ellipsoid as equal, even several hundred metres away
+        return None  # PROJ equates all datums of this ellipsoid, even several hundred metres apart
     number: int | None = crs.to_epsg(min_confidence=_CONFIDENCE)
     return number
 
 
 def same_horizontal(one: str, other: str) -> bool:
-    """True if the horizontal parts of two CRS are the same; InputError if one is unknown."""
+    """Return whether the horizontal parts of two CRS are the same; raise InputError if one is unknown."""
     return same_crs(with_vertical(one, "")[0], with_vertical(other, "")[0])
 
 
 def north_first(crs: str) -> bool:
-    """True if the definition of a CRS puts latitude or northing first; InputError if it is unknown."""
+    """Return whether the definition of a CRS puts latitude or northing first; raise InputError if it is unknown."""
     return bool(spatial_crs(crs).axis_info[0].direction == "north")
 
 
 def wkt(crs: str) -> str:
-    """Definition of a CRS on one line as WKT 1, which most programs read; InputError if it is unknown."""
+    """Return the definition of a CRS as one line of WKT 1, which most programs read.
+
+    Raise InputError if it is unknown.
+    """
     own = known_crs(crs)
     flat = own if own.is_compound or len(own.axis_info) == 2 or own.is_geocentric else own.to_2d()
     return str(flat.to_wkt("WKT1_GDAL"))
 
 
 def from_ecef(crs: str, xyz_m: npt.ArrayLike, labels: Sequence[str] | None = None) -> tuple[Array, Operation]:
-    """Transform (n, 3) ECEF m to a CRS; inverse of :func:`fg_orient.geodesy.to_ecef_with_operation`.
+    """Transform ECEF coordinates (n, 3), m, to a CRS; inverse of :func:`fg_orient.geodesy.to_ecef_with_operation`.
 
     Returns
     -------
     tuple
-        (n, 3) easting, northing, height or longitude, latitude, height (or x, y, z), and the operation with its name
-        in the direction to ECEF.
+        Easting, northing, height or longitude, latitude, height (or x, y, z), (n, 3); and the operation, named in the
+        direction to ECEF.
 
     Raises
     ------
     InputError
-        Unknown CRS, no exact operation, or a point outside its domain.
+        The CRS is unknown, there is no exact operation, or a point lies outside the domain.
     """
     xyz = np.atleast_2d(np.asarray(xyz_m, float))
     lon, lat, height = ecef_to_geodetic(xyz)
@@ -194,21 +200,22 @@ def from_ecef(crs: str, xyz_m: npt.ArrayLike, labels: Sequence[str] | None = Non
     return np.ascontiguousarray(out), operation
 
 
-#: Geographic reference systems that older maps and control points have.
+#: Geographic reference systems of older maps and control points.
 DATUMS: Final = {
     "ED50": "EPSG:4230", "NAD27": "EPSG:4267", "Pulkovo 1942": "EPSG:4284", "DHDN": "EPSG:4314",
     "MGI": "EPSG:4312", "NTF": "EPSG:4275", "OSGB36": "EPSG:4277", "Tokyo": "EPSG:4301", "SAD69": "EPSG:4618",
     "S-JTSK": "EPSG:4156", "Monte Mario": "EPSG:4265", "Indian 1975": "EPSG:4240", "Arc 1950": "EPSG:4209",
     "Cape": "EPSG:4222", "AGD66": "EPSG:4202", "Beijing 1954": "EPSG:4214",
 }  # fmt: skip
-#: Plate fixed system with its area, geocentric codes of ITRF and of it, epochs of ITRF, and the accuracy in m.
+#: Plate-fixed system with its area, the geocentric codes of ITRF and of the system, the epochs of ITRF, and the
+#: accuracy in m.
 ETRS89: Final = ("EPSG:4258", "EPSG:7789", "EPSG:7930", (1995.0, 2000.0, 2005.0, 2010.0, 2015.0, 2020.0, 2025.0), 0.05)
-#: Accuracy in m of an operation that states none.
+#: Assumed accuracy, m, of an operation that states none.
 UNSTATED_M: Final = 10.0
 
 
 class DatumShift(NamedTuple):
-    """A datum, and East and North (m) of its coordinates from the WGS84 ones of the same place."""
+    """A datum, and the East and North differences (m) of its coordinates from WGS84 coordinates of the same place."""
 
     name: str
     east_m: float
@@ -218,7 +225,7 @@ class DatumShift(NamedTuple):
 
 @cache
 def known_shifts(lon_deg: float, lat_deg: float) -> tuple[DatumShift, ...]:
-    """Shifts of the datums in use at a place, from the operations that PROJ has without further grids.
+    """Return the shifts of the datums used at a place, from the operations that PROJ has without further grids.
 
     Parameters
     ----------
@@ -232,7 +239,7 @@ def known_shifts(lon_deg: float, lat_deg: float) -> tuple[DatumShift, ...]:
             continue
         try:
             transformer, operation = operation_to_ecef(crs, spatial_crs(crs), lonlat)
-        except InputError:  # it needs a grid
+        except InputError:  # the operation needs a grid
             continue
         true = np.array(transformer.transform(lon_deg, lat_deg, 0.0))
         east, north, _ = axes @ (place - true)
@@ -248,7 +255,7 @@ def known_shifts(lon_deg: float, lat_deg: float) -> tuple[DatumShift, ...]:
 
 
 def _is_used(crs: str, lon_deg: float, lat_deg: float) -> bool:
-    """Whether the area of use of a CRS contains a place."""
+    """Return whether the area of use of a CRS contains a place."""
     area = area_of_use(crs)
     if area is None:
         return False

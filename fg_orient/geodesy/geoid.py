@@ -1,7 +1,7 @@
-"""Geoid files, and a coarse geoid of the world by which a wrong file is found: wrong sign, wrong unit, no geoid at all.
+"""Geoid files, and a coarse world geoid that reveals wrong files: wrong sign, wrong unit, or no geoid.
 
-A geoid file is any raster of undulations, heights above the WGS84 ellipsoid, that GDAL reads: GTX, GeoTIFF, ISG, BYN.
-It is interpolated bilinearly between the centres of its cells, as PROJ does.
+A geoid file is any raster that GDAL reads (GTX, GeoTIFF, ISG, BYN) with undulations: heights above the WGS84 ellipsoid.
+As in PROJ, values are interpolated bilinearly between the centres of cells.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from factors.arrays import Array
 from fg_orient.geodesy import from_geographic, known_crs
 from fg_orient.model.errors import InputError
 
-#: Ends of the names of geoid files.
+#: File suffixes of geoid files.
 GRID_SUFFIXES: Final = (".gtx", ".tif", ".tiff", ".byn", ".isg")
-#: Most cells that are read around the points.
+#: Largest number of cells that are read around the points.
 MAX_CELLS: Final = 2**25
-#: Cells beyond the outermost centres that are rounding.
+#: Tolerance for rounding, in cells, beyond the outermost centres.
 _EDGE: Final = 1e-6
 _METRES: Final = ("", "m", "metre", "metres", "meter", "meters")
-#: Largest difference of the coarse geoid from EGM96 (28.5 m; RMS 3.4 m), and from other geoids and zero levels, m.
+#: Largest difference, m, of the coarse geoid from EGM96 (28.5 m; RMS 3.4 m) and from other geoids and zero levels.
 LIMIT_M: Final = 30.0
 STEP_DEG: Final = 10
 #: Undulations of EGM96 (NGA, public domain) in whole metres: rows from latitude 90 to -90, columns from longitude -180
@@ -53,14 +53,14 @@ _EGM96_M: Final = """
 -22 -21 -20 -18 -17 -13 -10 -7 -3 1 4 4 6 8 5 4 -2 -14 -24 -34 -41 -49 -50 -54 -51 -30 -30 -30 -30 -30 -30 -30 -30 -30
 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30 -30
 """
-#: Possible wrong units and signs of undulations: factor that corrects them.
+#: Factors that correct possible wrong units and signs of undulations.
 MISTAKES: Final = {
     "has the opposite sign": -1.0, "is in feet": 0.3048, "is in centimetres": 0.01, "is in millimetres": 0.001,
 }  # fmt: skip
 
 
 def world_undulation_m(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> Array:
-    """Undulation of N points (N,) degrees above the WGS84 ellipsoid, m, within ``LIMIT_M``."""
+    """Return the undulation of N points (N,), degrees, above the WGS84 ellipsoid, m, accurate to ``LIMIT_M``."""
     grid = np.array(_EGM96_M.split(), float).reshape(180 // STEP_DEG + 1, 360 // STEP_DEG)
     column = np.mod(np.asarray(lon_deg, float) + 180.0, 360.0) / STEP_DEG
     row = (90.0 - np.asarray(lat_deg, float)) / STEP_DEG
@@ -72,7 +72,7 @@ def world_undulation_m(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> Array:
 
 
 def mistake(undulation_m: Array, lon_deg: Array, lat_deg: Array) -> tuple[str, float]:
-    """Describe the error of undulations (N,) m, and their median; "" if they can be undulations of a geoid."""
+    """Describe the error of undulations (N,), m, and give their median; "" if a geoid can have these undulations."""
     world, median = world_undulation_m(lon_deg, lat_deg), float(np.median(undulation_m))
     apart = {what: float(np.median(np.abs(factor * undulation_m - world))) for what, factor in MISTAKES.items()}
     if np.abs(undulation_m - world).max() <= LIMIT_M:
@@ -87,7 +87,7 @@ class GeoidFile:
     Parameters
     ----------
     path : path
-        Its horizontal CRS is that of the file, or geographic degrees if it states none.
+        If the file has no horizontal CRS, its coordinates are geographic degrees.
 
     Raises
     ------
@@ -108,7 +108,7 @@ class GeoidFile:
 
     @contextmanager
     def _opened(self) -> Iterator[Any]:
-        """Open the raster; GDAL's errors while it is open become InputError."""
+        """Open the raster; convert GDAL's errors inside the context to InputError."""
         try:
             import rasterio
         except ImportError as error:
@@ -122,23 +122,23 @@ class GeoidFile:
                 source = rasterio.open(self.path)
             with source:
                 yield source
-        except (rasterio.errors.RasterioError, no_place, ValueError) as error:  # the last one: damaged text
+        except (rasterio.errors.RasterioError, no_place, ValueError) as error:  # ValueError: damaged text
             raise InputError.of("geoid.unreadable", file=self.path, value=error) from error
 
     def undulation_m(self, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> Array:
-        """Undulations of N points (N,), degrees.
+        """Return the undulations of N points (N,), degrees.
 
         Raises
         ------
         InputError
-            A point lies outside the grid or has no value; the values are not undulations in metres: wrong sign or
-            unit, or another kind of raster.
+            A point lies outside the grid or has no value; or the values are not undulations in metres (wrong sign,
+            wrong unit, another kind of raster).
         """
         lon, lat = (np.atleast_1d(np.asarray(a, float)) for a in (lon_deg, lat_deg))
         x, y = (lon, lat) if known_crs(self._crs).is_geographic else from_geographic(self._crs, lon, lat)
         t = self._to_cell
         row, column = t.d * x + t.e * y + t.f - 0.5, t.a * x + t.b * y + t.c - 0.5
-        turn = 360.0 * abs(t.a) if known_crs(self._crs).is_geographic else np.inf  # columns around the Earth
+        turn = 360.0 * abs(t.a) if known_crs(self._crs).is_geographic else np.inf  # number of columns around the Earth
         if np.isfinite(turn):
             column = np.mod(column + _EDGE, turn) - _EDGE
         closed = self._columns >= turn - _EDGE  # no gap between the last column and the first one
@@ -160,7 +160,7 @@ class GeoidFile:
                                 value=f"{int(rows.sum())} of {len(rows)} points")  # fmt: skip
 
     def _interpolated(self, row: Array, column: Array) -> Array:
-        """Values between the centres of cells; nan where a cell with a weight has no value."""
+        """Return the values between the centres of cells; nan if a cell with a weight has no value."""
         r, c = row.astype(int), column.astype(int)
         below, right = np.minimum(r + 1, self._rows - 1), (c + 1) % self._columns
         top, left = int(r.min()), 0 if (right < c).any() else int(c.min())

@@ -1,4 +1,4 @@
-"""Heights above a zero level: vertical CRS of PROJ, and geoid files in its folders under other names.
+"""Heights above a zero level: vertical CRS of PROJ, and geoid files with other names in PROJ's folders.
 
 The undulation of a zero level is its height above the WGS84 ellipsoid.
 """
@@ -29,9 +29,9 @@ from fg_orient.model.errors import InputError
 
 
 def vertical_reference(crs: str) -> tuple[str, str]:
-    """Name of the vertical CRS of heights in ``crs`` (WKT or EPSG code), and the unit of its height axis.
+    """Return the name of the vertical CRS of heights in ``crs`` (WKT or EPSG code), and the unit of its height axis.
 
-    The name of ellipsoidal heights is ``""``; so is the unit if the CRS has no height axis.
+    The name is ``""`` for ellipsoidal heights; the unit is ``""`` if the CRS has no height axis.
     """
     whole = known_crs(crs)
     names = [part.name for part in (whole, *whole.sub_crs_list) if part.is_vertical and not part.is_compound]
@@ -40,7 +40,7 @@ def vertical_reference(crs: str) -> tuple[str, str]:
 
 
 def with_vertical(crs: str, vertical: str) -> tuple[str, str]:
-    """Horizontal part of a CRS, and its compound with a vertical CRS ("": its own), as WKT.
+    """Return the horizontal part of a CRS, and its compound with a vertical CRS ("": its own vertical CRS), as WKT.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def with_vertical(crs: str, vertical: str) -> tuple[str, str]:
 
 
 def undulation_m(crs: str, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
-    """Height of the zero level of a compound CRS above the WGS84 ellipsoid.
+    """Return the height of the zero level of a compound CRS above the WGS84 ellipsoid.
 
     Parameters
     ----------
@@ -70,12 +70,12 @@ def undulation_m(crs: str, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
     Returns
     -------
     (N,) array
-        m.
+        Height in m.
 
     Raises
     ------
     InputError
-        The grid of the geoid is missing, or does not cover a point.
+        The geoid grid is missing, or does not cover a point.
     """
     source = known_crs(crs)
     given = np.stack([np.asarray(x, float), np.asarray(y, float), np.zeros(np.shape(x))], axis=1)
@@ -94,9 +94,9 @@ def undulation_m(crs: str, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
 
 
 def found_grid(error: InputError, folders: Iterable[Path] = ()) -> GeoidFile | None:
-    """Geoid file in PROJ's folders, or in others, under another name or format than a missing operation needs.
+    """Return a geoid file that replaces a missing grid of an operation: same geoid, other name or format.
 
-    None if ``error`` has another reason, or there is no such file.
+    PROJ's folders and ``folders`` are searched. None if ``error`` has another reason, or there is no such file.
     """
     stems = {_stem(name) for name in str(error.problems[0].data.get("grids", "")).split(", ")}
     for folder in folders or map(Path, grid_folders()):
@@ -107,6 +107,6 @@ def found_grid(error: InputError, folders: Iterable[Path] = ()) -> GeoidFile | N
 
 
 def _stem(name: str) -> str:
-    """Name of a grid without suffix, country and agency (``us_nga_``), and with - for _."""
+    """Return the name of a grid without suffix, country and agency (``us_nga_``), and with "-" instead of "_"."""
     parts = Path(name.lower()).stem.split("_", 2)
     return (parts[2] if len(parts) == 3 and len(parts[0]) == 2 else "_".join(parts)).replace("_", "-")
