@@ -1,19 +1,19 @@
-"""Registered equations of image points over arrays, without a Python call per image point.
+"""Registered equations of image points over whole arrays, without a Python call per image point.
 
 An image unknown changes one of a few *components* of an observation (a coordinate of the orbit, an angle, a look
 angle), times a constant *basis* value (1, tau, tau^2, powers of the sample). The Jacobian is therefore a Kronecker
-product with columns left out. Equations are evaluated with the components as their unknowns: at most 11 columns are
-computed and stored for any set of unknowns. *Wide* numbers of an image are its values over (basis, component), basis
-by basis.
+product of which some columns are left out. Equations are evaluated with the components as unknowns, so at most 11
+columns are computed and stored for any set of unknowns. The *wide* numbers of an image are its values for each (basis,
+component), ordered by basis.
 
-Kernels take a range ``[lo, hi)`` and write only its results: any division among threads gives the same bits.
-Observations are sorted by ground point; ``fg_orient.kernels.batch_points`` and ``fg_orient.kernels.batch_pairs``
-process them further.
+Kernels process a range ``[lo, hi)`` and write only the results of this range, so any division among threads gives the
+same bits. Observations are sorted by ground point; ``fg_orient.kernels.batch_points`` and
+``fg_orient.kernels.batch_pairs`` process them further.
 
-Look-angle collinearity (:func:`rows_of_form`): many observations in one vector instruction. Observations are copied in
-blocks to arrays whose entries lie BLOCK apart, and their rows are copied back. Over a block the loop over
-``pushbroom.collinearity`` has neither branches nor calls. Operations are not fused or reordered: a residual is the same
-number in a factor and in a batch, whatever its place in a block.
+Look-angle collinearity (:func:`rows_of_form`) processes many observations with one vector instruction. Observations are
+copied in blocks to arrays whose entries lie BLOCK apart, and their rows are copied back. The loop of
+``pushbroom.collinearity`` over a block has neither branches nor calls. Operations are not fused or reordered: a
+residual is the same number in a factor and in a batch, at any place in a block.
 """
 
 from __future__ import annotations
@@ -45,15 +45,15 @@ from factors.cameras.pushbroom_record import (
 from fg_orient.kernels.batch_rows import Index, frame_rows, rows_of
 from fg_orient.kernels.vectors import N_COMPONENTS, SIDE, turn_in, turn_out, write_eight
 
-#: Observations of one block: with 80 numbers each they stay in the first-level cache.
+#: Number of observations of one block; their 80 numbers each fit in the first-level cache.
 BLOCK: Final = 32
-#: Last of the nine usual components: eight of them are one vector.
+#: Last of the nine usual components; the first eight form one vector.
 YAW: Final = CORRECTION.angles.stop - 1
 
 
 @exact
 def usual(slot: Index) -> bool:
-    """Whether the components are position, velocity and angles, all of them and in this order."""
+    """Return whether the components are exactly position, velocity and angles, in this order."""
     for k in range(len(slot)):
         if slot[k] != k:
             return False
@@ -62,36 +62,36 @@ def usual(slot: Index) -> bool:
 
 @exact
 def places(setup: Array) -> tuple[Index, Index]:
-    """Place of each component among the corrections (11,), and of its derivative among the 14 of a row."""
+    """Return each component's place among the corrections (11,), and its derivative's place among the 14 of a row."""
     slot, column = np.empty(setup.shape[1], np.int64), np.empty(setup.shape[1], np.int64)
     for k in range(setup.shape[1]):
         code = int(setup[0, k])
-        look = code - 3 * CORRECTION.psi_x  # EOP have three codes each
+        look = code - 3 * CORRECTION.psi_x  # each EOP has three codes
         slot[k] = code // 3 if look < 0 else CORRECTION.psi_x + look
         column[k] = slot[k] if look < 0 else ROW.psi_x + look
     return slot, column
 
 
 def any_small_angle(records: Array) -> bool:
-    """Whether an observation has the small-angle form."""
+    """Return whether any observation has the small-angle form."""
     return bool(records[:, RECORD.small_angle].any())
 
 
 @exact
 def any_small(first: int, size: int, members: Index, records: Array, row: Index) -> bool:
-    """Whether an observation of a block has the small-angle form.
+    """Return whether any observation of a block has the small-angle form.
 
-    One number of each cache line of each record is read: records are in the order of the input, and reading these lines
-    together takes 150 ns per observation less than one after the other (measured, random order).
+    One number of each cache line of each record is read. Records are in the order of the input; reading their lines
+    together saves 150 ns per observation (measured, random order).
     """
     flags = 0.0
     for i in range(size):
         r = row[members[first + i]]
-        touched = 0.0  # a separate sum: the next record is requested before this one has arrived
+        touched = 0.0  # separate sum: the next record is requested before this one arrives
         for k in range(0, RECORD.size, SIDE):
             touched += records[r, k]
         flags += records[r, RECORD.small_angle] + 0.0 * touched
-    return flags != 0.0  # also where a number is nan
+    return flags != 0.0  # also true if a number is nan
 
 
 @exact
@@ -122,7 +122,7 @@ def correct(
     first: int, size: int, members: Index, image: Index, slot: Index, n_basis: int, basis: Array, wide: Array,
     d: Array, nine: bool, lines: Index, space: Array,
 ) -> None:  # fmt: skip
-    """Corrections of a block."""
+    """Compute the corrections of a block."""
     c, whole = len(slot), 0
     if nine and n_basis == 3:
         whole = size - size % SIDE
@@ -148,7 +148,7 @@ def scatter(
     first: int, size: int, members: Index, column: Index, out: Array, value: Array, d_image: Array, d_ground: Array,
     want: bool, nine: bool, own: Index,
 ) -> int:  # fmt: skip
-    """Copy the results of a block to the arrays of the observations; the first one that is not finite, or -1."""
+    """Copy the results of a block to the observations' arrays; return the first that is not finite, or -1."""
     bad, c, whole = -1, len(column), 0
     if want and nine and d_image.shape[2] == N_COMPONENTS:
         whole = size - size % SIDE
@@ -177,8 +177,8 @@ def scatter(
 
 @exact
 def _evaluate(constants: Array, d: Array, place: Array, size: int, small: Any, want: bool, out: Array) -> None:
-    """Evaluate a block; ``small`` None: full rotation, the branch of the small-angle form is not compiled."""
-    n, full = np.int64(BLOCK), np.bool_(False)  # typed, so that numba makes no variant for each literal
+    """Evaluate a block; ``small`` None: only the full rotation, without compiling the small-angle form."""
+    n, full = np.int64(BLOCK), np.bool_(False)  # typed, so that numba does not compile each literal
     if small is not None:
         for i in range(size):
             seen, form = observation(constants, i, n), constants[i + RECORD.small_angle * n] > 0.5
@@ -201,27 +201,28 @@ def rows_of_form(
     small: Any, lo: int, hi: int, members: Index, records: Array, row: Index, image: Index, point: Index, setup: Array,
     n_basis: int, basis: Array, wide: Array, ground: Array, value: Array, d_image: Array, d_ground: Array, want: bool,
 ) -> int:  # fmt: skip
-    """Look-angle collinearity of members lo to hi.
+    """Evaluate the look-angle collinearity of members lo to hi.
 
     Parameters
     ----------
     small : None or True
-        True where observations may have the small-angle form; None compiles the full rotation alone.
+        True if observations may have the small-angle form; None compiles only the full rotation.
     members : (m,) int array
-        Observations of the group, by their place in the sorted arrays.
+        Observations of the group: places in the sorted arrays.
     records : (n, d) array
     row, image, point : (n,) int arrays
         Row of ``records``, image and ground point of each sorted observation.
     setup : (2, c) array
-        Of :class:`Columns`.
+        Setup of :class:`Columns`.
     n_basis : int
     basis : (n, b) array
         Basis values; the first ``n_basis`` belong to the group.
     wide : (M, w) array
-        Wide unknowns of the images.
+        Wide numbers of the images.
     ground : (N, 3) array, m
     value, d_image, d_ground : (n, 2), (n, 2, c), (n, 2, 3) arrays
-        Written, whitened; Jacobians only with ``want``, those of images not if ``d_image`` is (n, 2, 0).
+        Results, whitened. Jacobians are written only if ``want`` is True, the image Jacobians not if ``d_image`` is (n,
+        2, 0).
 
     Returns
     -------
@@ -244,34 +245,34 @@ def rows_of_form(
         _evaluate(constants, d, place, size, small, want, out)
         found = scatter(first, size, members, column, out, value, d_image, d_ground, want, nine, own)
         if other and small is None and found < 0:
-            found = first  # not a number
+            found = first  # value is nan
         bad = found if bad < 0 else bad
     return bad
 
 
-#: Rows for images with the full rotation only, and for blocks with images in the small-angle form.
+#: Rows for images with only the full rotation, and for blocks with images in the small-angle form.
 pushbroom_rows, small_angle_rows = partial(rows_of_form, None), partial(rows_of_form, True)
 
 
-#: Number of a basis value of the look polynomial: its degree plus _LOOK; of a curve: its number plus _CURVE.
+#: Number of a basis value: degree of the look polynomial plus _LOOK, or number of the curve plus _CURVE.
 _LOOK: Final = 10
 _CURVE: Final = 100
 
 
 @dataclass(frozen=True)
 class Columns:
-    """Image unknowns of one setup as components times basis values.
+    """Image unknowns of one setup, as products of components and basis values.
 
     Parameters
     ----------
     setup : (2, c) array
-        Setup of the equation with the components as unknowns.
+        Setup of the equation whose unknowns are the components.
     component, basis : (k,) int arrays
         Component and basis value of each unknown.
     scale : (k,) array
         Factor of each unknown.
     values : callable
-        Basis values (n, b) from records (n, d).
+        Function that returns basis values (n, b) of records (n, d).
     """
 
     setup: Array
@@ -287,18 +288,18 @@ class Columns:
 
     @cached_property
     def is_plain(self) -> bool:
-        """Whether the unknowns are the components, and their Jacobian that of the components."""
+        """True if the unknowns, and therefore their Jacobian, are those of the components."""
         same = np.array_equal(self.component, np.arange(self.n_components))
         return same and not self.basis.any() and bool((self.scale == 1.0).all()) and self.values is _ones
 
     @cached_property
     def wide(self) -> Index:
-        """Place (k,) of each unknown among the wide numbers."""
+        """Place of each unknown (k,) among the wide numbers."""
         return self.basis * self.n_components + self.component
 
 
 def _pushbroom_columns(setup: Array) -> Columns:
-    """Components: EOP and look angles with unknowns; basis: powers of tau, powers of the sample, curves."""
+    """Return the EOP and look angles with unknowns as components; powers of tau and sample, and curves, as basis."""
     codes, n_eop = setup[0].astype(np.int64), N_EOP
     eop, look, curve = codes < n_eop, codes - n_eop, codes - CURVE
     constants = np.where(eop, codes - codes % 3, n_eop + look % 2)
@@ -316,7 +317,7 @@ def _pushbroom_columns(setup: Array) -> Columns:
 
 
 def _value(records: Array, name: int) -> Array:
-    """Basis value (n,) by its number."""
+    """Return the basis value (n,) with this number."""
     if name >= _CURVE:
         return np.asarray(records[:, RECORD.size + name - _CURVE])
     look = name > _LOOK
@@ -324,19 +325,19 @@ def _value(records: Array, name: int) -> Array:
 
 
 def _ones(records: Array) -> Array:
-    """One basis value (n, 1), which is 1."""
+    """Return a single basis value (n, 1), which is 1."""
     return np.ones((len(records), 1))
 
 
 def _plain_columns(setup: Array) -> Columns:
-    """Columns with one component per unknown."""
+    """Return columns with one component per unknown."""
     k = setup.shape[1]
     return Columns(
         np.ascontiguousarray(setup), np.arange(k), np.zeros(k, np.int64), np.ones(k), _ones,
     )  # fmt: skip
 
 
-#: Rows and columns of the equations with their own loop; all others use :func:`rows_of`.
+#: Rows and columns of equations with their own loop; all other equations use :func:`rows_of`.
 _BATCHES: Final[dict[str, tuple[Callable[..., int], Callable[[Array], Columns]]]] = {
     pushbroom.LOOK_ANGLE_COLLINEARITY.name: (pushbroom_rows, _pushbroom_columns),
     frame.FRAME_COLLINEARITY.name: (frame_rows, _plain_columns),
@@ -344,13 +345,13 @@ _BATCHES: Final[dict[str, tuple[Callable[..., int], Callable[[Array], Columns]]]
 
 
 def batch(equation: Equation, setup: Array, records: Array) -> tuple[Callable[..., int], Columns]:
-    """Row kernel (see :func:`rows_of_form`) and columns of an equation, for these records."""
+    """Return the row kernel (see :func:`rows_of_form`) and the columns of an equation for these records."""
     rows, columns = _batch(equation, setup.tobytes(), setup.shape)
     return (small_angle_rows if rows is pushbroom_rows and any_small_angle(records) else rows), columns
 
 
 @lru_cache(maxsize=256)
 def _batch(equation: Equation, setup: bytes, shape: tuple[int, ...]) -> tuple[Callable[..., int], Columns]:
-    """Rows and columns, cached: the images of a block have one or a few setups, requested thousands of times."""
+    """Return rows and columns from a cache: a block has few setups, requested thousands of times."""
     rows, columns = _BATCHES.get(equation.name) or (rows_of(equation), _plain_columns)
     return rows, columns(np.frombuffer(setup).reshape(shape))

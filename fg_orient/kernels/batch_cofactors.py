@@ -1,4 +1,4 @@
-"""Cofactors of ground points and rays from the cofactors of the images, and effects of errors on the images.
+"""Cofactors of ground points and rays from the cofactors of images, and the effects of errors on the images.
 
 With the whitened Jacobians J_a (image) and G_a (ground) of the rays a of a point, ``H = sum G_a^T G_a + W^T W`` and
 the joint cofactors Q of the images::
@@ -17,8 +17,8 @@ image i is U_a: a whitened error e of the image point changes the unknowns of th
 
     U_a = sum_b Q_i,i(b) J_b^T (delta_ab I - G_b H^-1 G_a^T)
 
-In the image's own sigmas the size of this change is that of ``L_i^-1 U_a e`` with ``Q_ii = L_i L_i^T`` (external
-reliability, Baarda 1968). ``Q J_b^T`` of each pair of rays is formed once for all of these.
+In units of the image's own sigmas, the size of this change is the size of ``L_i^-1 U_a e`` with ``Q_ii = L_i L_i^T``
+(external reliability, Baarda 1968). ``Q J_b^T`` is formed once for each pair of rays and used for all these quantities.
 """
 
 from __future__ import annotations
@@ -38,29 +38,29 @@ def ray_cofactors(
     inverse: Array, block: Index, q: Array, turned: Array, roots: Any, out: Array, fitted: Any, response: Any,
     effect: Any,
 ) -> None:  # fmt: skip
-    """Write cofactors (P, 3, 3) of points lo to hi; F_a (n, 2, 2), R_a (n, 3, 2) and ``L_i^-1 U_a`` of their rays.
+    """Write cofactors (P, 3, 3) of points lo to hi; for their rays F_a (n, 2, 2), R_a (n, 3, 2) and ``L_i^-1 U_a``.
 
     Parameters
     ----------
     first : (P + 1,) int array
-        First ray of each point; its rays are in the order of their images.
+        First ray of each point; the rays of a point are in the order of their images.
     image : (n,) int array
     size : (M,) int array
-        Unknowns of each image, at most k.
+        Number of unknowns of each image, at most k.
     free : (P,) int array
-        1 for unknown points, 0 for fixed ones, whose F_a is T_aa.
+        1 for unknown points, 0 for fixed points; F_a of a fixed point is T_aa.
     d_image, d_ground : (n, 2, k), (n, 2, 3) arrays
     inverse : (P, 3, 3) array
         H^-1.
     block : (M, M) int array
-        Place in ``q`` of the joint block of two images, row <= column.
+        Place in ``q`` of the common block of two images, row <= column.
     q, turned : (B, k, k) arrays
         Cofactors of the images, and their transposes.
     roots : (M, k, k) array or None
         Transposes of ``L_i^-1``.
     fitted, response, effect : arrays or None
-        ``effect`` is (n, 2, k), a row for an error of line and one of sample. None, as ``roots``: cofactors of the
-        points only.
+        ``effect`` is (n, 2, k), with one row for a line error and one for a sample error. If ``effect`` and ``roots``
+        are None, only cofactors of points are computed.
     """
     e, u, t, w = np.empty((2, q.shape[2])), np.empty((2, q.shape[2])), np.empty((2, 2)), np.empty((2, 2))
     total, half, near = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 2))
@@ -110,9 +110,9 @@ def ray_cofactors(
 
 @threaded
 def _product(turned: Array, rows: Array, n: int, out: Array) -> None:
-    """Write ``(Q x)^T`` (2, k) of two columns ``x = rows^T`` and the transpose of Q, of which n rows are used.
+    """Write ``(Q x)^T`` (2, k) for two columns ``x = rows^T`` and the transpose of Q, of which n rows are used.
 
-    Two rows in one pass take half the time of one; each sum keeps the order of the rows.
+    Two rows in one pass take half the time of one row; each sum keeps the order of the rows.
     """
     for r in range(out.shape[1]):
         out[0, r], out[1, r] = 0.0, 0.0
@@ -130,7 +130,7 @@ def _product(turned: Array, rows: Array, n: int, out: Array) -> None:
 
 @threaded
 def _add_product(a: Array, b: Array, c: Array) -> None:
-    """Add the product of two (3, 3) matrices to a third, in loops: for ``c += d`` numba compiles 40 functions."""
+    """Add the product of two (3, 3) matrices to a third, with loops: for ``c += d`` numba compiles 40 functions."""
     for i in range(3):
         for j in range(3):
             for k in range(3):
@@ -139,7 +139,7 @@ def _add_product(a: Array, b: Array, c: Array) -> None:
 
 @threaded
 def _gather(response: Array, d_ground: Array, a: int, b: int, t: Array) -> None:
-    """Add ``G_b^T T_ba`` to C_a and, for two different rays, ``G_a^T T_ab`` to C_b."""
+    """Add ``G_b^T T_ba`` to C_a and, if the rays differ, ``G_a^T T_ab`` to C_b."""
     for r in range(3):
         for c in range(2):
             for k in range(2):
@@ -182,7 +182,7 @@ def _between(rows: Array, e: Array, n: int, t: Array) -> None:
 
 @threaded
 def _add(total: Array, d_ground: Array, a: int, b: int, t: Array) -> None:
-    """Add ``G_a^T T G_b``, and its transpose for two different rays."""
+    """Add ``G_a^T T G_b`` and, if the rays differ, its transpose."""
     for r in range(3):
         for c in range(3):
             value = 0.0
@@ -206,7 +206,7 @@ def _near(inverse: Array, p: int, d_ground: Array, a: int, near: Array) -> None:
 
 @threaded
 def _add_effect(d_ground: Array, b: int, near: Array, same: bool, e: Array, w: Array, u: Array) -> None:
-    """Add the part of ray b to U_a: ``Q J_b^T (delta_ab I - G_b H^-1 G_a^T)``, with ``near = H^-1 G_a^T``."""
+    """Add the contribution of ray b to U_a: ``Q J_b^T (delta_ab I - G_b H^-1 G_a^T)``, with ``near = H^-1 G_a^T``."""
     for r in range(2):
         for c in range(2):
             w[r, c] = 1.0 if same and r == c else 0.0

@@ -1,9 +1,9 @@
-"""Sums of the rows of each image, where images are eliminated first (``fg_orient.adjustment.images_first``).
+"""Sums over the rows of each image, if images are eliminated first (``fg_orient.adjustment.images_first``).
 
-Image points are in the order of their images: those of image m are ``first[m]`` to ``first[m + 1]``. ``own[m, i]`` is
-the place of the own unknown i among the unknowns of image m, -1: none. ``border[m, j]`` is the place of its unknown j
-in the border, -1: an own one. ``place[a]`` is the first place of the ground point of image point a in the border, -1: a
-constant.
+Image points are in the order of their images: image m has the points ``first[m]`` to ``first[m + 1]``. ``own[m, i]`` is
+the place of its own unknown i among its unknowns, or -1 if there is none. ``border[m, j]`` is the place of its unknown
+j in the border, or -1 if the unknown is its own. ``place[a]`` is the first place in the border of the ground point of
+image point a, or -1 if it is constant.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ def border_sums(
     first: Index, own: Index, border: Index, place: Index, value: Array, d_image: Array, d_ground: Array,
     across: Array, matrix: Array, gradient: Array,
 ) -> None:  # fmt: skip
-    """Add the products of border and own unknowns (M, b, k), the lower triangle (b, b) of the border, its gradient.
+    """Add the products of border and own unknowns (M, b, k), the border's lower triangle (b, b) and its gradient.
 
-    Products with shared unknowns are in the lower triangle because points come last.
+    Products with shared unknowns lie in the lower triangle, because points come last.
     """
     k, w = own.shape[1], border.shape[1]
     x, y, of, at = np.empty(k), np.empty(w), np.empty(w, np.int64), np.empty(w, np.int64)
@@ -94,7 +94,7 @@ def border_sums(
 
 @inlined
 def count(places: Index) -> int:
-    """Number of own unknowns; they come first."""
+    """Return the number of own unknowns, which come first."""
     n = 0
     for i in range(len(places)):
         if places[i] >= 0:

@@ -1,4 +1,4 @@
-"""Blocks of the reduced system written to the matrix that LAPACK factorises, full or banded."""
+"""Copying of blocks of the reduced system to the full or banded matrix that LAPACK factorises."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from fg_orient.kernels.vectors import LINE, SIDE, contiguous, data_of, load, spl
 def _write_lines(
     typing: Any, out: Any, to: Any, given: Any, at: Any, scale: Any, begin: Any, sums: Any, factor: Any, lines: Any
 ) -> Any:  # fmt: skip
-    """Write numbers times ``scale`` from ``begin`` times ``factor``, eight to a line; add absolute values to ``sums``.
+    """Write numbers times ``scale``, from ``begin`` times ``factor``, eight per line; add absolute values to ``sums``.
 
-    Returns the sum of the absolute values.
+    Return the sum of the absolute values.
     """
     contiguous(out, given, scale, sums)
     place, number = types.intp, types.float64
@@ -49,7 +49,7 @@ def _write_lines(
     return signature, generate
 
 
-#: Compiled only; the first argument is numba's.
+#: Only for compiled code; numba supplies the first argument.
 write_lines: Callable[..., float] = intrinsic(_write_lines)
 
 
@@ -58,24 +58,24 @@ def fill_lower(
     row: Index, column: Index, place: Index, size: Index, blocks: Array, diagonal: float, banded: bool, out: Array,
     scale: Array, sums: Array,
 ) -> bool:  # fmt: skip
-    """Write the lower triangle, scaled, column by column: element (r, c) to ``out[c, r]``, banded to ``out[c, r - c]``.
+    """Write the scaled lower triangle by columns: element (r, c) to ``out[c, r]``, banded to ``out[c, r - c]``.
 
-    Returns False where an element of the diagonal is not positive; nothing is written then.
+    Return False, and write nothing, if a diagonal element is not positive.
 
     Parameters
     ----------
     row, column : (B,) int arrays
-        Images of each block (B, k, k); blocks of one image are symmetric.
+        Row image and column image of each block (B, k, k); diagonal blocks are symmetric.
     place, size : (M,) int arrays
-        First unknown of each image in the order of the matrix, and their number.
+        Place in the matrix of the first unknown of each image, and number of its unknowns.
     diagonal : float
-        Added to each element of the diagonal before the matrix is scaled; ``out`` has it in the scale alone.
+        Value added to each diagonal element before scaling; in ``out`` it changes only the scale.
     scale : (n,) array
-        Written: factors of rows and columns that make the diagonal one.
+        Result: factors of rows and columns that make the diagonal one.
     out : (n, n) or (n, band + 1) array
-        Zero where no block writes.
+        Zero if no block is written there.
     sums : (n,) array
-        Written: the sum of the absolute values of each column of the whole scaled matrix.
+        Result: sum of the absolute values of each column of the whole scaled matrix.
     """
     for n in range(len(scale)):
         scale[n] = diagonal
@@ -96,7 +96,7 @@ def fill_lower(
                 lo = p if r == c else 0
                 _fill_row(b, p, lo, size[j], blocks, r, c + p, scale, banded, out, sums)
                 if r == c:
-                    sums[c + p] -= abs(blocks[b, p, p]) * scale[c + p] * scale[c + p]  # it was added twice
+                    sums[c + p] -= abs(blocks[b, p, p]) * scale[c + p] * scale[c + p]  # this element was added twice
         else:
             for q in range(size[j]):
                 _fill_column(b, q, size[i], blocks, c, r + q, scale, banded, out, sums)
@@ -108,7 +108,7 @@ def _fill_row(
     b: int, p: int, lo: int, hi: int, blocks: Array, r: int, c: int, scale: Array, banded: bool, out: Array,
     sums: Array,
 ) -> None:  # fmt: skip
-    """Write row p of a block, from element lo to hi, to rows r + lo ... of column c of the matrix."""
+    """Write elements lo to hi of row p of a block to rows r + lo ... of column c of the matrix."""
     here, shift, lines = scale[c], c if banded else 0, (hi - lo) // SIDE
     to, at = c * out.shape[1] + r + lo - shift, (b * blocks.shape[1] + p) * blocks.shape[2] + lo
     total = write_lines(out, to, blocks, at, scale, r + lo, sums, here, lines)
@@ -124,7 +124,7 @@ def _fill_row(
 def _fill_column(
     b: int, p: int, hi: int, blocks: Array, r: int, c: int, scale: Array, banded: bool, out: Array, sums: Array
 ) -> None:  # fmt: skip
-    """Write column p of a block, to element hi, to rows r ... of column c of the matrix."""
+    """Write column p of a block, up to element hi, to rows r ... of column c of the matrix."""
     here, shift, total = scale[c], c if banded else 0, 0.0
     for q in range(hi):
         value = blocks[b, q, p] * scale[r + q] * here
@@ -138,16 +138,16 @@ def _fill_column(
 def add_shared(
     row: Index, column: Index, first: Index, of: Index, size: Index, blocks: Array, out: Array
 ) -> None:  # fmt: skip
-    """Add blocks (B, k, k) of images, and their mirror images, to the matrix (z, z) of the free unknowns.
+    """Add blocks (B, k, k) of images, and their transposes, to the matrix (z, z) of the free unknowns.
 
     Parameters
     ----------
     row, column : (B,) int arrays
-        Images of each block, row <= column; blocks of one image are symmetric.
+        Row image and column image of each block, row <= column; diagonal blocks are symmetric.
     first, size : (M + 1,), (M,) int arrays
-        First unknown of each image among those of all images, and their number.
+        Position of the first unknown of each image among the unknowns of all images, and number of its unknowns.
     of : (w,) int array
-        Free unknown of each of these; images may have free unknowns in common.
+        Free unknown for each of these unknowns; images may share free unknowns.
     """
     for b in range(len(row)):
         i, j = row[b], column[b]
@@ -162,12 +162,12 @@ def add_shared(
 
 @threaded
 def times_blocks(row: Index, column: Index, blocks: Array, x: Array, out: Array) -> None:
-    """Write the product of a symmetric matrix with a vector; the diagonal blocks are complete.
+    """Write the product of a symmetric matrix with a vector; its diagonal blocks are complete.
 
     Parameters
     ----------
     row, column : (B,) int arrays
-        Places of the blocks (B, k, k) of the upper triangle.
+        Row and column of each block (B, k, k) of the upper triangle.
     x, out : (M, k) arrays
     """
     k = blocks.shape[1]

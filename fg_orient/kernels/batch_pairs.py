@@ -1,17 +1,17 @@
 """Reduced normal equations of the images, after elimination of the ground points.
 
 Two rays a, b of one ground point add ``J_a^T M J_b``, ``M = [a is b] I - Z_a Z_b^T``, ``Z = G R^T``
-(``fg_orient.kernels.batch_points``), to the block of their images. With J = basis kron components the sum over many
-pairs is a sum of ``basis_a basis_b`` times one small matrix of components, with half the arithmetic operations and a
-third of the memory traffic of the full columns.
+(``fg_orient.kernels.batch_points``), to the block of their images. With J = basis kron components, the sum over many
+pairs is a sum of products ``basis_a basis_b`` times one small matrix of components. This takes half the arithmetic
+operations and a third of the memory traffic of the full columns.
 
-Points measured in the same images are adjacent and form a *piece*: its pairs are the same for all its points. Pieces
-are cut into *chunks*, which do not depend on the number of threads. A chunk has its own sums, one *slot* for each block
-to which it adds; :func:`gather_blocks` adds the slots of all chunks in one order.
+Points measured in the same images are adjacent and form a *piece*; all points of a piece have the same pairs. Pieces
+are cut into *chunks*, which do not depend on the number of threads. Each chunk has its own sums, one *slot* for each
+block to which it contributes; :func:`gather_blocks` adds the slots of all chunks in a fixed order.
 
-Rows are added to up to three sums eight at once: an element of a sum is loaded and stored once for eight rows, and an
+Eight rows at once are added to up to three sums. An element of a sum is loaded and stored once for eight rows; an
 element of a row is loaded once for three sums, whose weights remain in registers. The nine sums of a pair of rays take
-20 ns one by one, 16 ns by threes (measured).
+20 ns one by one and 16 ns in groups of three (measured).
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ from fg_orient.kernels.vectors import (
     store,
 )
 
-#: Sums at once: where vectors are narrower there are not enough registers for the weights of three.
+#: Number of sums processed together; with narrower vectors the registers cannot hold the weights of three.
 TOGETHER: Final = 3 if LANES == 8 else 1
 _FUSED: Final = ("contract",)
 
 
 def _sum(builder: Any, first: Any, factors: list[Any], rows: list[Any]) -> Any:
-    """``first`` plus all products; for eight and four rows the second half has a separate sum."""
+    """Return ``first`` plus all products; for eight and four rows the second half has a separate sum."""
     total, half = [first], len(rows) // 2
     for r, (factor, row) in enumerate(zip(factors, rows, strict=True)):
         product = builder.fmul(factor, row, flags=_FUSED)
@@ -59,7 +59,7 @@ def _sum(builder: Any, first: Any, factors: list[Any], rows: list[Any]) -> Any:
 
 
 def _adder(rows: int) -> Callable[..., None]:
-    """Make the function that adds this number of rows to one, two or three sums."""
+    """Return the function that adds this number of rows to one, two or three sums."""
 
     def emit(builder: Any, pointers: list[Any], steps: Any, vectors: Any, sums: int) -> None:
         def follow(k: int, count: int) -> list[Any]:
@@ -99,16 +99,16 @@ def _adder(rows: int) -> Callable[..., None]:
     return compiled
 
 
-#: Compiled only; the first argument is numba's. ``f(out, at, apart, t, begin, stride, weight, w, width, vectors,
-#: sums)``: to sums from ``at`` of ``out``, ``apart``, add eight, four, two rows or one from ``begin`` of ``t``,
-#: ``stride`` behind each other, times the numbers of ``weight`` from ``w``, ``width`` further for the next sum;
-#: ``vectors`` times LANES elements.
+#: Only for compiled code; numba supplies the first argument. ``f(out, at, apart, t, begin, stride, weight, w, width,
+#: vectors, sums)`` adds eight, four, two rows or one row to sums. The rows begin at ``begin`` of ``t``, ``stride``
+#: apart; the sums begin at ``at`` of ``out``, ``apart`` from each other. The factors begin at ``w`` of ``weight``,
+#: ``width`` further for the next sum. A row has ``vectors`` times LANES elements.
 _eight, _four, _two, _one = _adder(8), _adder(4), _adder(2), _adder(1)
 
 
 @threaded
 def _add(n: int, weight: Array, m: int, sums: int, t: Array, end: int, out: Array, s: int) -> None:
-    """Add n rows to up to TOGETHER sums: by eights, then the remainder by four, two and one."""
+    """Add n rows to up to TOGETHER sums: first eight at a time, then the remainder by four, two and one."""
     size, stride, width, k = out.shape[2], t.shape[1], weight.shape[1], 0
     at, w, vectors = (s * out.shape[1] + m) * size, m * width, end // LANES
     while k + 8 <= n:
@@ -126,12 +126,12 @@ def _add(n: int, weight: Array, m: int, sums: int, t: Array, end: int, out: Arra
 
 @threaded
 def add_rows(n: int, weight: Array, m: int, sums: int, t: Array, end: int, out: Array, s: int) -> None:
-    """Add n rows of t, ``end`` numbers each, times rows m ... m + sums - 1 of ``weight``, to ``out[s, m]`` ..."""
+    """Add n rows of t, of ``end`` numbers each, times rows m ... m + sums - 1 of ``weight``, to ``out[s, m]`` ..."""
     for first in range(m, m + sums, TOGETHER):
         _add(n, weight, first, min(TOGETHER, m + sums - first), t, end, out, s)
 
 
-#: Points whose pairs are formed before they are added: their data remain in the cache.
+#: Number of points whose pairs are formed before they are added, so that their data remain in the cache.
 BATCH = 24
 
 
@@ -139,7 +139,7 @@ BATCH = 24
 def _form(
     n: int, a: int, b: int, rays: int, base: int, d_image: Array, scaled: Array, c_a: int, c_b: int, t: Array
 ) -> None:  # fmt: skip
-    """Write ``D_a^T M D_b`` of the pair a, b and of the next n - 1 pairs, in steps of ``rays``, to the rows of t."""
+    """Write ``D_a^T M D_b`` of the pair a, b and of the next n - 1 pairs, ``rays`` apart, to the rows of t."""
     same = 1.0 if a == b else 0.0
     for k in range(n):
         i, j = a + k * rays - base, b + k * rays - base
@@ -165,8 +165,8 @@ def _form(
 
 @threaded
 def _weigh(n: int, a: int, b: int, rays: int, basis: Array, b_a: int, b_b: int, weight: Array) -> None:
-    """Write the products of basis values (b_a b_b, n) of the pair a, b and of the next n - 1 pairs."""
-    if b_a == 3 and b_b == 3:  # 1, tau, tau^2: the usual case, in a third of the time
+    """Write the products of basis values (b_a b_b, n) for the pair a, b and the next n - 1 pairs."""
+    if b_a == 3 and b_b == 3:  # 1, tau, tau^2: the usual case, three times as fast
         for k in range(n):
             i, j = a + k * rays, b + k * rays
             x0, x1, x2, y0, y1, y2 = basis[i, 0], basis[i, 1], basis[i, 2], basis[j, 0], basis[j, 1], basis[j, 2]
@@ -185,7 +185,10 @@ def _add_gradient(
     n: int, a: int, rays: int, base: int, n_b: int, n_c: int, basis: Array, value: Array, line: int, sample: int,
     d_image: Array, t: Array, weight: Array, out: Array, s: int,
 ) -> None:  # fmt: skip
-    """Add ``D^T r`` of the ray a and of the next n - 1 to the gradient of a slot; ``line``, ``sample``: r in value."""
+    """Add ``D^T r`` of ray a and of the next n - 1 to a slot's gradient.
+
+    ``line``, ``sample``: columns of r in value.
+    """
     for k in range(n):
         i = a + k * rays - base
         q0, q1 = value[i, line], value[i, sample]
@@ -204,25 +207,25 @@ def pair_blocks(
     lo: int, hi: int, chunks: Index, pieces: Index, slots: Small, slot_begin: Index, image: Small, n_basis: Index,
     n_components: Index, basis: Array, base: int, d_image: Array, scaled: Array, sums: Array, gradients: Array,
 ) -> None:  # fmt: skip
-    """Write sums (S, b^2, e) over pairs of basis values and of components, and gradients (S, b, c), of chunks lo to hi.
+    """Write sums (S, b^2, e) over pairs of basis values and components, and gradients (S, b, c), of chunks lo to hi.
 
     Parameters
     ----------
     chunks, slot_begin : (N + 1,) int arrays
         First piece and first slot of each chunk.
     pieces : (Q, 5) int array
-        First image point, first place, number of points, rays of each, first of its ``slots``.
+        First image point, first place, number of points, number of rays of each point, and first of its ``slots``.
     slots : int array
-        Slot of each pair of rays j <= k of a piece, by j, then k; -1 for none.
+        Slot of each pair of rays j <= k of a piece, ordered by j, then k; -1 if there is none.
     base : int
-        Image point of row 0 of ``d_image`` (n, 2, c) and ``scaled`` (n, 8: Z, residuals reduced by the point);
-        ``basis`` and ``image`` contain all image points. ``d_image`` is followed by
-        :data:`fg_orient.kernels.vectors.SLACK` further numbers.
+        Number of the image point in row 0 of ``d_image`` (n, 2, c) and ``scaled`` (n, 8: Z, residuals reduced by the
+        point); ``basis`` and ``image`` contain all image points. At least :data:`fg_orient.kernels.vectors.SLACK`
+        further numbers must follow ``d_image`` in memory.
     sums : (S, b^2, e) array
         Components c, d of a sum are at :func:`fg_orient.kernels.vectors.place_in_sum`.
     """
     size = sums.shape[2]
-    # one row more than used: the last product of nine writes beyond its row
+    # one extra row, because the last product of nine writes beyond its row
     t, weight = aligned(BATCH + 1, max(size, gradients.shape[2])), np.zeros((sums.shape[1], BATCH))
     for g in range(lo, hi):
         own = slice(slot_begin[g], slot_begin[g + 1])
@@ -252,7 +255,7 @@ def pair_blocks(
                             )  # fmt: skip
                             continue
                         add_rows(n, weight, 0, b_a * b_b, t, end, sums, s)
-                        if i == j:  # two rays in one image: both orders
+                        if i == j:  # two rays in one image: add both orders
                             _form(n, b, a, rays, base, d_image, scaled, c_b, c_a, t)
                             _weigh(n, b, a, rays, basis, b_b, b_a, weight)
                             add_rows(n, weight, 0, b_a * b_b, t, end, sums, s)
@@ -263,7 +266,7 @@ def image_gradients(
     lo: int, hi: int, chunks: Index, pieces: Index, slots: Small, slot_begin: Index, image: Small, n_basis: Index,
     n_components: Index, basis: Array, base: int, value: Array, d_image: Array, gradients: Array,
 ) -> None:  # fmt: skip
-    """Write the gradients (S, b, c) of chunks lo to hi, not reduced; see :func:`pair_blocks`."""
+    """Write the unreduced gradients (S, b, c) of chunks lo to hi; see :func:`pair_blocks`."""
     t, weight = np.zeros((BATCH, gradients.shape[2])), np.zeros((gradients.shape[1], BATCH))
     for g in range(lo, hi):
         gradients[slot_begin[g] : slot_begin[g + 1]] = 0.0
@@ -284,18 +287,18 @@ def gather_blocks(
     lo: int, hi: int, begin: Index, order: Small, own: Small, row: Index, column: Index, sums: Array, wide: Index,
     scale: Array, size: Index, n_basis: Index, n_components: Index, out: Array,
 ) -> None:  # fmt: skip
-    """Add the slots of blocks lo to hi and pick the unknowns that exist: (B, k, k).
+    """Add the slots of blocks lo to hi, and select the existing unknowns: (B, k, k).
 
     Parameters
     ----------
     begin, order : (B + 1,), (S,) int arrays
         Slots of each block.
     own : (S,) int array
-        1 where each ray is paired with itself: of these sums only basis p <= q is given.
+        1 if each ray is paired with itself: such sums are given only for basis p <= q.
     row, column : (B,) int arrays
-        Images of each block.
+        Row image and column image of each block.
     wide, scale : (M, k) arrays
-        Place and factor of the unknowns of each image, ``size`` (M,) of them.
+        Place and factor of each image's unknowns, of which there are ``size`` (M,).
     """
     b2, end = sums.shape[1], sums.shape[2]
     total, half = np.empty((b2, end)), np.empty((b2, end))
@@ -354,9 +357,9 @@ def gather_gradients(
     begin: Index, order: Small, own: Small, row: Index, column: Index, gradients: Array, wide: Index, scale: Array,
     size: Index, n_components: Index, out: Array,
 ) -> None:  # fmt: skip
-    """Add up the gradients (S, b, c) of the slots of each image, for the unknowns that exist, to ``out`` (u,).
+    """Add the gradients (S, b, c) of each image's slots, for the existing unknowns, to ``out`` (u,).
 
-    The other parameters are those of :func:`gather_blocks`.
+    For the other parameters see :func:`gather_blocks`.
     """
     first = np.empty(len(size) + 1, np.int64)
     first[0] = 0
@@ -376,7 +379,7 @@ def gather_gradients(
 
 @threaded
 def widen(image: Array, wide: Index, scale: Array, size: Index, out: Array) -> None:
-    """Write unknowns (M, k), in the units of the components, to their places among the wide numbers (M, w)."""
+    """Write unknowns (M, k), in units of the components, to their places among the wide numbers (M, w)."""
     for i in range(len(size)):
         for p in range(size[i]):
             out[i, wide[i, p]] = image[i, p] * scale[i, p]

@@ -1,9 +1,9 @@
-"""Ground points of a block eliminated (3 x 3 blocks, gradients, reduced rows), and their steps after the images'.
+"""Elimination of ground points (3 x 3 blocks, gradients, reduced rows), and their steps after the images' steps.
 
-With the whitened Jacobians J (image) and G (ground) of the image points, ``H = sum G^T G + W^T W`` of a ground point,
-its diagonal increased by the share ``damping``, ``H^-1 = R^T R`` (R the inverse Cholesky factor, lower triangular).
-A solution x of the reduced system gives a point's step ``-H^-1 (g + sum G^T J x)``. Arrays:
-``fg_orient.kernels.batch``.
+The image points of a ground point have the whitened Jacobians J (image) and G (ground). The block of the ground point
+is ``H = sum G^T G + W^T W``; ``damping`` is the share by which its diagonal is increased. ``H^-1 = R^T R``, where R is
+the inverse Cholesky factor, lower triangular. A solution x of the reduced system gives the point's step
+``-H^-1 (g + sum G^T J x)``. For the arrays see ``fg_orient.kernels.batch``.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from factors.records import Record
 from fg_orient.kernels.batch_rows import Flags, Index, Small
 from fg_orient.kernels.vectors import row_along
 
-Block = tuple[float, float, float, float, float, float]  # lower triangle: 00 10 11 20 21 22
+Block = tuple[float, float, float, float, float, float]  # order of the lower triangle: 00 10 11 20 21 22
 Gradient = tuple[float, float, float]
 
-#: Lower triangle R of a ground point; for its rays both rows of Z = G R^T and the residuals reduced by the point.
+#: Lower triangle R of a ground point; and for each ray, both rows of Z = G R^T and the residuals reduced by the point.
 ROOT: Final = Record(r00=1, r10=1, r11=1, r20=1, r21=1, r22=1)
 SCALED: Final = Record(line="x0 x1 x2", sample="y0 y1 y2", residuals="r_line r_sample")
 ZERO_BLOCK: Final = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 ZERO_GRADIENT: Final = (0.0, 0.0, 0.0)
-#: A point is not determined if a pivot is below this part of its diagonal element.
+#: A point is undetermined if a pivot is smaller than this fraction of its diagonal element.
 SINGULAR = 1e-14
 
 
@@ -37,7 +37,7 @@ def point_blocks(
     lo: int, hi: int, first: Small, number: Small, free: Flags, control: Array, ground: Array, damping: float,
     base: int, value: Array, d_ground: Array, root: Array, gradient: Array, scaled: Array,
 ) -> int:  # fmt: skip
-    """Write R (P, 6) as ``ROOT`` and the gradient (P, 3); of each ray Z = G R^T and reduced residuals, ``SCALED``.
+    """Write R (P, 6) as ``ROOT`` and the gradient (P, 3); for each ray Z = G R^T and reduced residuals, ``SCALED``.
 
     Parameters
     ----------
@@ -46,16 +46,17 @@ def point_blocks(
     number : (P,) int array
         Row of the point in ``control`` and ``ground``.
     free : (P,) int array
-        0 for a constant, 1 for an unknown, 2 for an unknown with a control-point equation.
+        0 for a constant, 1 for an unknown, 2 for an unknown that has a control-point equation.
     control : (N, 12) array
         Records of observed points, ``factors.conditions.control.POINT``.
     base : int
-        Observation of row 0 of ``value`` (n, 2), ``d_ground`` (n, 2, 3), ``scaled`` (n, 8: Z, ``residual - Z R g``).
+        Number of the observation in row 0 of ``value`` (n, 2), ``d_ground`` (n, 2, 3), ``scaled`` (n, 8: Z,
+        ``residual - Z R g``).
 
     Returns
     -------
     int
-        The first point that is not determined, or -1.
+        The first undetermined point, or -1.
     """
     bad = -1
     for p in range(lo, hi):
@@ -88,7 +89,7 @@ def point_blocks(
 
 @threaded
 def _with_control(control: Array, ground: Array, j: int, h: Block, g: Gradient) -> tuple[Block, Gradient]:
-    """Block and gradient with the three equations of a control point."""
+    """Return block and gradient including the three equations of a control point."""
     x, y = ground[j, 0] - control[j, POINT.x], ground[j, 1] - control[j, POINT.y]
     z = ground[j, 2] - control[j, POINT.z]
     for w0, w1, w2 in (
@@ -102,7 +103,7 @@ def _with_control(control: Array, ground: Array, j: int, h: Block, g: Gradient) 
 
 @threaded
 def _with(h: Block, g: Gradient, x: float, y: float, z: float, residual: float) -> tuple[Block, Gradient]:
-    """Block and gradient after adding one equation."""
+    """Return block and gradient after adding one equation."""
     return (
         (h[0] + x * x, h[1] + y * x, h[2] + y * y, h[3] + z * x, h[4] + z * y, h[5] + z * z),
         (g[0] + x * residual, g[1] + y * residual, g[2] + z * residual),
@@ -111,7 +112,7 @@ def _with(h: Block, g: Gradient, x: float, y: float, z: float, residual: float) 
 
 @threaded
 def _inverse_root(h: Block) -> tuple[bool, Block]:
-    """Inverse of the Cholesky factor of a lower triangle; zeros, and False, if it is singular."""
+    """Return the inverse Cholesky factor of a lower triangle, and True; zeros and False if it is singular."""
     if not h[0] > 0.0:
         return False, ZERO_BLOCK
     l00 = math.sqrt(h[0])
@@ -129,7 +130,7 @@ def _inverse_root(h: Block) -> tuple[bool, Block]:
     return True, (r00, -l10 * r00 * r11, r11, r20, -l21 * r11 * r22, r22)
 
 
-#: Number of rays for which space is reserved; more are allocated when needed.
+#: Number of rays for which space is reserved; more space is allocated when needed.
 MOST_RAYS = 64
 
 
@@ -137,7 +138,7 @@ MOST_RAYS = 64
 def _along(
     a: int, base: int, d_image: Array, basis: Array, i: int, wide: Array, n_basis: int, n_components: int
 ) -> tuple[float, float]:
-    """Product of the image Jacobian of observation a with the wide unknowns of image i."""
+    """Return the product of the image Jacobian of observation a with the wide unknowns of image i."""
     if n_basis == 3 and n_components == 9 and d_image.shape[2] == 9:
         return row_along(d_image, 18 * (a - base), basis, a * basis.shape[1], wide, i * wide.shape[1])
     y0, y1 = 0.0, 0.0
@@ -156,9 +157,9 @@ def back_substitute(
     wide: Array, base: int, value: Array, d_image: Array, d_ground: Array, root: Array, gradient: Array, step: Array,
     squares: Array,
 ) -> None:  # fmt: skip
-    """Write the steps (P, 3) of the points of chunks lo to hi, and the sums of the squares of the linear residuals.
+    """Write the steps (P, 3) of the points of chunks lo to hi, and the sums of squared linear residuals.
 
-    ``places`` (N + 1,): first point of each chunk; ``squares`` (N,); others: see
+    ``places`` (N + 1,) gives the first point of each chunk; ``squares`` is (N,). For the other parameters see
     :func:`point_blocks`.
     """
     along = np.empty((MOST_RAYS, 2))
@@ -191,9 +192,10 @@ def reduced_product(
     lo: int, hi: int, cuts: Index, first: Small, image: Small, n_basis: Index, n_components: Index, basis: Array,
     wide: Array, d_image: Array, d_ground: Array, root: Array, out: Array,
 ) -> None:  # fmt: skip
-    """Write products of the reduced matrix of shares lo to hi of the points with unknowns of the images.
+    """Write the products of the reduced matrix, from shares lo to hi of the points, with unknowns of the images.
 
-    ``J^T (J x - G H^-1 sum G^T J x)``, without the matrix. The whole product is the sum of all shares.
+    The product ``J^T (J x - G H^-1 sum G^T J x)`` is computed without forming the matrix. The whole product is the sum
+    of all shares.
 
     Parameters
     ----------
@@ -201,7 +203,7 @@ def reduced_product(
         First point of each share.
     wide : (M, w) array
     d_image, d_ground : (n, 2, c), (n, 2, 3) arrays
-        Of all image points.
+        Jacobians of all image points.
     out : (N, M, w) array
     """
     along = np.empty((MOST_RAYS, 2))
@@ -231,7 +233,7 @@ def reduced_product(
 
 @threaded
 def _newton(root: Array, p: int, t0: float, t1: float, t2: float) -> Gradient:
-    """Product of ``-H^-1`` of a point with a vector."""
+    """Return the product of a point's ``-H^-1`` with a vector."""
     r0, r1, r2 = root[p, ROOT.r00], root[p, ROOT.r10], root[p, ROOT.r11]
     r3, r4, r5 = root[p, ROOT.r20], root[p, ROOT.r21], root[p, ROOT.r22]
     u0, u1, u2 = r0 * t0, r1 * t0 + r2 * t1, r3 * t0 + r4 * t1 + r5 * t2
@@ -244,9 +246,10 @@ def product(
     basis: Array, wide: Array, base: int, share: float, value: Array, d_image: Array, d_ground: Array, step: Array,
     squares: Array,
 ) -> None:  # fmt: skip
-    """Sum the squares of ``share`` of the residuals plus the Jacobian times a given step, by chunk.
+    """Sum by chunk the squares of ``share`` times the residuals plus the Jacobian times a given step.
 
-    ``wide``: the step of the images; ``step`` (P, 3): that of the points. Others: see :func:`back_substitute`.
+    ``wide`` is the step of the images, ``step`` (P, 3) the step of the points. For the other parameters see
+    :func:`back_substitute`.
     """
     for n in range(lo, hi):
         total = 0.0
@@ -286,7 +289,7 @@ def control_squares(ground: Array, control: Array, observed: Index, out: Array) 
     control : (N, 12) array
         Records of observed points, ``factors.conditions.control.POINT``.
     observed : (m,) int array
-        Rows of both.
+        Row of each observed point in both arrays.
     """
     for k in range(len(observed)):
         j = observed[k]
@@ -300,14 +303,14 @@ def control_squares(ground: Array, control: Array, observed: Index, out: Array) 
 
 @threaded
 def move(number: Small, step: Array, ground: Array) -> None:
-    """Add steps (P, 3) to the ground points (N, 3) with these numbers (P,)."""
+    """Add steps (P, 3) to the ground points (N, 3) with the numbers (P,)."""
     for p in range(len(number)):
         for k in range(3):
             ground[number[p], k] += step[p, k]
 
 
 def newton_steps(root: Array, gradient: Array) -> Array:
-    """Newton steps (n, 3) ``-R^T R g`` of points with the images held."""
+    """Return the Newton steps (n, 3) ``-R^T R g`` of points while the images are held fixed."""
     r, (g0, g1, g2) = root.T, gradient.T
     u0, u1 = r[ROOT.r00] * g0, r[ROOT.r10] * g0 + r[ROOT.r11] * g1
     u2 = r[ROOT.r20] * g0 + r[ROOT.r21] * g1 + r[ROOT.r22] * g2
@@ -319,7 +322,7 @@ def newton_steps(root: Array, gradient: Array) -> Array:
 
 
 def decreases(root: Array, gradient: Array) -> Array:
-    """Squares (n,) of R g of points: twice the decrease that a Newton step predicts."""
+    """Return the squares (n,) of R g of points: twice the decrease predicted for a Newton step."""
     r, (g0, g1, g2) = root.T, gradient.T
     u2 = r[ROOT.r20] * g0 + r[ROOT.r21] * g1 + r[ROOT.r22] * g2
     return np.asarray((r[ROOT.r00] * g0) ** 2 + (r[ROOT.r10] * g0 + r[ROOT.r11] * g1) ** 2 + u2**2)

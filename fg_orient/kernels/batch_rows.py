@@ -1,12 +1,12 @@
-"""Rows of any registered equation of image points over arrays; layout: ``fg_orient.kernels.batch``.
+"""Rows of any registered equation of image points over arrays; ``fg_orient.kernels.batch`` describes the layout.
 
-The loop calls the scalar function of the equation: a residual is the same number in a factor and in a batch. Some
-equations have a faster loop (``fg_orient.kernels.batch``), which is optional. Kernels take a range ``[lo, hi)`` and
-write only its results: any division among threads gives the same bits.
+The loop calls the scalar function of the equation, so a residual is the same number in a factor and in a batch. Some
+equations also have a faster loop (``fg_orient.kernels.batch``). Kernels process a range ``[lo, hi)`` and write only the
+results of this range, so any division among threads gives the same bits.
 
-The loop over frame images computes the camera of an image (rotation with its Jacobian, projection centre, interior
-orientation) at the image's first ray in the range and keeps it in a table, so that only the pixel and its weights are
-read from a record.
+The loop over frame images computes an image's camera (rotation with its Jacobian, projection centre, interior
+orientation) at the image's first ray in the range. It keeps the camera in a table, so that only the pixel and its
+weights are read from a record.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Index = npt.NDArray[np.int64]
 Small = np.ndarray[tuple[int], np.dtype[np.int32]]
 Flags = np.ndarray[tuple[int], np.dtype[np.int8]]
 
-#: Functions of the equation that the loops below call: :func:`rows_of` binds them.
+#: Functions of the equation that the loops below call; :func:`rows_of` sets them.
 fill: Any = None
 kernel: Any = None
 
@@ -38,10 +38,10 @@ def _rows(
     lo: int, hi: int, members: Index, records: Array, row: Index, image: Index, point: Index, setup: Array,
     n_basis: int, basis: Array, wide: Array, ground: Array, value: Array, d_image: Array, d_ground: Array, want: bool,
 ) -> int:  # fmt: skip
-    """Rows of members lo to hi; see :func:`fg_orient.kernels.batch.rows_of_form`.
+    """Evaluate the rows of members lo to hi; see :func:`fg_orient.kernels.batch.rows_of_form`.
 
-    Record (1, d) and ground point (3,) are copied: a view of a shared array counts references in one place for all
-    threads, which would wait for each other (two threads were no faster than one).
+    Record (1, d) and ground point (3,) are copied. A view of a shared array would count references in one place for all
+    threads, which would then wait for each other (two threads were no faster than one).
     """
     c, bad = setup.shape[1], -1
     x, out, record, place = np.empty(c), np.empty((2, c + 4)), np.empty((1, records.shape[1])), np.empty(3)
@@ -68,7 +68,7 @@ def _rows(
 
 
 def _filled(records: Array, row: int, setup: Array, x: Array, place: Array, out: Array, want: bool) -> bool:
-    """``fill`` of an equation without one; see ``factors._contract.Equation``."""
+    """Write one row with the kernel of an equation without ``fill``; see ``factors._contract.Equation``."""
     c = len(x)
     residual, by_image, by_ground = kernel(records[row], setup, x, place, want)
     fits = len(residual) == 2 and (not want or (by_image.shape == (2, c) and by_ground.shape == (2, 3)))
@@ -86,15 +86,15 @@ def _filled(records: Array, row: int, setup: Array, x: Array, place: Array, out:
 
 
 def _bound(loop: Any, equation: Equation, name: str, function: Any) -> Any:
-    """Compile a loop of this module for an equation; plain Python if the equation's function is not compiled."""
+    """Compile a loop of this module for an equation; return plain Python if the equation is not compiled."""
     own = FunctionType(loop.__code__, {**loop.__globals__, name: function}, loop.__name__)
-    own.__qualname__ = f"{loop.__name__}_{equation.name}"  # the compiled code of each equation has its own file
+    own.__qualname__ = f"{loop.__name__}_{equation.name}"  # the compiled code of each equation needs its own file
     return threaded(own) if hasattr(function, "py_func") else own
 
 
 @cache
 def rows_of(equation: Equation) -> Callable[..., int]:
-    """Row kernel of a registered equation with the arguments (image, ground point) and two residuals."""
+    """Return the row kernel of a registered equation with arguments (image, ground point) and two residuals."""
     own = equation.fill or _bound(_filled, equation, "kernel", equation.kernel)
     rows: Callable[..., int] = _bound(_rows, equation, "fill", own)
     return rows
@@ -105,7 +105,7 @@ def frame_rows(
     lo: int, hi: int, members: Index, records: Array, row: Index, image: Index, point: Index, setup: Array,
     n_basis: int, basis: Array, wide: Array, ground: Array, value: Array, d_image: Array, d_ground: Array, want: bool,
 ) -> int:  # fmt: skip
-    """Frame collinearity of members lo to hi; see :func:`fg_orient.kernels.batch.rows_of_form`."""
+    """Evaluate the frame collinearity of members lo to hi; see :func:`fg_orient.kernels.batch.rows_of_form`."""
     c, bad, d = setup.shape[1], -1, np.zeros((2, frame.COLUMN.size))
     table, known = np.empty((len(wide), CAMERA.size)), np.zeros(len(wide), np.bool_)
     column, sigma = frame.columns_of(setup), setup[1].copy()

@@ -1,6 +1,6 @@
-"""Image points sorted for the reduction: by ground point, points by the images that see them, cut into pieces.
+"""Sorting of image points for the reduction: by ground point, points by their images; and cutting into pieces.
 
-Counting sorts, one pass each; layout: ``fg_orient.kernels.batch_pairs``.
+Each counting sort needs one pass; ``fg_orient.kernels.batch_pairs`` describes the layout.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ from factors._compile import threaded
 from factors._plain import few_in_python
 from fg_orient.kernels.batch_rows import Flags, Index, Small
 
-#: Multiplier of a hash over a sequence (Knuth 1998, 6.4): 2^64 over the golden ratio, odd.
+#: Multiplier for the hash of a sequence (Knuth 1998, 6.4): 2^64 divided by the golden ratio, odd.
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 
 
 @few_in_python
 @threaded
 def sort_by(key: Index, order: Small, counts: Index, out: Small) -> None:
-    """Stable sort of ``order`` by ``key`` of its rows; ``counts`` (largest key + 2,) is overwritten."""
+    """Sort ``order`` stably by the ``key`` of its rows; ``counts`` (largest key + 2,) is overwritten."""
     counts[:] = 0
     for n in range(len(order)):
         counts[key[order[n]] + 1] += 1
@@ -34,10 +34,10 @@ def sort_by(key: Index, order: Small, counts: Index, out: Small) -> None:
 @threaded
 def signatures(order: Small, point: Index, image: Index, constant: Flags, n_images: int, key: Index, code: Index,
                start: Small) -> int:  # fmt: skip
-    """Describe the images of each ground point of a sorted list; returns the number of points.
+    """Describe the images of each ground point of a sorted list, and return the number of points.
 
-    Written for each point: ``key`` (first and last image, rays, constant or not), ``code`` (hash over its images) and
-    ``start``, its first row in ``order``, with the end of the last.
+    The results for each point are ``key`` (first and last image, number of rays, constant or not), ``code`` (hash of
+    its images) and ``start`` (its first row in ``order``; the last entry is the end).
     """
     total = 0
     n = 0
@@ -61,7 +61,7 @@ def arrange(
     points: Index, start: Small, order: Small, image_of: Index, point_of: Index, row: Small, image: Small,
     point: Small, first: Small,
 ) -> None:  # fmt: skip
-    """Write the image points in the order of ``points`` (places of :func:`signatures`), and the first of each."""
+    """Write the image points in the order of ``points`` (places of :func:`signatures`), and each point's first row."""
     n = 0
     for p in range(len(points)):
         first[p] = n
@@ -76,7 +76,7 @@ def arrange(
 def cut_pieces(
     first: Small, image: Small, free: Flags, fences: Flags, limit: int, pieces: Index, chunks: Index
 ) -> tuple[int, int]:  # fmt: skip
-    """Write the pieces (P, 5) and the first piece of each chunk (P + 1,); returns both numbers.
+    """Write the pieces (P, 5) and the first piece of each chunk (P + 1,); return both numbers.
 
     A chunk begins at each point with a fence (P,), and at each point whose first image point reaches a multiple of
     ``limit``.
@@ -108,10 +108,10 @@ def cut_pieces(
 def list_entries(
     pieces: Index, chunks: Index, image: Small, free: Flags, n_images: int, block: Index, kind: Index
 ) -> None:  # fmt: skip
-    """Write for each pair of rays of each piece its block (row times images plus column) and its kind.
+    """Write the block (row times number of images plus column) and kind of each pair of rays of each piece.
 
-    The kind is twice the chunk, plus 1 for a ray with itself; -1 for two rays of a constant point, which
-    have no common unknown.
+    The kind is twice the chunk, plus 1 for a ray with itself. It is -1 for two rays of a constant point, which have no
+    common unknown.
     """
     for g in range(len(chunks) - 1):
         for q in range(chunks[g], chunks[g + 1]):

@@ -23,26 +23,26 @@ import numpy as np
 from factors._contract import Array, compiled, inlined
 from factors.records import Record
 
-#: Result of a window: place in the second image, its covariance (px^2), matrix A, correlation of the grey values.
+#: Result for a window: place in the second image, its covariance (px^2), matrix A, and correlation of the grey values.
 FIT = Record(place="line sample", covariance="line_line line_sample sample_sample",
              affine="a_11 a_12 a_21 a_22", correlation=1, noise=1, gain=1)  # fmt: skip
 #: Approximate place and matrix A of a window.
 START = Record(place="line sample", affine="a_11 a_12 a_21 a_22")
-#: Unknowns of a window with slope and curvature along the epipolar line, and of one with the whole matrix A.
+#: Unknowns of a window with slope and curvature along the epipolar line, and of a window with the whole matrix A.
 UNKNOWN = Record(
     line=1, sample=1, offset=1, gain=1, slope="slope_line slope_sample",
     curvature="line_line line_sample sample_sample",
 )  # fmt: skip
 OF_AFFINE = Record(line=1, sample=1, offset=1, gain=1, affine="a_11 a_12 a_21 a_22")
-#: Kinds of windows, by their number of unknowns: centre only; with slope; with matrix A; with slope and curvature.
+#: Kinds of windows, by number of unknowns: only the centre; with slope; with matrix A; with slope and curvature.
 SHIFT, SLOPE, AFFINE, CURVED = 4, 6, OF_AFFINE.size, UNKNOWN.size
-#: A step of the centre below this, pixels, ends the iteration.
+#: The iteration ends if the step of the centre is smaller than this, pixels.
 STEP_PX = 0.003
 
 
 @inlined
 def _weights(x: float, w: Any, d: Any) -> None:
-    """Weights of the cubic B-spline and of its derivative at x in [0, 1) from the second of four coefficients."""
+    """Return the weights of cubic B-spline and of its derivative at x in [0, 1) from second of four coefficients."""
     y = 1.0 - x
     w[0], w[3] = y * y * y / 6.0, x * x * x / 6.0
     w[1] = 2.0 / 3.0 - 0.5 * x * x * (2.0 - x)
@@ -56,16 +56,16 @@ def fit_window(
     template: Any, spline: Any, centre: Array, start: Array, direction: Array, kind: int, half: int, spread: float,
     most: int, reach: float, out: Array,
 ) -> bool:  # fmt: skip
-    """Match one window; False if it leaves an image, meets nodata, moves beyond ``reach`` or does not converge.
+    """Match one window; return False if it leaves an image, meets nodata, moves beyond ``reach`` or does not converge.
 
     Parameters
     ----------
     template : (P, Q) float array
-        Grey values of the first image; nan: nodata.
+        Grey values of the first image; nan for nodata.
     spline : (R, S) float array
-        Coefficients of the cubic B-spline of the second image; nan: nodata.
+        Coefficients of the cubic B-spline of the second image; nan for nodata.
     centre : (2,) array
-        Whole line and sample of the window's centre in ``template``.
+        Line and sample of the window's centre in ``template``, whole numbers.
     start : (START.size,) array
         Approximate line and sample in ``spline``, and A by rows.
     direction : (2,) array
@@ -73,7 +73,7 @@ def fit_window(
     kind : int
         SHIFT, SLOPE, AFFINE or CURVED.
     half : int
-        The window has 2 half + 1 lines and samples.
+        Half size: the window has 2 half + 1 lines and samples.
     spread : float
         Standard deviation of the Gaussian weights, pixels.
     most : int
@@ -103,7 +103,7 @@ def fit_window(
             square += p * f * f
     mean /= total
     deviation = square / total - mean * mean
-    if not deviation > 0.0:  # nan: nodata
+    if not deviation > 0.0:  # nan for nodata
         return False
     gain, offset, chi2 = 1.0, 0.0, 0.0
     for iteration in range(most + 1):
@@ -156,7 +156,7 @@ def fit_window(
                     right[s] -= p * row[s] * e
                     for t in range(s + 1):
                         normal[s, t] += p * row[s] * row[t]
-        if iteration == 0:  # radiometric unknowns at the start
+        if iteration == 0:  # set the radiometric unknowns
             sum_g /= total
             covariance, variance = sum_fg / total - mean * sum_g, sum_gg / total - sum_g * sum_g
             if not (covariance > 0.0 and variance > 0.0):
@@ -183,7 +183,7 @@ def fit_window(
             break
         if iteration == most:
             return False
-    # weights P of a Gaussian window: n = (sum p)^2 / sum p^2 observations of weight 1
+    # effective number of observations of a Gaussian window: n = (sum p)^2 / sum p^2
     effective = min(float(n * n), 4.0 * np.pi * spread * spread)
     noise = chi2 / total * effective / max(effective - k, 1.0)
     out[FIT.line], out[FIT.sample] = q0, q1
@@ -204,7 +204,7 @@ def fit_window(
 
 @inlined
 def _solve(normal: Any, right: Any, x: Any) -> bool:
-    """Solve by Cholesky's factorisation of the lower triangle in place of a copy; False if it is not positive."""
+    """Solve by the Cholesky factor of the lower triangle, in a copy; return False if it is not positive definite."""
     k = len(right)
     factor = normal.copy()
     for s in range(k):
@@ -236,7 +236,10 @@ def fit_windows(
     template: Any, spline: Any, centre: Array, start: Array, direction: Array, kind: int, half: int, spread: float,
     most: int, reach: float, out: Array, done: Any,
 ) -> None:  # fmt: skip
-    """Match N windows by :func:`fit_window`; all arrays of a window have N rows, and ``done`` (N,) is its answer."""
+    """Match N windows by :func:`fit_window`.
+
+    Each array has N rows, and ``done`` (N,) contains the results True or False.
+    """
     for m in range(len(centre)):
         done[m] = fit_window(
             template, spline, centre[m], start[m], direction[m], kind, half, spread, most, reach, out[m]

@@ -1,8 +1,8 @@
-"""Rendering of an image by rays: ground points of pixel corners on a DEM, ground texture averaged over pixels.
+"""Rendering of an image by rays: ground points of pixel corners on a DEM, and texture averaged over pixels.
 
-A ray is given by its map coordinates as polynomials of the height (it is curved by map projection and Earth curvature
-only). It is followed from the highest DEM value downwards, in steps of half a cell, to its first intersection with the
-bilinear surface.
+The map coordinates of a ray are polynomials of the height (only map projection and Earth curvature bend it). It is
+followed from the highest DEM value downwards, in steps of half a cell, to its first intersection with the bilinear
+surface.
 """
 
 from __future__ import annotations
@@ -15,29 +15,29 @@ from factors._contract import Array, compiled, inlined
 from factors.records import Record
 from fg_orient.kernels.resampling import SCALING, surface_height
 
-#: Values of a knot: DEM row and column as c0 + c1 t + c2 t^2 of the scaled height t in [-1, 1].
+#: Numbers of a knot: DEM row and column as c0 + c1 t + c2 t^2 of the scaled height t in [-1, 1].
 RAY = Record(row="row_0 row_1 row_2", column="column_0 column_1 column_2")
-#: Centre of the first DEM cell and the size of a cell, m.
+#: Centre of the first DEM cell, and size of a cell, m.
 TO_MAP = Record(x=1, y=1, cell=1)
 #: Radii of a target, m.
 RADII = Record(disc=1, ring=1)
 #: Lines and samples between knots.
 STEP = Record(line=1, sample=1)
-#: Place in the DEM.
+#: Position in the DEM.
 CELL = Record(row=1, column=1)
-#: Halvings of the step in which a ray intersects the surface: from half a cell of 30 m to 0.01 mm.
+#: Number of halvings of the step that crosses the surface: from half a cell of 30 m to 0.01 mm.
 HALVINGS = 21
-#: Texture samples along each side of a pixel.
+#: Number of texture samples along each side of a pixel.
 SAMPLES = 4
-#: Grey values: disc, ring about it, ground.
+#: Grey values of the disc, the ring around it, and the ground.
 DISC, RING, GROUND = 240.0, 15.0, 110.0
-#: Edges (m) and amplitudes of the two octaves of the ground's texture.
+#: Edge lengths (m) and amplitudes of the two scales of the ground's texture.
 EDGES_M, AMPLITUDES = (130.0, 17.0), (45.0, 30.0)
 
 
 @inlined
 def _noise(i: int, j: int) -> float:
-    """Pseudo-random number in [-1, 1] of a knot of the texture (mixing as in MurmurHash3's finalizer)."""
+    """Return the pseudo-random number in [-1, 1] of a knot of the texture (mixing as in MurmurHash3's finalizer)."""
     h = (np.uint64(i) * np.uint64(0x9E3779B97F4A7C15)) ^ (np.uint64(j) * np.uint64(0xC2B2AE3D27D4EB4F))
     h = (h ^ (h >> np.uint64(33))) * np.uint64(0xFF51AFD7ED558CCD)
     h = (h ^ (h >> np.uint64(33))) * np.uint64(0xC4CEB9FE1A85EC53)
@@ -46,7 +46,7 @@ def _noise(i: int, j: int) -> float:
 
 @compiled
 def ground_grey(x: float, y: float) -> float:
-    """Grey value of the ground at map coordinates (m): smooth random relief of two sizes."""
+    """Return the grey value of the ground at map coordinates (m): smooth random relief of two sizes."""
     grey = GROUND
     for k in range(2):
         edge = EDGES_M[k]
@@ -62,14 +62,14 @@ def ground_grey(x: float, y: float) -> float:
 
 @inlined
 def _at(k: Any, t: float) -> Any:
-    """DEM row and column of a ray at the scaled height t."""
+    """Return the DEM row and column of a ray at the scaled height t."""
     row = k[RAY.row_0] + t * (k[RAY.row_1] + t * k[RAY.row_2])
     return row, k[RAY.column_0] + t * (k[RAY.column_1] + t * k[RAY.column_2])
 
 
 @compiled
 def _meet(k: Array, heights: Array, scaling: Array, out: Array) -> None:
-    """DEM row and column where a ray first intersects the surface; nan if it leaves the heights before."""
+    """Return DEM row and column where a ray first meets the surface; nan if it leaves the range of heights before."""
     rows, columns = 2.0 * k[RAY.row_1], 2.0 * k[RAY.column_1]  # cells along the ray
     n = int(2.0 * np.sqrt(rows * rows + columns * columns)) + 2
     above, below = 1.0, np.nan
@@ -94,20 +94,20 @@ def _meet(k: Array, heights: Array, scaling: Array, out: Array) -> None:
 @compiled
 def corners(first_line: int, first_sample: int, step: Array, knots: Array, heights: Array, scaling: Array,
             out: Array) -> None:  # fmt: skip
-    """Fill DEM row and column (R + 1, C + 1, 2) of the intersections of the rays of pixel corners with the surface.
+    """Fill ``out`` with DEM row and column where the rays of pixel corners meet the surface.
 
     Parameters
     ----------
     first_line, first_sample : int
-        First pixel; its first corner is at minus half a pixel.
+        First pixel; its first corner lies half a pixel before its centre.
     step : (2,) array
-        Lines and samples between knots, the first knot at the outer corner of pixel (0, 0).
+        Lines and samples between knots; the first knot is the outer corner of pixel (0, 0).
     knots : (M, N, 6) array
-        See ``RAY``; bilinear between knots.
+        Numbers ``RAY`` of each knot, interpolated bilinearly.
     heights : (P, Q) array
         DEM, m.
     scaling : (2,) array
-        t = (height - offset) / scale, ``SCALING``; t = 1 is not below any height.
+        ``SCALING`` of t = (height - offset) / scale; no height is above t = 1.
     out : (R + 1, C + 1, 2) array
         Result.
     """
@@ -140,24 +140,24 @@ def _grey(x: float, y: float, targets: Any, near: Any, n: int, disc: float, ring
 
 @inlined
 def _between(p: Any, q: Any, s: Any, t: Any, axis: int, u: float, v: float) -> Any:
-    """Bilinear coordinate between four corners."""
+    """Return the coordinate interpolated bilinearly between four corners."""
     return (p[axis] * (1.0 - v) + q[axis] * v) * (1.0 - u) + (s[axis] * (1.0 - v) + t[axis] * v) * u
 
 
 @compiled
 def expose(corner: Array, to_map: Array, targets: Array, radii: Array, out: Any) -> None:
-    """Fill grey values (R, C), 1 to 254, each the mean of 4 x 4 places of its pixel; 0 if a corner has no ground point.
+    """Fill grey values (R, C), 1 to 254, each the mean of 4 x 4 places in its pixel; 0 if a corner has no ground point.
 
     Parameters
     ----------
     corner : (R + 1, C + 1, 2) array
         DEM row and column of pixel corners.
     to_map : (3,) array
-        ``TO_MAP``: x = x_0 + column cell, y = y_0 - row cell are centres of DEM cells.
+        ``TO_MAP``: centres of DEM cells are x = x_0 + column cell, y = y_0 - row cell.
     targets : (T, 2) array
         Map coordinates of the targets' centres.
     radii : (2,) array
-        Radii of the disc and of the ring around it, m: ``RADII``.
+        ``RADII``: radii of the disc and of the ring around it, m.
     out : (R, C) uint8 array
         Result.
     """

@@ -1,7 +1,7 @@
-"""Resampling of rasters: place of a map pixel in the image, and the grey value there.
+"""Resampling of rasters: position of a map pixel in the image, and the grey value there.
 
-Pixels are (line, sample) or (row, column), (0, 0) = centre of the first pixel. Nodata is nan.
-Kernel of the cubic convolution: Keys (1981), eq. 4 with his a = -1/2, and a = -1 of Simon (1975) and Rifman (1973).
+Pixels are (line, sample) or (row, column), (0, 0) = centre of the first pixel. Nodata is nan. The kernel of cubic
+convolution is eq. 4 of Keys (1981) with his a = -1/2, and with a = -1 of Simon (1975) and Rifman (1973).
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ from factors._contract import Array, compiled, inlined
 from factors.records import Record
 
 NEAREST, BILINEAR, CUBIC = 0, 1, 2
-#: Values of a knot: DEM row, DEM column; line and sample as c0 + c1 t + c2 t^2 of the scaled height t.
+#: Numbers of a knot: DEM row and column; line and sample as c0 + c1 t + c2 t^2 of the scaled height t.
 KNOT = Record(row=1, column=1, line="line_0 line_1 line_2", sample="sample_0 sample_1 sample_2")
 SCALING = Record(offset=1, scale=1)
 #: Part of a raster of heights: its first row and column.
 PART = Record(row=1, column=1)
 LIMITS = Record(first_line=1, last_line=1, first_sample=1, last_sample=1)
-#: Largest distance, in pixels, at which a kernel may need values.
+#: Largest distance, in pixels, from which a kernel needs values.
 REACH = 2
 
 
 @inlined
 def surface_height(heights: Any, row: float, column: float) -> Any:
-    """Height of a raster at one place, bilinear between centres; nan outside or next to nodata."""
+    """Return the height of a raster at one place, bilinear between centres; nan outside or next to nodata."""
     rows, columns = heights.shape
     if not (0.0 <= row <= rows - 1.0 and 0.0 <= column <= columns - 1.0):
         return np.nan
@@ -42,16 +42,16 @@ def pixel_positions(
     first_row: int, first_column: int, step: int, knots: Array, heights: Array, part: Array, scaling: Array,
     limits: Array, line: Array, sample: Array,
 ) -> tuple[int, int, int]:  # fmt: skip
-    """Fill line and sample (R, C) of the map pixels of a window; nan where there is no height or no image.
+    """Fill line and sample (R, C) of the map pixels of a window; nan if there is no height or no image.
 
     Parameters
     ----------
     first_row, first_column : int
         First pixel of the window in the map.
     step : int
-        Map pixels between two knots, the same for rows and columns; the first knot is map pixel (0, 0).
+        Map pixels between two knots, for rows and columns; the first knot is map pixel (0, 0).
     knots : (M, N, 8) array
-        See ``KNOT``; bilinear between knots.
+        Numbers ``KNOT`` of each knot, interpolated bilinearly.
     heights : (P, Q) array
         DEM, m: all its cells that the window needs.
     part : (2,) array
@@ -66,7 +66,8 @@ def pixel_positions(
     Returns
     -------
     tuple of int
-        Number of pixels inside the DEM that have no height but are in the image at t = 0; row and column of the first.
+        Number of pixels that lie inside the DEM without a height but in the image at t = 0; row and column of the
+        first.
     """
     holes, hole_row, hole_column = 0, -1, -1
     a, b, k = np.empty(KNOT.size), np.empty(KNOT.size), np.empty(KNOT.size)
@@ -104,7 +105,7 @@ def pixel_positions(
 
 @inlined
 def _weights(kind: int, a: float, x: float, w: Any) -> int:
-    """Write the weights of pixels; returns the first pixel minus floor; ``x``, 0 to 1, counts from the floor."""
+    """Write the weights of pixels, and return the first pixel minus floor; ``x``, 0 to 1, is relative to the floor."""
     if kind == NEAREST:
         w[0] = 1.0
         return 1 if x >= 0.5 else 0
@@ -122,12 +123,12 @@ def _weights(kind: int, a: float, x: float, w: Any) -> int:
 @compiled
 def resample(image: Array, first_line: int, first_sample: int, line: Array, sample: Array, kind: int, a: float,
              out: Array) -> int:  # fmt: skip
-    """Fill grey values (R, C) at the places; nan where the place, or a pixel with a weight other than 0, is nan.
+    """Fill grey values (R, C) at the places; nan if the place is nan, or a pixel with a nonzero weight is nan.
 
     Parameters
     ----------
     image : (P, Q) array
-        Window of the image; beyond it its border pixels are repeated.
+        Window of the image; its border pixels are repeated outside.
     first_line, first_sample : int
         First pixel of the window in the image.
     line, sample : (R, C) arrays
@@ -141,7 +142,7 @@ def resample(image: Array, first_line: int, first_sample: int, line: Array, samp
     Returns
     -------
     int
-        Number of places with a value.
+        Number of places that have a value.
     """
     taps = 1 if kind == NEAREST else 2 if kind == BILINEAR else 4
     rows, columns, n = image.shape[0], image.shape[1], 0

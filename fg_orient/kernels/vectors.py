@@ -1,9 +1,9 @@
-"""Inner loops as vector instructions of 512 bits where the processor has them, otherwise of 256 bits.
+"""Inner loops with vector instructions of 512 bits, or 256 bits if the processor has no wider ones.
 
-They are written out because the compiler does not generate them: it unrolls a loop of nine before it could vectorise
-it, and it tests before each sum of rows (``fg_orient.kernels.batch_pairs``) whether the arrays overlap, which takes as
-long as the sum. Nine components per image point are the usual case (position, velocity, angles): their product takes
-14 ns instead of 50 (measured). All arrays are contiguous; places are those of their elements in memory.
+They are written explicitly because the compiler does not generate them. It unrolls a loop of nine before it could
+vectorise it; and it tests before each sum of rows (``fg_orient.kernels.batch_pairs``) whether the arrays overlap, which
+takes as long as the sum. Nine components per image point (position, velocity, angles) are the usual case: their product
+takes 14 ns instead of 50 (measured). All arrays are contiguous; a place is the position of an element in memory.
 """
 
 from __future__ import annotations
@@ -23,68 +23,68 @@ from factors._contract import Array
 
 
 def _has(feature: str) -> bool:
-    """Whether kernels are compiled for a processor with this feature (NUMBA_CPU_FEATURES, else the processor)."""
+    """Return whether kernels are compiled for a feature of the processor (or of NUMBA_CPU_FEATURES)."""
     if config.CPU_FEATURES is not None:
         return f"+{feature}" in config.CPU_FEATURES.split(",")
     return bool(binding.get_host_cpu_features().get(feature))
 
 
-#: Numbers of one vector; the bits of a sum do not depend on it.
+#: Number of elements of one vector; the bits of a sum do not depend on it.
 LANES: Final = 8 if _has("avx512f") else 4
-#: Numbers that are read beyond nine, because vectors are read completely.
+#: Number of elements read beyond nine, because whole vectors are read.
 SLACK: Final = -9 % LANES
 _INT: Final = ir.IntType(64)
 
 
 def padded(n: int) -> int:
-    """Least multiple of :data:`LANES` that holds n numbers."""
+    """Return the smallest multiple of :data:`LANES` that is at least n."""
     return -(-n // LANES) * LANES
 
 
 def splat(builder: Any, number: Any, lanes: int = LANES) -> Any:
-    """All lanes one number."""
+    """Return a vector with the same number in all lanes."""
     empty = ir.Constant(ir.VectorType(ir.DoubleType(), lanes), ir.Undefined)
     one = builder.insert_element(empty, number, ir.Constant(ir.IntType(32), 0))
     return builder.shuffle_vector(one, empty, ir.Constant(ir.VectorType(ir.IntType(32), lanes), [0] * lanes))
 
 
 def _sum(builder: Any, a: Any, x: Any, b: Any, y: Any) -> Any:
-    """``a x + b y``, fused."""
+    """Return ``a x + b y``, computed with fused operations."""
     flags = ("contract",)
     return builder.fadd(builder.fmul(a, x, flags=flags), builder.fmul(b, y, flags=flags), flags=flags)
 
 
 def data_of(context: Any, builder: Any, kind: Any, array: Any) -> Any:
-    """Address of the first element of an array."""
+    """Return the address of the first element of an array."""
     make_array: Callable[..., Any] = arrayobj.make_array
     return make_array(kind)(context, builder, array).data
 
 
 def _vector_at(builder: Any, pointer: Any, offset: Any, lanes: int) -> Any:
-    """Address of a vector of numbers from an offset."""
+    """Return the address of a vector that begins at an offset."""
     place = ir.Constant(_INT, offset) if isinstance(offset, int) else offset
     return builder.bitcast(builder.gep(pointer, [place]), ir.VectorType(ir.DoubleType(), lanes).as_pointer())
 
 
 def load(builder: Any, pointer: Any, offset: Any, lanes: int = LANES) -> Any:
-    """A vector of numbers from an offset."""
+    """Return the vector that begins at an offset."""
     out = builder.load(_vector_at(builder, pointer, offset, lanes))
     out.align = 8
     return out
 
 
 def store(builder: Any, vector: Any, pointer: Any, offset: Any) -> None:
-    """Write a vector from an offset."""
+    """Write a vector at an offset."""
     builder.store(vector, _vector_at(builder, pointer, offset, vector.type.count)).align = 8
 
 
 def number_at(builder: Any, pointer: Any, offset: int) -> Any:
-    """All lanes the number at an offset."""
+    """Return a vector with the number at an offset in all lanes."""
     return splat(builder, builder.load(builder.gep(pointer, [ir.Constant(_INT, offset)])))
 
 
 def _columns(builder: Any, kind: Any, context: Any, array: Any, width: Any, row: Any) -> tuple[Any, Any]:
-    """Addresses of both lines of a row of an array (n, 2, width)."""
+    """Return the addresses of both lines of a row of an array (n, 2, width)."""
     first = builder.gep(
         data_of(context, builder, kind, array), [builder.mul(builder.mul(row, width), ir.Constant(_INT, 2))]
     )
@@ -94,10 +94,10 @@ def _columns(builder: Any, kind: Any, context: Any, array: Any, width: Any, row:
 def _outer_nine(
     typing: Any, out: Any, at: Any, rows: Any, width: Any, a: Any, b: Any, m00: Any, m01: Any, m10: Any, m11: Any
 ) -> Any:
-    """Write ``T = D_a^T M D_b`` (9 x 9) from place ``at`` of ``out``; D are rows a and b of ``rows`` (n, 2, width).
+    """Write ``T = D_a^T M D_b`` (9 x 9) from place ``at`` of ``out``; D_a, D_b are rows a, b of ``rows`` (n, 2, width).
 
-    First eight columns of T, row by row, then the ninth, so that no vector extends over two cache lines:
-    :func:`place_in_sum`. Nine columns of D are used, and more are read; the product is :func:`padded`.
+    The first eight columns of T are written row by row, then the ninth, so that no vector crosses a cache line:
+    :func:`place_in_sum`. Nine columns of D are used, but more are read; the product is :func:`padded`.
     """
     number, place = types.float64, types.intp
     signature = types.void(out, place, rows, place, place, place, number, number, number, number)
@@ -139,14 +139,17 @@ def _combine_nine(typing: Any, out: Any, at: Any, rows: Any, width: Any, a: Any,
     return signature, generate
 
 
-#: Compiled only; the first argument is numba's.
+#: Only for compiled code; numba supplies the first argument.
 outer_nine: Callable[..., None] = intrinsic(_outer_nine)
 combine_nine: Callable[..., None] = intrinsic(_combine_nine)
 
 
 @threaded
 def place_in_sum(c: int, d: int, c_a: int, c_b: int) -> int:
-    """Place of the product of components c of c_a and d of c_b; of nine by nine as ``outer_nine`` writes it."""
+    """Return the place of the product of components c of c_a and d of c_b.
+
+    ``outer_nine`` writes nine by nine in this order.
+    """
     if c_a == 9 and c_b == 9:
         return 8 * c + d if d < 8 else 72 + c
     return c * c_b + d
@@ -154,38 +157,38 @@ def place_in_sum(c: int, d: int, c_a: int, c_b: int) -> int:
 
 @threaded
 def aligned(rows: int, width: int) -> Array:
-    """Zeros (rows, width) from the start of a cache line: vectors over two lines are half as fast (measured)."""
+    """Return zeros (rows, width) at the start of a cache line: vectors across two lines are half as fast (measured)."""
     space = np.zeros(rows * width + 8)
     skip = (-space.ctypes.data % 64) // 8
     return space[skip : skip + rows * width].reshape(rows, width)
 
 
-#: Numbers along a side of a tile; processors with narrower vectors take several for a line. Tiles are transposed where
-#: arrays are stored observation by observation and computed side by side: to copy the 34 numbers of a record one by one
-#: takes 9 ns, by tiles half of it (measured).
+#: Side length of a tile in numbers; processors with narrower vectors use several vectors per line. Tiles are transposed
+#: if arrays are stored by observation but computed side by side: copying the 34 numbers of a record one by one takes 9
+#: ns, by tiles half of that (measured).
 SIDE: Final = 8
 _LANE: Final = ir.IntType(32)
 LINE: Final = ir.VectorType(ir.DoubleType(), SIDE)
 
 
 def contiguous(*arrays: Any) -> None:
-    """Refuse, during compilation, an array that is not contiguous."""
+    """Refuse an array that is not contiguous, during compilation."""
     if any(a.layout != "C" for a in arrays):
         raise errors.TypingError("tiles are read from contiguous arrays only")
 
 
 def element(builder: Any, pointer: Any, at: Any, k: int) -> Any:
-    """Number k after a place."""
+    """Return the number k after a place."""
     return builder.load(builder.gep(pointer, [builder.add(at, ir.Constant(at.type, k))]))
 
 
 def _shuffled(builder: Any, line: Any, lanes: list[int]) -> Any:
-    """Lanes of a line, in this order."""
+    """Return the selected lanes of a line, in this order."""
     return builder.shuffle_vector(line, line, ir.Constant(ir.VectorType(_LANE, len(lanes)), lanes))
 
 
 def total_of(builder: Any, line: Any) -> Any:
-    """Sum of the lanes: halves, quarters, neighbours, so that the bits do not depend on the processor."""
+    """Return the sum of the lanes: by halves, quarters, neighbours, so that the bits do not depend on the processor."""
     for half in (4, 2, 1):
         low, high = (_shuffled(builder, line, list(range(at, at + half))) for at in (0, half))
         line = builder.fadd(low, high)
@@ -193,7 +196,7 @@ def total_of(builder: Any, line: Any) -> Any:
 
 
 def _swapped(builder: Any, a: Any, b: Any, apart: int) -> tuple[Any, Any]:
-    """Lines a and b after exchanging their off-diagonal squares of ``apart`` numbers."""
+    """Return lines a and b after exchanging their off-diagonal squares of ``apart`` numbers."""
     index = ir.VectorType(_LANE, SIDE)
     low = [k if not k & apart else SIDE + k - apart for k in range(SIDE)]
     high = [k + apart if not k & apart else SIDE + k for k in range(SIDE)]
@@ -201,7 +204,7 @@ def _swapped(builder: Any, a: Any, b: Any, apart: int) -> tuple[Any, Any]:
 
 
 def _turned(builder: Any, tile: list[Any]) -> list[Any]:
-    """Columns of eight lines."""
+    """Return the transpose of eight lines."""
     for apart in (4, 2, 1):
         for k in (k for k in range(SIDE) if not k & apart):
             tile[k], tile[k + apart] = _swapped(builder, tile[k], tile[k + apart], apart)
@@ -209,20 +212,20 @@ def _turned(builder: Any, tile: list[Any]) -> list[Any]:
 
 
 def _listed(builder: Any, base: Any, places: Any, shift: Any) -> list[Any]:
-    """Addresses ``places[k] + shift``."""
+    """Return the addresses ``places[k] + shift``."""
     listed = [builder.load(builder.gep(places, [ir.Constant(shift.type, k)])) for k in range(SIDE)]
     return [builder.gep(base, [builder.add(place, shift)]) for place in listed]
 
 
 def _spaced(builder: Any, base: Any, at: Any, apart: Any) -> list[Any]:
-    """Addresses ``at + k apart``."""
+    """Return the addresses ``at + k apart``."""
     return [
         builder.gep(base, [builder.add(at, builder.mul(ir.Constant(at.type, k), apart))]) for k in range(SIDE)
     ]  # fmt: skip
 
 
 def _turner(gathers: bool) -> Callable[..., None]:
-    """Make the function that copies lines at listed places to columns ``apart``, or lines ``apart`` to listed ones."""
+    """Return a function that copies lines at listed places to columns, or lines to columns at listed places."""
 
     def turn(typing: Any, source: Any, target: Any, places: Any, shift: Any, at: Any, apart: Any) -> Any:
         contiguous(source, target, places)
@@ -243,23 +246,24 @@ def _turner(gathers: bool) -> Callable[..., None]:
     return compiled
 
 
-#: Compiled only; the first argument is numba's. ``f(source, target, places, shift, at, apart)``: lines from
-#: ``places[k] + shift`` of the source become columns, the first from ``at`` of the target, ``apart``; and lines from
-#: ``at``, ``apart``, become columns from ``places[k] + shift`` of the target.
+#: Only for compiled code; numba supplies the first argument. ``f(source, target, places, shift, at, apart)``.
+#: ``turn_in``: lines at ``places[k] + shift`` of the source become columns of the target, from ``at`` on, ``apart``
+#: from each other. ``turn_out``: lines of the source from ``at`` on, ``apart`` from each other, become columns at
+#: ``places[k] + shift`` of the target.
 turn_in, turn_out = _turner(gathers=True), _turner(gathers=False)
 
 
-#: Position, velocity and angles of a pushbroom image with quadratic polynomials, the usual case: nine components that
-#: are sums of three basis values times unknowns. As plain loops the sums take 17 ns for an observation, and its row
-#: times a step 18; here 4 and 5 (measured).
+#: The usual case: position, velocity and angles of a pushbroom image with quadratic polynomials; nine components, each
+#: a sum of three basis values times unknowns. With plain loops the sums of an observation take 17 ns, and its row times
+#: a step 18; here they take 4 and 5 (measured).
 N_BASIS: Final = 3
 N_COMPONENTS: Final = 9
 
 
 def _write_eight(typing: Any, out: Any, to: Any, wide: Any, at: Any, basis: Any, place: Any) -> Any:
-    """Write to ``out`` from ``to`` the first eight components of unknowns from ``at`` of ``wide``.
+    """Write, from ``to`` of ``out``, the first eight components of the unknowns from ``at`` of ``wide``.
 
-    Products and sums are rounded one by one, in the order of a loop that starts with zero.
+    Each product and sum is rounded, in the order of a loop that starts with zero.
     """
     contiguous(out, wide, basis)
     signature = types.void(out, types.intp, wide, types.intp, basis, types.intp)
@@ -278,7 +282,7 @@ def _write_eight(typing: Any, out: Any, to: Any, wide: Any, at: Any, basis: Any,
 
 
 def _row_along(typing: Any, rows: Any, row: Any, basis: Any, place: Any, wide: Any, at: Any) -> Any:
-    """Both lines of a Jacobian from ``row`` of ``rows`` times the components of unknowns from ``at`` of ``wide``."""
+    """Return both lines of a Jacobian (``row`` of ``rows``) times components of unknowns from ``at`` of ``wide``."""
     contiguous(rows, basis, wide)
     pair: Any = types.UniTuple
     signature = pair(types.float64, 2)(rows, types.intp, basis, types.intp, wide, types.intp)
@@ -311,6 +315,6 @@ def _row_along(typing: Any, rows: Any, row: Any, basis: Any, place: Any, wide: A
     return signature, generate
 
 
-#: Compiled only; the first argument is numba's.
+#: Only for compiled code; numba supplies the first argument.
 write_eight: Callable[..., None] = intrinsic(_write_eight)
 row_along: Callable[..., tuple[float, float]] = intrinsic(_row_along)
