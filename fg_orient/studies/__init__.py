@@ -1,1 +1,1 @@
-"""Studies on the twin and on published data: experiments, published procedures, comparisons."""
+"""Studies on synthetic blocks and published data: experiments, published procedures, comparisons."""

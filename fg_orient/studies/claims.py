@@ -1,10 +1,10 @@
-"""Claims that a faithful reproduction must satisfy, each assessed on the synthetic blocks of several seeds.
+"""Claims that a faithful reproduction must satisfy, each assessed on synthetic blocks of several seeds.
 
-A claim is a function ``study -> Outcome``: whether the claim holds, with its figures. :class:`Study` is one seed and
-computes each result once. :func:`run_claims` runs the claims over seeds and gives pass rates with Wilson's interval; a
-claim is met at 90 % or more. No published value is used here. The bounds are the bounds of the claims
-(docs/reproduce.md), so a claim that fails is reported, not adapted. This module contains the claims on solvers, C8 to
-C16 and C22.
+A claim is a function ``study -> Outcome``, which states whether the claim holds and gives its figures. :class:`Study`
+is one seed and computes each result once. :func:`run_claims` runs the claims over seeds and returns pass rates with
+Wilson's interval; a rate of 90 % or more meets the claim. No published value is used here. The bounds are those stated
+in docs/reproduce.md; a claim that fails is reported, and its bound is not changed. This module contains the claims on
+solvers, C8 to C16 and C22.
 """
 
 from __future__ import annotations
@@ -33,27 +33,29 @@ from fg_orient.studies.two_stage import TwoStage
 #: Synthetic block of the published experiments: 1 px of image noise, look angles bent by 3 microrad.
 TWIN = ZonguldakOptions(point_set="H-10", image_noise_px=1.0, distortion_rad=3e-6)
 #: The same block for the program, with the radial velocity and the attitude of real SPOT-5 scenes. On a circular orbit
-#: without attitude the program's matrices are orthonormal, and its constant residual is zero.
+#: with zero attitude the matrices of the authors' program would be orthonormal, and its constant residual would be
+#: zero.
 AS_RUN_TWIN = replace(TWIN, radial_velocity_m_s=8.0, attitude_rad=(-1.6e-4, -7.2e-4, 9e-4))
-#: Sets with redundant unknowns; the thesis calls them ill-conditioned.
+#: EOP sets with redundant unknowns; the thesis calls them ill-conditioned.
 ILL_CONDITIONED = (5, 13, 15, 17, 19, 20)
-#: Sets with the velocity: least squares gives very large errors.
+#: EOP sets that include the velocity: least squares gives very large errors.
 WITH_VELOCITY = (5, 13, 17, 19, 20)
 TARGET_M = 5.0
-#: Solvers of N x = b without threshold and regularisation, except Cramer's rule: the minors of a matrix in raw units
-#: lose more digits than any elimination (claims C8 and C11 give its figures).
+#: Solvers of N x = b without threshold or regularisation. Cramer's rule is left out: in raw units the minors of a
+#: matrix lose more digits than any elimination (claims C8 and C11 give its figures).
 EXACT = ("pivot_inverse", "gauss_inverse", "cholesky_inverse", "gauss_elimination", "gauss_partial_pivot_elimination",
          "cholesky_elimination")  # fmt: skip
 
 
 class Study:
-    """The published procedure on the synthetic block of one seed.
+    """Published procedure on the synthetic block of one seed.
 
     Parameters
     ----------
     seed : int
     switches : Switches
-        Differences of the authors' program; with any the block has the radial velocity and attitude of a real scene.
+        Differences of the authors' program; with any of them the block has the radial velocity and attitude of a real
+        scene.
     twin : ZonguldakOptions, optional
         Options of another block.
     """
@@ -65,37 +67,37 @@ class Study:
         self.pre_adjust = cache(lambda *what: self.two_stage.pre_adjust(*what))
 
     def options(self, **changes: object) -> ZonguldakOptions:
-        """Options of the block of this seed, with these changes."""
+        """Return the options of this seed's block, with these changes."""
         return replace(self.twin, seed=self.seed, **changes)  # type: ignore[arg-type]
 
     def procedure(self, **changes: object) -> TwoStage:
-        """The procedure on the block with these options."""
+        """Run the procedure on the block with these options."""
         return TwoStage(zonguldak_block(self.options(**changes))[0], as_run=self.switches)
 
     @cached_property
     def two_stage(self) -> TwoStage:
-        """The procedure on the block as published: H-10, 1 px."""
+        """Published procedure on the published block: H-10, 1 px."""
         return self.procedure()
 
     def control_jacobian(self, eop_set: int) -> Array:
-        """Jacobian A (r, u) of step 2 of the first image, raw units."""
+        """Return the Jacobian A (r, u) of step 2 for the first image, in raw units."""
         design, _ = self.pre_adjust(0, eop_set, EXACT[-2]).system.require_design("A")
         return design
 
     @cached_property
     def icp_without_eop(self) -> tuple[Array, Array]:
-        """Check-point RMSE (3,) of the bundle with held EOPs, and of the intersection before it."""
+        """Check-point RMSE (3,) of the bundle with fixed EOPs, and of the intersection before it."""
         return self.bundle(None, 1, EXACT[-2]).accuracy.icp_rmse, self.two_stage.look_only().icp_rmse
 
 
 MET_AT = 0.9
-#: Quantile of the normal distribution of a 95 % interval.
+#: Quantile of the normal distribution for a 95 % interval.
 Z_95 = 1.959963984540054
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """One claim on one seed: the parts that do not hold, and its figures by name."""
+    """Outcome of a claim on one seed: the parts that do not hold, and its figures by name."""
 
     failed: tuple[str, ...]
     figures: dict[str, float]
@@ -103,7 +105,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim: id ("C5"), its text, and its test."""
+    """Claim: its id ("C5"), its text, and its test."""
 
     id: str
     text: str
@@ -112,21 +114,21 @@ class Claim:
 
 @dataclass(frozen=True)
 class ClaimResult:
-    """A claim over seeds.
+    """Result of a claim over several seeds.
 
     Parameters
     ----------
     id, text : str
     passed, of : int
-        Seeds that meet it, number of seeds.
+        Number of seeds that meet the claim, and number of all seeds.
     interval : (float, float)
         Wilson's 95 % interval of the pass rate.
     met : bool
-        Rate of 90 % or more.
+        True if the rate is 90 % or more.
     reason : str
-        Parts that failed, with their numbers of seeds; "" if none failed.
+        Parts that failed, each with its number of seeds; "" if none failed.
     figures : dict
-        Name to (smallest, median, largest) over the seeds.
+        For each name (smallest, median, largest) over the seeds.
     """
 
     id: str
@@ -140,23 +142,23 @@ class ClaimResult:
 
 
 def outcome(checks: dict[str, bool], **figures: float) -> Outcome:
-    """Outcome of several parts, from the name of a part to True if it holds."""
+    """Return the outcome of several parts; ``parts`` maps the name of a part to True if it holds."""
     failed = tuple(name for name, holds in checks.items() if not holds)
     return Outcome(failed, {name: float(value) for name, value in figures.items()})
 
 
 def or_inf(value: float) -> float:
-    """Value of a figure; inf without a result, so that no upper bound is met."""
+    """Return the value of a figure; inf if there is no result, so that it meets no upper bound."""
     return float(value) if math.isfinite(value) else math.inf
 
 
 def wilson(passed: int, of: int) -> tuple[float, float]:
-    """Wilson's 95 % interval of a proportion (Wilson 1927).
+    """Return Wilson's 95 % interval of a proportion (Wilson 1927).
 
     Raises
     ------
     ValueError
-        No trials.
+        There are no trials.
     """
     if of < 1:
         raise ValueError("a proportion needs at least one trial")
@@ -170,7 +172,7 @@ _REGISTRY: dict[str, Claim] = {}
 
 
 def claim(id: str, text: str) -> Callable[[Callable[[Study], Outcome]], Callable[[Study], Outcome]]:
-    """Decorator: register a function as a claim."""
+    """Decorate a function: register it as a claim."""
 
     def add(assess: Callable[[Study], Outcome]) -> Callable[[Study], Outcome]:
         _REGISTRY[id] = Claim(id, text, assess)
@@ -180,7 +182,7 @@ def claim(id: str, text: str) -> Callable[[Callable[[Study], Outcome]], Callable
 
 
 def all_claims() -> tuple[Claim, ...]:
-    """C1-C22 in order."""
+    """Return the claims C1 to C22 in order."""
     from fg_orient.studies import claims_geometry  # noqa: F401  # it registers its claims
 
     return tuple(sorted(_REGISTRY.values(), key=lambda one: int(one.id[1:])))
@@ -198,11 +200,11 @@ def run_claims(
     ----------
     seeds : sequence of int
     callback : callable, optional
-        Called with (seeds done, number of seeds) after each seed.
+        Function called with (seeds done, number of seeds) after each seed.
     claims : sequence of Claim, optional
-        Default: all of them.
+        Claims to assess; default: all.
     switches : Switches
-        Differences of the authors' program. The claims are about the equations of the text; some fail with switches.
+        Differences of the authors' program. The claims are about the equations of the text, so some fail with switches.
     """
     chosen = all_claims() if claims is None else tuple(claims)
     report = (lambda done, of, _: callback(done, of)) if callback else None
@@ -212,9 +214,9 @@ def run_claims(
 
 
 def _assessed(claims: Sequence[Claim], switches: Switches, seed: int) -> list[dict[str, Any]]:
-    """Outcome of each claim on one seed."""
+    """Return the outcome of each claim on one seed."""
     at = Study(seed, switches)
-    with one_blas_thread():  # some claims are about rounding noise
+    with one_blas_thread():  # some claims are about rounding noise, which depends on threads
         return [asdict(claim.assess(at)) for claim in claims]
 
 
@@ -236,47 +238,46 @@ CRAMER = "cramer_inverse"
 OD, HKB, LW = "tikhonov_od", "tikhonov_hkb", "tikhonov_lw"
 HARMLESS = (1, 2, 3, 4, 6, 7, 8, 9, 10, 11, 12)
 WILD_M = 100.0
-#: Check-point changes below this limit do not matter.
+#: Smallest change of a check point that matters, m.
 SAME_ICP_M = 0.5
-#: Directions with smaller singular values of the column-scaled Jacobian have no effect on the conditions.
+#: Smallest singular value of the column-scaled Jacobian whose direction has an effect on the conditions.
 DEAD = 1e-9
-#: Number of directions with an effect, by EOP set.
+#: Number of directions that have an effect, by EOP set.
 LIVING = {5: 5, 13: 14, 17: 11, 19: 8, 20: 20}
 
 
 def _icp_change(study: Study, eop_set: int, solver: str, iterations: int = 1) -> float:
-    """Largest change of a check-point RMSE by the EOP set; inf without a result.
+    """Return the largest change of a check-point RMSE by the EOP set; inf if there is no result.
 
-    Two solutions can be the reference: the bundle with fixed EOPs, and the intersection before the bundle. The closer
-    one is taken. A solver that drops small eigenvalues also drops the check points: in raw units their columns are the
-    smallest.
+    The reference is either the bundle with fixed EOPs or the intersection before the bundle, whichever is closer. A
+    solver that drops small eigenvalues also drops the check points, whose columns are the smallest in raw units.
     """
     return min(_icp_changes(study, eop_set, solver, iterations))
 
 
 def _icp_changes(study: Study, eop_set: int, solver: str, iterations: int = 1) -> tuple[float, float]:
-    """Changes relative to the bundle with fixed EOPs and relative to the intersection before it."""
+    """Return the changes from the bundle with fixed EOPs, and from the intersection before it."""
     rmse = study.bundle(eop_set, 1, solver, iterations).accuracy.icp_rmse
     held, before = (or_inf(np.abs(rmse - without).max()) for without in study.icp_without_eop)
     return held, before
 
 
 def _gcp(study: Study, eop_set: int, solver: str) -> float:
-    """Largest axis of the control-point RMSE; inf without a result."""
+    """Return the control-point RMSE of the worst axis; inf if there is no result."""
     return or_inf(study.bundle(eop_set, 1, solver).accuracy.gcp_max)
 
 
 def _solutions(study: Study, eop_set: int) -> dict[str, Array]:
-    """Corrections dP of step 2, left image, by the exact solvers that do not break down."""
+    """Return the corrections dP of step 2 for the left image, by each exact solver that does not break down."""
     system = study.pre_adjust(0, eop_set, PIVOT).system
     solutions = {name: attempt(name, system).x for name in EXACT}
     return {name: x for name, x in solutions.items() if np.isfinite(x).all()}
 
 
 def _spread(values: dict[str, Array], columns: Index) -> float:
-    """Largest deviation from partial pivoting relative to it, unknown by unknown; inf where that is exactly 0.
+    """Return the largest relative deviation of an unknown from partial pivoting; inf if an unknown is exactly 0 there.
 
-    An unknown without effect is rounding, which may happen to be 0.
+    An unknown without effect is a rounding error, which may happen to be 0.
     """
     reference = values[PIVOT][columns]
     away = [np.abs(x[columns] - reference) for x in values.values()]
@@ -286,7 +287,10 @@ def _spread(values: dict[str, Array], columns: Index) -> float:
 
 @claim("C8", "step 2 solves for rounding noise: sets 1, 15 alike by exact solvers but Cramer, velocities arbitrary")
 def _c8(study: Study) -> Outcome:
-    """Cramer's rule is a figure, not a part: in raw units its minors lose the digits that set 15 needs."""
+    """Assess C8.
+
+    Cramer's rule only gives a figure, because in raw units its minors lose the digits that set 15 needs.
+    """
     step = study.pre_adjust(0, 1, PIVOT)
     _, observed = step.system.require_design("C8")
     w_rms, dp = float(np.sqrt(np.mean(observed**2))), float(np.abs(step.dP).max())
@@ -346,7 +350,7 @@ def _c10(study: Study) -> Outcome:
         checks[f"set {eop_set}"] = abs(count - expected) <= 1
         figures[f"living_{eop_set}"] = float(count)
     at = study.two_stage.pre_adjusted.take(np.flatnonzero(study.two_stage.pre_adjusted.image == 0))
-    codes = eop_codes(6)  # V_0: derivatives with respect to V itself
+    codes = eop_codes(6)  # derivatives by V itself
     slopes = at.linearise(codes, np.zeros((len(study.two_stage.block.images), len(codes)))).eop
     along = 0.0
     for vector in (at.records[:, RECORD.velocity], at.records[:, RECORD.position]):
@@ -359,7 +363,7 @@ def _c10(study: Study) -> Outcome:
 
 @claim("C11", "one iteration, type 1: sets 1-4, 6-12 below 5 m at control points with all solvers but Cramer")
 def _c11(study: Study) -> Outcome:
-    """Cramer's inverse is excluded, because the thesis uses it for step 2 only."""
+    """Assess C11; Cramer's inverse is excluded, because the thesis uses it only for step 2."""
     names = [name for name, solver in solvers().items() if solver.published and name != CRAMER]
     worst = {s: max(_gcp(study, s, name) for name in names) for s in HARMLESS}
     checks = {f"set {s}": value < TARGET_M for s, value in worst.items()}
@@ -427,7 +431,7 @@ def _c16(study: Study) -> Outcome:
 def _c22(study: Study) -> Outcome:
     system = study.pre_adjust(0, 1, PIVOT).system
     design, _ = system.require_design("C22")
-    length = np.linalg.norm(design, axis=0)  # correlations do not depend on units: invert the scaled matrix
+    length = np.linalg.norm(design, axis=0)  # correlations do not depend on units, so the scaled matrix is inverted
     q = np.linalg.inv((design / length).T @ (design / length))
     r = np.abs(q / np.sqrt(np.outer(np.diag(q), np.diag(q))))
     pairs = [r[3 * a + k, 3 * b + k] for k in range(3) for a, b in ((0, 1), (0, 2), (1, 2))]

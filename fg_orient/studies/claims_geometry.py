@@ -1,7 +1,7 @@
-"""Claims about equations: C1-C7 sensor geometry, step 1, check-point accuracy; C17-C21 the sensor-independent RFM.
+"""Claims about equations: C1-C7 sensor geometry, step 1 and check points; C17-C21 the sensor-independent RFM.
 
-The RFM claims use 99 control points of the left synthetic image, heights 0-1000 m, 0.5 px of image noise, raw and
-normalised.
+The RFM claims use 99 control points of the left synthetic image, with heights 0-1000 m and 0.5 px of image noise, both
+raw and normalised.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _NEWTON_STEPS = 12
 
 
 def _convention_a(sensor: PushbroomSensor, line: Array, sample: Array) -> tuple[Array, Array]:
-    """Rays with the orbital frame of convention A: X forward, Y left, Z outward (T 2.9, 2.19-2.21)."""
+    """Return the rays with the orbital frame of convention A: X forward, Y left, Z outward (T 2.9, 2.19-2.21)."""
     states = sensor.states(line)
     roll, pitch, yaw = states.angles_rad.T * np.array([[1.0], [-1.0], [1.0]])
     z = states.position_m / np.linalg.norm(states.position_m, axis=1, keepdims=True)
@@ -50,7 +50,7 @@ def _convention_a(sensor: PushbroomSensor, line: Array, sample: Array) -> tuple[
 
 
 def _convention_b(sensor: PushbroomSensor, line: Array, sample: Array) -> tuple[Array, Array]:
-    """Rays with the orbital frame of convention B: X right, Y forward, Z outward (T 2.23, 2.25-2.27)."""
+    """Return the rays with the orbital frame of convention B: X right, Y forward, Z outward (T 2.23, 2.25-2.27)."""
     states = sensor.states(line)
     frame = rotations.orbital_frames(states.position_m, states.velocity_m_s)
     body = rotations.attitude_matrices(states.angles_rad, False)
@@ -59,11 +59,13 @@ def _convention_b(sensor: PushbroomSensor, line: Array, sample: Array) -> tuple[
 
 
 def _round_trip_px(sensor: PushbroomSensor, rays: Callable[..., tuple[Array, Array]]) -> float:
-    """Largest error of image -> ground (height 500 m) -> image over a grid, by Newton steps with these rays."""
+    """Return largest error of image -> ground (height 500 m) -> image over a grid, by Newton steps with these rays."""
     line, sample = (
-        a.ravel() for a in np.meshgrid(np.linspace(200.0, sensor.n_lines - 201.0, 5),
-                                       np.linspace(200.0, sensor.n_samples - 201.0, 5))
-    )  # fmt: skip
+        a.ravel()
+        for a in np.meshgrid(
+            np.linspace(200.0, sensor.n_lines - 201.0, 5), np.linspace(200.0, sensor.n_samples - 201.0, 5)
+        )
+    )
     centre, direction = rays(sensor, line, sample)
     ground = ellipsoid.intersect(centre, direction, np.full(len(line), 500.0))
 
@@ -128,18 +130,27 @@ def _c4(study: Study) -> Outcome:
     clean = study.procedure(image_noise_px=0.0, errors="none", distortion_rad=0.0, ground_noise_m=(0.0, 0.0, 0.0))
     gcp = float(np.abs(errors.gcp_m).max())
     checks = {
-        "F = 0": step.largest_misclosure <= 1e-15, "five cycles": step.cycles <= 5, "intersection": gcp < 1e-6,
+        "F = 0": step.largest_misclosure <= 1e-15,
+        "five cycles": step.cycles <= 5,
+        "intersection": gcp < 1e-6,
         "m0 vanishes with the errors": clean.look.m0_rad < 1e-2 * step.m0_rad,
-    }  # fmt: skip
-    return outcome(checks, misclosure=step.largest_misclosure, cycles=step.cycles, gcp_m=gcp, m0_rad=step.m0_rad,
-                   m0_clean_rad=clean.look.m0_rad)  # fmt: skip
+    }
+    return outcome(
+        checks,
+        misclosure=step.largest_misclosure,
+        cycles=step.cycles,
+        gcp_m=gcp,
+        m0_rad=step.m0_rad,
+        m0_clean_rad=clean.look.m0_rad,
+    )
 
 
 @claim("C5", "check-point RMSE per axis 3-11 m on H-10 with 1 px of image noise")
 def _c5(study: Study) -> Outcome:
     rmse = study.bundle(1, 1, REFERENCE).accuracy.icp_rmse
-    return outcome({"3-11 m": bool((rmse >= 3.0).all() and (rmse <= 11.0).all())},
-                   x_m=rmse[0], y_m=rmse[1], z_m=rmse[2])  # fmt: skip
+    return outcome(
+        {"3-11 m": bool((rmse >= 3.0).all() and (rmse <= 11.0).all())}, x_m=rmse[0], y_m=rmse[1], z_m=rmse[2]
+    )
 
 
 @claim("C6", "check-point RMSE is proportional to the image noise")
@@ -152,8 +163,9 @@ def _c6(study: Study) -> Outcome:
 
 @claim("C7", "control in half of the columns: RMSE >= 1.5 x that of H-20; half of the lines: close to it")
 def _c7(study: Study) -> Outcome:
-    h20, ga, gb = (study.procedure(point_set=s).bundle(None, 1, REFERENCE).accuracy.icp_max
-                   for s in ("H-20", "G-A", "G-B"))  # fmt: skip
+    h20, ga, gb = (
+        study.procedure(point_set=s).bundle(None, 1, REFERENCE).accuracy.icp_max for s in ("H-20", "G-A", "G-B")
+    )
     checks = {"half of the columns >= 1.5": ga >= 1.5 * h20, "half of the lines within 2": 0.5 <= gb / h20 <= 2.0}
     return outcome(checks, h20_m=h20, ga_m=ga, gb_m=gb, ga_ratio=ga / h20, gb_ratio=gb / h20)
 
@@ -168,7 +180,7 @@ MARGIN_PX = 100.0
 def rfm_points(
     sensor: Sensor, seed: int, *, count: int = N_POINTS, noise_px: float = NOISE_PX, stream: int = 0
 ) -> ControlPoints:
-    """Draw control points of a sensor: pixels and heights uniform, noise in line and sample.
+    """Draw control points of a sensor: uniform pixels and heights, with noise in line and sample.
 
     Parameters
     ----------
@@ -177,7 +189,7 @@ def rfm_points(
     count : int
     noise_px : float
     stream : int
-        Another stream gives other points of the same seed: check points.
+        Another stream gives other points for the same seed, used as check points.
     """
     rng = np.random.default_rng([seed, stream])
     last = np.array([sensor.n_lines, sensor.n_samples]) - 1.0 - MARGIN_PX
@@ -189,28 +201,28 @@ def rfm_points(
 
 PSEUDO, PIVOT = "moore_penrose_inverse", "gauss_partial_pivot_elimination"
 RULES = ("tikhonov_hkb", "tikhonov_lw", "tikhonov_od")
-#: Ranks of the raw systems, and the allowed difference for other points.
+#: Ranks of the raw systems by degree, and the allowed difference for other points.
 RANKS, RANK_SLACK = {1: 10, 2: 18, 3: 20}, 3
-#: Condition numbers of the normalised N.
+#: Range of condition numbers of the normalised N, by degree.
 CONDITIONS = {1: (1e1, 1e3), 2: (1e9, 1e11), 3: (1e10, 1e13)}
 N_CHECK = 400
 
 
 @lru_cache(maxsize=8)
 def _runs(study: Study) -> dict[tuple[int, bool], Run]:
-    """Systems of one seed by degree and normalisation."""
+    """Return the systems of one seed, by degree and normalisation."""
     points = rfm_points(study.two_stage.block.images[0].sensor, study.seed)
     return {(degree, normalised): Run(points, degree, normalised) for degree in DEGREES for normalised in (False, True)}
 
 
 def _image_rms(run: Run, method: str) -> float:
-    """RMS of the true image residuals, both axes; inf without a solution."""
+    """Return the RMS of the true image residuals of both axes; inf if there is no solution."""
     share = run.system.redundancy / (2.0 * len(run.points))
     return or_inf(run.true_m0_px(run.solution(method).x) * share**0.5)
 
 
 def _m0(run: Run, method: str) -> float:
-    """Accuracy m0 of the linear form; inf without a solution."""
+    """Return the accuracy m0 of the linear form; inf if there is no solution."""
     return or_inf(run.m0_px(run.solution(method).x))
 
 
@@ -231,11 +243,12 @@ def _c18(study: Study) -> Outcome:
     pseudo = {d: _m0(raw[d], PSEUDO) for d in DEGREES}
     pivot = {d: (_m0(raw[d], PIVOT), _image_rms(raw[d], PIVOT)) for d in (2, 3)}
     checks = {
-        "Cramer, degree 1": cramer[1] > 1e3, "Cramer, degree 2": cramer[2] > 1e10,
+        "Cramer, degree 1": cramer[1] > 1e3,
+        "Cramer, degree 2": cramer[2] > 1e10,
         "pseudo-inverse 1-100 px": all(1.0 <= value <= 100.0 for value in pseudo.values()),
         "elimination, linear form": all(linear < 0.1 for linear, _ in pivot.values()),
         "elimination, image": all(image > 3.0 for _, image in pivot.values()),
-    }  # fmt: skip
+    }
     figures = {f"cramer_{d}_px": v for d, v in cramer.items()} | {f"pseudo_{d}_px": v for d, v in pseudo.items()}
     return outcome(checks, **figures, **{f"pivot_image_{d}_px": image for d, (_, image) in pivot.items()})
 
@@ -249,10 +262,12 @@ def _c19(study: Study) -> Outcome:
     spread = max(abs(_m0(runs[d], method) / m0[d] - 1.0) for d in DEGREES for method in others)
     cramer = min(_m0(runs[d], CRAMER) / m0[d] for d in (2, 3))
     checks = {
-        "full rank": all(c.defect == 0 for c in conditioning.values()), "three digits": spread < 5e-3,
-        "falls with the degree": m0[1] > m0[2] > m0[3], "Cramer fails": cramer > 10.0,
+        "full rank": all(c.defect == 0 for c in conditioning.values()),
+        "three digits": spread < 5e-3,
+        "falls with the degree": m0[1] > m0[2] > m0[3],
+        "Cramer fails": cramer > 10.0,
         "condition numbers": all(CONDITIONS[d][0] <= c.cond_norm <= CONDITIONS[d][1] for d, c in conditioning.items()),
-    }  # fmt: skip
+    }
     figures = {f"m0_{d}_px": v for d, v in m0.items()} | {f"cond_{d}": c.cond_norm for d, c in conditioning.items()}
     return outcome(checks, spread=spread, cramer_ratio=cramer, **figures)
 

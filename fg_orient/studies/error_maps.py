@@ -40,7 +40,7 @@ class RoleErrors(NamedTuple):
 
 
 def errors_of(block: Block, errors: AxisErrors) -> dict[str, RoleErrors]:
-    """Errors of the published procedure by role: "control", "check"."""
+    """Return the errors of the published procedure by role: "control", "check"."""
     middle = block.points.known.ecef_m[block.points.where(Role.CONTROL)].mean(axis=0)
     lon, lat, _ = ecef_to_geodetic(middle)
     turn = enu_from_ecef(lon, lat).reshape(3, 3)
@@ -51,7 +51,7 @@ def errors_of(block: Block, errors: AxisErrors) -> dict[str, RoleErrors]:
 
 
 def places_km(block: Block) -> dict[str, Array]:
-    """East and north (2,) of the control and check points of a block, km from their mean."""
+    """Return east and north (2,) of a block's control and check points, km from their mean."""
     ids = [*np.array(block.points.ids)[block.points.where(Role.CONTROL)].tolist(), *block.withheld.ids]
     known = block.points.known.ecef_m[block.points.where(Role.CONTROL)]
     ecef = np.vstack([known, block.withheld.open().ecef_m.reshape(-1, 3)])
@@ -74,7 +74,7 @@ def empty_map(place: Array, title: str) -> Chart:
 def error_map(
     places: Mapping[str, Array], roles: Mapping[str, RoleErrors], title: str, *, numbers: bool = True
 ) -> Chart:  # fmt: skip
-    """Horizontal error vectors at points (:func:`places_km`); the legend has the RMSE of each role.
+    """Return horizontal error vectors at points (:func:`places_km`); the legend contains the RMSE of each role.
 
     ``numbers``: in the legend; else in the map, for small maps with a common legend, which have bars of lengths and no
     axes.

@@ -1,10 +1,10 @@
-"""Tables 4.1-4.34, equations 4.1-4.6 and numbers of the text of Terlemezoğlu (2019), computed on a synthetic block.
+"""Tables 4.1-4.34, equations 4.1-4.6 and numbers of the text of Terlemezoğlu (2019), from a synthetic block.
 
-The point set is H-10. Assumptions that the source does not state: tables 4.3-4.16 belong to a bundle without EOP
+The point set is H-10. Two assumptions are not stated in the source: tables 4.3-4.16 belong to a bundle without EOP
 pre-adjustment (type 1), and its matrices to whitened conditions. As run, the RMSE of type 1 in tables 4.25-4.34 belong
 to the procedure without bundle (:meth:`fg_orient.studies.two_stage.TwoStage.step_two_only`), because its check points
-diverge like the printed ones. As run, tables 4.3-4.23 follow a step 1 that ends at rounding (D4 off): [Delta Delta] is
-printed as 1e-33, and misclosures of 1e-10 cannot give this value.
+diverge like the printed ones. As run, tables 4.3-4.23 follow a step 1 that ends at the level of rounding (D4 off): the
+printed [Delta Delta] is 1e-33, which misclosures of 1e-10 cannot give.
 """
 
 from __future__ import annotations
@@ -29,29 +29,29 @@ from fg_orient.studies.switches import TEXT, Switches
 from fg_orient.studies.tables_twin import LEAST_SQUARES, Cells, labels, twin
 from fg_orient.studies.two_stage import Kind, TwoStage
 
-#: Points of the SPOT-6 scene (T sect. 4.3.1).
+#: Number of points of the SPOT-6 scene (T sect. 4.3.1).
 SPOT6_POINTS = 99
-#: Sets in the tables of Terlemezoğlu (2019).
+#: EOP sets in the tables of Terlemezoğlu (2019).
 PUBLISHED_SETS = tuple(number for number in EOP_SETS if number <= 20)
-#: EOP set of each table of the series 4.3-4.9, 4.10-4.16 and 4.17-4.23.
+#: EOP set of each table in the series 4.3-4.9, 4.10-4.16 and 4.17-4.23.
 _SETS = (1, *ILL_CONDITIONED)
 SET_OF = {f"4.{first + k}": number for first in (3, 10, 17) for k, number in enumerate(_SETS)}
-#: Tables that as run follow a step 1 that ends at rounding (assumption, see the module docstring).
+#: Tables that, as run, follow a step 1 that ends at the level of rounding (assumption; see the module docstring).
 STEP_1_CLOSED = frozenset(SET_OF)
 
 
 def counts(run: TwoStage) -> Cells:
-    """All cells with counts, for a run with point set H-10."""
+    """Return all cells that contain counts, for a run with point set H-10."""
     return _equations(run) | _sets() | _text(run)
 
 
 def rfm_unknowns(degree: int) -> int:
-    """Coefficients of a rational function model: two numerators, two denominators with constant 1 (T 2.53)."""
+    """Return coefficients of a rational function model: two numerators, two denominators with constant 1 (T 2.53)."""
     return 4 * math.comb(degree + 3, 3) - 2
 
 
 def _equations(run: TwoStage) -> Cells:
-    """Counts of observations and unknowns, from the systems themselves."""
+    """Return the counts of observations and unknowns, taken from the systems themselves."""
     block = run.block
     control = block.points.where(Role.CONTROL)
     left = int(np.sum((block.observations.image == 0) & np.isin(block.observations.point, control)))
@@ -71,7 +71,7 @@ def _equations(run: TwoStage) -> Cells:
 
 
 def _sets() -> Cells:
-    """Polynomial degree of each EOP, size of each EOP set, position of each member."""
+    """Return the polynomial degree of each EOP, the size of each EOP set, and the position of each member."""
     degree, names = float(N_EOP // len(COMPONENTS) - 1), tables_twin.PUBLISHED_COMPONENTS
     out: Cells = {CellKey("4.1", quantity="degree", parameter=name): degree for name in names}
     for number in PUBLISHED_SETS:
@@ -82,28 +82,40 @@ def _sets() -> Cells:
 
 
 def _text(run: TwoStage) -> Cells:
-    """Numbers of the text that are counts or constants of this package."""
+    """Return the numbers of the text that are counts or constants of this package."""
     homogeneous = [name for name in CHECK_COUNT if name.startswith("H")]
     n_gcp, n_icp = len(run.control_ids), len(run.check_ids)
     values = {
-        "n_points_total_spot5": n_gcp + n_icp, "h10_n_gcp": n_gcp, "h10_n_icp": n_icp,
-        "n_point_distributions": len(CHECK_COUNT), "n_distributions_homogeneous": len(homogeneous),
-        "n_distributions_grouped": len(CHECK_COUNT) - len(homogeneous), "n_eop_sets": len(PUBLISHED_SETS),
-        "n_images_spot5": len(run.block.images), "rfm_coefficients_degree3": rfm_unknowns(3),
-        "cond_norm_limit": linear.NORM_LIMIT, "cond_spectral_limit": linear.SPECTRAL_LIMIT,
+        "n_points_total_spot5": n_gcp + n_icp,
+        "h10_n_gcp": n_gcp,
+        "h10_n_icp": n_icp,
+        "n_point_distributions": len(CHECK_COUNT),
+        "n_distributions_homogeneous": len(homogeneous),
+        "n_distributions_grouped": len(CHECK_COUNT) - len(homogeneous),
+        "n_eop_sets": len(PUBLISHED_SETS),
+        "n_images_spot5": len(run.block.images),
+        "rfm_coefficients_degree3": rfm_unknowns(3),
+        "cond_norm_limit": linear.NORM_LIMIT,
+        "cond_spectral_limit": linear.SPECTRAL_LIMIT,
         "cond_hadamard_limit": linear.HADAMARD_LIMIT,
-    }  # fmt: skip
+    }
     return {CellKey("text", quantity=key): float(value) for key, value in values.items()}
 
 
 #: Solvers of tables 4.17-4.23.
 SOLVERS = (
-    "cramer_inverse", "pivot_inverse", "gauss_inverse", "moore_penrose_inverse", "cholesky_inverse",
-    "gauss_elimination", "gauss_partial_pivot_elimination", "cholesky_elimination",
-)  # fmt: skip
-#: The source has no bundle by Cramer's rule.
+    "cramer_inverse",
+    "pivot_inverse",
+    "gauss_inverse",
+    "moore_penrose_inverse",
+    "cholesky_inverse",
+    "gauss_elimination",
+    "gauss_partial_pivot_elimination",
+    "cholesky_elimination",
+)
+#: Solvers for which the source has no bundle.
 _NOT_FOR_BUNDLES = ("cramer_inverse",)
-#: Solver of each table of bundles.
+#: Solver of each bundle table.
 SOLVER_OF = {
     "4.24": LEAST_SQUARES, "4.25": "tikhonov_hkb", "4.26": "tikhonov_lw", "4.27": "tikhonov_od",
     "4.28": "pivot_inverse", "4.29": "gauss_inverse", "4.30": "moore_penrose_inverse", "4.31": "cholesky_inverse",
@@ -111,35 +123,38 @@ SOLVER_OF = {
 }  # fmt: skip
 #: Tables whose solvers choose a kappa.
 TIKHONOV_TABLES = frozenset(table for table, name in SOLVER_OF.items() if name.startswith("tikhonov"))
-#: Tables whose type 1 as run is without bundle: inferred from the printed check points.
+#: Tables whose type 1, as run, has no bundle: inferred from the printed check points.
 WITHOUT_BUNDLE = frozenset(SOLVER_OF) - {"4.24"}
-#: Table 4.24 repeats the bundles of Topan 2009, who had no set 20.
+#: Method of tables whose method is not their solver: table 4.24 repeats the bundles of Topan 2009, who had no set 20.
 _METHOD_OF = {"4.24": "least_squares_topan2009"}
 PRE_STAGES = ("pre-left", "pre-right")
 TYPES: tuple[Kind, ...] = (1, 2)
 
 
 def compute(
-    tables: Collection[str], seeds: Sequence[int], *, as_run: bool | Switches = False,
+    tables: Collection[str],
+    seeds: Sequence[int],
+    *,
+    as_run: bool | Switches = False,
     progress: tables_twin.Progress | None = None,
-) -> dict[CellKey, Array]:  # fmt: skip
+) -> dict[CellKey, Array]:
     """Compute the cells of some tables.
 
     Parameters
     ----------
     tables : collection of str
-        Of "text", "eq4.1" ... "eq4.6", "4.1" ... "4.34", "s4.2.2".
+        Some of "text", "eq4.1" ... "eq4.6", "4.1" ... "4.34", "s4.2.2".
     seeds : sequence of int
-        One synthetic block each.
+        Seeds; each defines one synthetic block.
     as_run : bool or Switches
-        Procedure of the authors' program, on blocks with radial velocity and attitude.
+        True or switches: use the procedure of the authors' program, on blocks with radial velocity and attitude.
     progress : callable, optional
-        Called with runs done and number of runs.
+        Function called with runs done and number of runs.
 
     Returns
     -------
     dict
-        Cell to values (n,), one per seed; nan where a solver broke down.
+        Values (n,) of each cell, one per seed; nan if a solver broke down.
     """
 
     def one_run(seed: int) -> Cells:
@@ -156,9 +171,9 @@ def compute(
 
 
 def _conditions(run: TwoStage, table: str) -> Cells:
-    """Conditions of usability (T sect. 3.5): counts, [v], [vv], smallest and largest |N dP - b|.
+    """Return the usability conditions (T sect. 3.5): counts, [v], [vv], smallest and largest |N dP - b|.
 
-    These numbers depend on the solver only, and the source does not name it: each has one value per solver.
+    These numbers depend only on the solver, which the source does not name; so each has one value per solver.
     """
     number = SET_OF[table]
     out: dict[CellKey, list[float]] = {}
@@ -174,7 +189,7 @@ def _conditions(run: TwoStage, table: str) -> Cells:
 def _solved(
     run: TwoStage, number: int, method: str, stages: Sequence[str]
 ) -> Iterator[tuple[str, LinearSystem, Array, Array]]:
-    """Stage, system, dP and residuals of pre-adjustments and bundle."""
+    """Stage, system, dP and residuals of pre-adjustments and of the bundle."""
     for stage in stages:
         if stage == "bundle":
             bundle = run.bundle(number, 1, method)
@@ -186,7 +201,7 @@ def _solved(
 
 
 def _condition_values(system: LinearSystem, x: Array, residual: Array) -> dict[str, float]:
-    """Counts, and the numbers of conditions 1-3; nan where the solver broke down."""
+    """Return the counts, and the numbers for conditions 1-3; nan if the solver broke down."""
     design, _ = system.require_design("conditions")
     counted = {"n_observations": float(len(design)), "n_unknowns": float(len(system))}
     names = ("sum_residual", "sum_squared_residual", "normal_residual_abs_min", "normal_residual_abs_max")
@@ -198,7 +213,7 @@ def _condition_values(system: LinearSystem, x: Array, residual: Array) -> dict[s
 
 
 def _conditioning(run: TwoStage, table: str) -> Cells:
-    """Order, rank, determinant and three condition numbers of A^T A."""
+    """Return the order, rank, determinant and three condition numbers of A^T A."""
     number = SET_OF[table]
     out: Cells = {}
     for stage, system, _, _ in _solved(run, number, LEAST_SQUARES, (*PRE_STAGES, "bundle")):
@@ -209,9 +224,9 @@ def _conditioning(run: TwoStage, table: str) -> Cells:
 
 
 def norm_condition(system: LinearSystem, solver: str) -> float:
-    """|N| |N^-1| from the inverse as the solver forms it, T(3.11), Frobenius norm; nan if the solver forms none.
+    """Return |N| |N^-1|, T(3.11), Frobenius norm, from the inverse formed by the solver; nan if it forms none.
 
-    The smallest singular value of such a matrix is a rounding error of the largest; the explicit inverse is not.
+    The smallest singular value of such a matrix is a rounding error of the largest one; its explicit inverse is not.
     T(3.11) names no norm. The program's numbers for sets 1, 15 and 19 result from the Frobenius norm.
     """
     inverse = attempt(solver, system).inverse
@@ -221,7 +236,7 @@ def norm_condition(system: LinearSystem, solver: str) -> float:
 
 
 def _corrections(run: TwoStage, table: str) -> Cells:
-    """EOP corrections dP of the pre-adjustment of the left image, solver by solver; per line and line squared."""
+    """Return EOP corrections dP of the left image's pre-adjustment, by solver; per line and line squared."""
     number = SET_OF[table]
     out: Cells = {}
     for method in SOLVERS:
@@ -232,7 +247,7 @@ def _corrections(run: TwoStage, table: str) -> Cells:
 
 
 def _bundles(run: TwoStage, table: str) -> Cells:
-    """RMSE and kappa of the one-iteration bundles of the ill-conditioned sets, both types of pre-adjustment."""
+    """Return RMSE and kappa of one-iteration bundles of the ill-conditioned sets, for both types of pre-adjustment."""
     out: Cells = {}
     method = _METHOD_OF.get(table, SOLVER_OF[table])
     for number in ILL_CONDITIONED:
@@ -249,9 +264,9 @@ def _bundles(run: TwoStage, table: str) -> Cells:
 
 
 def tikhonov_curves(tables: Collection[str], seed: int, *, as_run: bool | Switches = False) -> dict[int, LCurve]:
-    """L-curve of the bundle of tables 4.25-4.27 for each ill-conditioned set; empty without one of these tables.
+    """Return the L-curve of the bundle of tables 4.25-4.27 for each ill-conditioned set; empty without these tables.
 
-    The bundle is that without EOP pre-adjustment (type 1).
+    The bundle has no EOP pre-adjustment (type 1).
     """
     if not set(tables) & TIKHONOV_TABLES:
         return {}
@@ -261,9 +276,9 @@ def tikhonov_curves(tables: Collection[str], seed: int, *, as_run: bool | Switch
 
 
 def _correlations(run: TwoStage, table: str) -> Cells:
-    """Correlations of equal position coefficients, EOP set 1, left image (T sect. 4.2.2).
+    """Return the correlations between equal position coefficients of EOP set 1, left image (T sect. 4.2.2).
 
-    They are computed with columns of unit length: the correlations are the same, and N can be inverted.
+    The columns are scaled to unit length: the correlations are unchanged, and N can be inverted.
     """
     design, _ = run.pre_adjust(0, 1, LEAST_SQUARES).system.require_design("correlations")
     r = np.linalg.qr(design / np.linalg.norm(design, axis=0), mode="r")
@@ -278,7 +293,7 @@ def _correlations(run: TwoStage, table: str) -> Cells:
     }
 
 
-#: Tables of adjustments to the functions that make their cells.
+#: Functions that compute the cells of each table of adjustments.
 _MAKERS: dict[str, Callable[[TwoStage, str], Cells]] = {
     **{f"4.{k}": _conditions for k in range(3, 10)}, **{f"4.{k}": _conditioning for k in range(10, 17)},
     **{f"4.{k}": _corrections for k in range(17, 24)}, **dict.fromkeys(SOLVER_OF, _bundles), "s4.2.2": _correlations,

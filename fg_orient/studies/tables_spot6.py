@@ -1,10 +1,10 @@
-"""Tables 4.35-4.55 of Terlemezoğlu (2019): sensor-independent RFM of the SPOT-6 scene, degrees 1-3, as they were run.
+"""Tables 4.35-4.55 of Terlemezoğlu (2019), as run: sensor-independent RFM of the SPOT-6 scene, degrees 1-3.
 
-The control points are public. Therefore numbers that are not rounding noise can agree digit by digit. Rounding noise
-changes by decades with the order of the rows. All numbers are computed with the points in the order of their file
-(run 0) and with seeded permutations of them. The computation is always as run: inverses are formed and multiplied with
-b, negative radicands have complex roots, |N^-1| is that of the inverse as formed, eigenvalues are those of the upper
-triangle of N (which MATLAB's eig reads), Table 4.45 uses Cramer's inverse. x is the sample, y the line.
+The control points are public. Therefore numbers that are not rounding noise can agree in all digits. Rounding noise
+changes by powers of ten with the order of the rows. All numbers are computed with the points in the order of their file
+(run 0), and with seeded permutations of this order. The computation is always as run. Inverses are formed and
+multiplied with b. Negative radicands have complex roots. |N^-1| is that of the inverse as formed. Eigenvalues are those
+of the upper triangle of N, which MATLAB's eig reads. Table 4.45 uses Cramer's inverse. x is the sample, y the line.
 """
 
 from __future__ import annotations
@@ -30,36 +30,41 @@ from fg_orient.rpc.form import DEGREES, RfmForm
 from fg_orient.rpc.points import ControlPoints, Scaling
 from fg_orient.studies.tables_twin import AXES, Cells, Progress, collect, conditioning_cells
 
-#: Printed kappas by method and degree, for Table 4.45.
+#: Printed kappas for Table 4.45, by method and degree.
 Kappas = Mapping[tuple[str, int], float]
 
 #: Methods in the order of the tables.
 METHODS: Final = (
-    "cramer_inverse", "pivot_inverse", "cholesky_inverse", "gauss_inverse", "moore_penrose_inverse",
-    "gauss_partial_pivot_elimination", "cholesky_elimination",
-)  # fmt: skip
+    "cramer_inverse",
+    "pivot_inverse",
+    "cholesky_inverse",
+    "gauss_inverse",
+    "moore_penrose_inverse",
+    "gauss_partial_pivot_elimination",
+    "cholesky_elimination",
+)
 RAW: Final = {f"4.{35 + k}": method for k, method in enumerate(METHODS)}
 NORMALISED: Final = {f"4.{46 + k}": method for k, method in enumerate(METHODS)}
 CRAMER: Final = "cramer_inverse"
 TIKHONOV: Final = {"tikhonov_hkb": "hkb", "tikhonov_lw": "lw", "tikhonov_od": "od"}
 TABLES: Final = tuple(f"4.{k}" for k in range(35, 56))
-#: The published computation with the printed kappas is reported in addition to Table 4.45 under this table name.
+#: Table name under which the published computation with printed kappas is reported, in addition to Table 4.45.
 WITH_PRINTED_KAPPA: Final = "4.45 printed kappa"
-#: Additional quantity: m0 of the true image residuals, which the source does not give.
+#: Additional quantity, which the source does not give: m0 of the true image residuals.
 TRUE_M0: Final = "m0_true"
-#: Permutations, seeds 1 to 50.
+#: Number of permutations, with seeds 1 to 50.
 PERMUTATIONS: Final = 50
 _AS_IT_IS: Final = Scaling(np.zeros(5), np.ones(5))
 
 
 @dataclass(frozen=True)
 class Run:
-    """One order of the points, one degree, normalised or not; each solution is computed once.
+    """Solutions for one order of the points and one degree, normalised or not; each is computed once.
 
     Parameters
     ----------
     points : ControlPoints
-        In the order of the run.
+        Points in the order of the run.
     degree : int
     normalised : bool
     """
@@ -70,7 +75,7 @@ class Run:
 
     @cached_property
     def prepared(self) -> ControlPoints:
-        """Points for the equations: raw, or normalised by T(3.51) in the printed order of operations."""
+        """Points used in the equations: raw, or normalised by T(3.51) in the printed order of operations."""
         if not self.normalised:
             return self.points
         values = self.points.columns
@@ -80,12 +85,12 @@ class Run:
 
     @cached_property
     def pixels(self) -> Array:
-        """Pixels per unit of line and sample: (2,)."""
+        """Number of pixels per unit of line and of sample: (2,)."""
         return 0.5 * np.ptp(self.points.columns[:, :2], axis=0) if self.normalised else np.ones(2)
 
     @cached_property
     def form(self) -> RfmForm:
-        """Separate denominators, all coefficients."""
+        """Separate denominators, with all coefficients."""
         return RfmForm(self.degree)
 
     @cached_property
@@ -98,7 +103,7 @@ class Run:
         return {}
 
     def solution(self, method: str, system: LinearSystem | None = None) -> LinearSolution:
-        """Solution by a published method; nan if it breaks down."""
+        """Return the solution by a published method; nan if it breaks down."""
         used = system or self.system
         key = method, used.normal.tobytes()
         if key not in self._solutions:
@@ -106,18 +111,18 @@ class Run:
         return self._solutions[key]
 
     def residuals_px(self, x: Array) -> Array:
-        """Residuals A x - l in pixels: (2, n), x (sample) and y (line)."""
+        """Return the residuals A x - l in pixels: (2, n), x (sample) and y (line)."""
         design, observed = self.system.require_design("residuals")
         with np.errstate(over="ignore", invalid="ignore"):
             return np.asarray((design @ x - observed).reshape(2, -1) * self.pixels[::-1, None])
 
     def m0_px(self, x: Array) -> float:
-        """m0 = sqrt(([vv]_x + [vv]_y)/(n - u)); nan without a solution."""
+        """Return m0 = sqrt(([vv]_x + [vv]_y)/(n - u)); nan if there is no solution."""
         with np.errstate(over="ignore", invalid="ignore"):
             return float(np.sqrt(np.sum(self.residuals_px(x) ** 2) / self.system.redundancy))
 
     def true_m0_px(self, x: Array) -> float:
-        """m0 of x - f1/f2 and y - f3/f4; inf at a pole."""
+        """Return m0 of x - f1/f2 and y - f3/f4; inf at a pole."""
         if not np.isfinite(x).all():
             return math.nan
         v = RfmFit(self.form, _AS_IT_IS, self.prepared, x, "as run").residuals_px() * self.pixels
@@ -125,9 +130,14 @@ class Run:
 
 
 def compute(
-    tables: Collection[str], points: ControlPoints, *, permutations: int = PERMUTATIONS,
-    degrees: Sequence[int] = DEGREES, kappas: Kappas | None = None, progress: Progress | None = None,
-) -> dict[CellKey, Array]:  # fmt: skip
+    tables: Collection[str],
+    points: ControlPoints,
+    *,
+    permutations: int = PERMUTATIONS,
+    degrees: Sequence[int] = DEGREES,
+    kappas: Kappas | None = None,
+    progress: Progress | None = None,
+) -> dict[CellKey, Array]:
     """Compute the cells of some tables.
 
     Parameters
@@ -137,18 +147,18 @@ def compute(
     points : ControlPoints
         The 99 points of the scene.
     permutations : int
-        Number of seeded orders of the points in addition to the order of the file, seeds 1 to n.
+        Number of seeded orders of the points, in addition to the order of the file; seeds 1 to n.
     degrees : sequence of int
-        Some of 1, 2, 3. Cramer's inverse makes degree 3 slow: seconds per permutation.
+        Some of 1, 2, 3. Cramer's inverse makes degree 3 slow: it takes seconds per permutation.
     kappas : mapping, optional
-        Printed kappas: Table 4.45 is also computed with them.
+        Printed kappas, with which Table 4.45 is also computed.
     progress : callable, optional
-        Called with runs done and number of runs.
+        Function called with runs done and number of runs.
 
     Returns
     -------
     dict
-        Cell to values (1 + permutations,), the order of the file first; nan where a solver broke down.
+        Values (1 + permutations,) of each cell, the order of the file first; nan if a solver broke down.
     """
     chosen = [table for table in TABLES if table in tables]
 
@@ -163,7 +173,7 @@ def compute(
 
 
 def _cells(tables: Sequence[str], points: ControlPoints, degree: int, kappas: Kappas) -> Cells:
-    """Cells of one degree and one order of the points."""
+    """Return the cells of one degree and one order of the points."""
     runs = {normalised: Run(points, degree, normalised) for normalised in (False, True)}
     makers: dict[str, tuple[bool, Callable[[Run, str], Cells]]] = {
         "4.42": (False, _conditioning), "4.43": (False, _coefficients), "4.44": (False, _accuracy),
@@ -184,7 +194,7 @@ def _cells(tables: Sequence[str], points: ControlPoints, degree: int, kappas: Ka
 
 
 def stage(degree: int) -> str:
-    """Name a degree in a cell's address."""
+    """Return the name of a degree in a cell's address."""
     return f"rfm degree {degree}"
 
 
@@ -193,7 +203,7 @@ def _key(table: str, run: Run, **fields: str) -> CellKey:
 
 
 def _conditions(run: Run, table: str) -> Cells:
-    """Counts, [v] and [vv] per axis in pixels, smallest and largest |N x - b| (T sect. 3.5)."""
+    """Return counts, [v] and [vv] per axis in pixels, and smallest and largest |N x - b| (T sect. 3.5)."""
     method = RAW.get(table) or NORMALISED[table]
     x = run.solution(method).x
     key = _key(table, run, method=method)
@@ -202,9 +212,11 @@ def _conditions(run: Run, table: str) -> Cells:
         misfit = np.abs(run.system.normal @ x - run.system.rhs)
         for axis, v in zip(AXES[:2], run.residuals_px(x), strict=True):
             values = {
-                "n_observations": 2.0 * len(run.points), "n_unknowns": float(len(x)), "sum_residual": float(v.sum()),
+                "n_observations": 2.0 * len(run.points),
+                "n_unknowns": float(len(x)),
+                "sum_residual": float(v.sum()),
                 "sum_squared_residual": float(v @ v),
-            }  # fmt: skip
+            }
             out |= {key._replace(quantity=name, parameter=axis): value for name, value in values.items()}
     out[key._replace(quantity="normal_residual_abs_min")] = float(misfit.min())
     out[key._replace(quantity="normal_residual_abs_max")] = float(misfit.max())
@@ -212,7 +224,7 @@ def _conditions(run: Run, table: str) -> Cells:
 
 
 def _conditioning(run: Run, table: str) -> Cells:
-    """Order, rank, determinant and three condition numbers of A^T A, as run."""
+    """Return the order, rank, determinant and three condition numbers of A^T A, as run."""
     normal = run.system.normal
     with np.errstate(all="ignore"):
         try:
@@ -221,13 +233,11 @@ def _conditioning(run: Run, table: str) -> Cells:
             cond_norm = math.inf
         eigenvalues = eigh(normal, lower=False, eigvals_only=True)
         cond_spectral = float(eigenvalues[-1] / eigenvalues[0])
-    return conditioning_cells(
-        _key(table, run), diagnose(run.system), cond_norm=cond_norm, cond_spectral=cond_spectral
-    )  # fmt: skip
+    return conditioning_cells(_key(table, run), diagnose(run.system), cond_norm=cond_norm, cond_spectral=cond_spectral)
 
 
 def _coefficients(run: Run, table: str) -> Cells:
-    """Coefficients of degree 1 by each method."""
+    """Return the coefficients of degree 1 by each method."""
     if run.degree != 1:
         return {}
     out: Cells = {}
@@ -238,7 +248,7 @@ def _coefficients(run: Run, table: str) -> Cells:
 
 
 def _accuracy(run: Run, table: str) -> Cells:
-    """Accuracy m0 of the linear form by each method, and of the true image residuals of the same coefficients."""
+    """Return m0 of the linear form by each method, and m0 of the true image residuals with the same coefficients."""
     out: Cells = {}
     for method in METHODS:
         x = run.solution(method).x
@@ -248,7 +258,7 @@ def _accuracy(run: Run, table: str) -> Cells:
 
 
 def _tikhonov(run: Run, table: str, kappas: Kappas) -> Cells:
-    """Kappa and m0 of three rules with Cramer's inverse; given kappas replace those of the rules."""
+    """Return kappa and m0 of three rules with Cramer's inverse; given kappas replace the kappas of the rules."""
     out: Cells = {}
     for method, rule in TIKHONOV.items():
         kappa = kappas[method, run.degree] if kappas else _kappa(run, rule)
@@ -261,10 +271,10 @@ def _tikhonov(run: Run, table: str, kappas: Kappas) -> Cells:
 
 
 def _kappa(run: Run, rule: str) -> float:
-    """Kappa by the rules as they were run, from the solution by Cramer's inverse, clamped as published.
+    """Return kappa by the rules as run, from the solution by Cramer's inverse, clamped to [0, 1] as published.
 
     The printed kappas of degree 1, 4.4e-5 and 1.0e-19, follow from the printed coefficients with two differences from
-    the equations: s0 in place of its square in T(3.5) and T(3.6), and dP_i with descending eigenvalues in place of the
+    the equations. s0 replaces its square in T(3.5) and T(3.6); and dP_i with descending eigenvalues replaces the
     canonical coefficients in T(3.6).
     """
     system, x = run.system, run.solution(CRAMER).x

@@ -1,8 +1,8 @@
-"""Experiments on synthetic blocks: one run per seed, words of the tables, all seeds; Topan & Maktav (2010).
+"""Experiments on synthetic blocks: one run per seed, names used in the tables, all seeds; Topan & Maktav (2010).
 
 The points of the publications are unpublished. Therefore each seed defines its own synthetic block: points, roles,
-errors of the metadata, noise of image and ground (Terlemezoğlu 2019, sect. 4.2; Topan & Maktav 2010).
-:func:`compute` gives tables 1 and 2 of Topan & Maktav (2010): RMSE by point set, stage and EOP set.
+metadata errors, and noise of image and ground (Terlemezoğlu 2019, sect. 4.2; Topan & Maktav 2010). :func:`compute`
+returns tables 1 and 2 of Topan & Maktav (2010): RMSE by point set, stage and EOP set.
 """
 
 from __future__ import annotations
@@ -20,31 +20,30 @@ from fg_orient.studies.claims import Study
 from fg_orient.studies.switches import Switches, switches_of
 from fg_orient.studies.two_stage import TwoStage
 
-# Cells of one run; several values if the source does not state which of several computations it shows.
-# (No '#:': autodoc cannot format this alias.)
+# Cells of one run; a cell has several values if the source does not state which of several computations it shows.
 Cells = dict[CellKey, float | list[float]]
-#: Called after each run with runs done and number of runs.
+#: Function called after each run with runs done and number of runs.
 Progress = Callable[[int, int], None]
 
 #: Least squares of both sources: an inverse is formed with pivoting, then multiplied with b.
 LEAST_SQUARES = "pivot_inverse"
 AXES = ("x", "y", "z")
-#: The nine EOPs in the words of the tables; ar, ap, ay are roll, pitch, yaw.
+#: The nine EOPs as named in the tables; ar, ap, ay are roll, pitch, yaw.
 PUBLISHED_COMPONENTS = ("X", "Y", "Z", "VX", "VY", "VZ", "ar", "ap", "ay")
 
 
 def twin(seed: int, point_set: str = "H-10", *, as_run: bool | Switches = False) -> TwoStage:
-    """Published procedure on the synthetic block of a seed; with switches it has radial velocity and attitude."""
+    """Procedure on the synthetic block of a seed; with switches the block has radial velocity and attitude."""
     return Study(seed, switches_of(as_run)).procedure(point_set=point_set)
 
 
 def labels(eop_set: int) -> tuple[str, ...]:
-    """Coefficients of an EOP set in the words of the tables: X0, VY1, ar2 ..."""
+    """Return the coefficients of an EOP set as named in the tables: X0, VY1, ar2 ..."""
     return tuple(f"{PUBLISHED_COMPONENTS[code // 3]}{code % 3}" for code in eop_codes(eop_set))
 
 
 def rmse_cells(key: CellKey, gcp_rmse: Array, icp_rmse: Array) -> Cells:
-    """Cells of RMSE per axis at control and check points."""
+    """Return the cells of RMSE per axis at control points and check points."""
     out: Cells = {}
     for role, values in (("gcp", gcp_rmse), ("icp", icp_rmse)):
         for axis, value in zip(AXES, values, strict=True):
@@ -53,25 +52,29 @@ def rmse_cells(key: CellKey, gcp_rmse: Array, icp_rmse: Array) -> Cells:
 
 
 def conditioning_cells(key: CellKey, matrix: Conditioning, **other: float) -> Cells:
-    """Order, rank, determinant and three condition numbers of A^T A; ``other`` replaces some of them."""
+    """Return the order, rank, determinant and three condition numbers of A^T A; ``other`` replaces some of them."""
     with np.errstate(under="ignore", over="ignore"):  # 0 or inf outside the range of a double
         det = matrix.det_sign * np.float64(10.0) ** matrix.log10_det
     values = {
-        "matrix_order": matrix.order, "rank": matrix.rank, "det": det, "cond_norm": matrix.cond_norm,
-        "cond_spectral": matrix.cond_spectral, "cond_hadamard": matrix.cond_hadamard,
-    } | other  # fmt: skip
+        "matrix_order": matrix.order,
+        "rank": matrix.rank,
+        "det": det,
+        "cond_norm": matrix.cond_norm,
+        "cond_spectral": matrix.cond_spectral,
+        "cond_hadamard": matrix.cond_hadamard,
+    } | other
     return {key._replace(quantity=name): float(value) for name, value in values.items()}
 
 
 def collect(
     one_run: Callable[[int], Cells], seeds: Sequence[int], progress: Progress | None = None
 ) -> dict[CellKey, Array]:
-    """Run all seeds: values (n,) of every cell, nan if a solver broke down.
+    """Run all seeds, and return values (n,) of every cell; nan if a solver broke down.
 
     Parameters
     ----------
     one_run : callable
-        Function from a seed to its cells.
+        Function that returns the cells of a seed.
     seeds : sequence of int
     progress : callable, optional
     """
@@ -87,15 +90,18 @@ def collect(
 
 
 POINT_SETS = ("H-0", "H-20", "G-A", "G-B")
-#: Sets of the paper; Terlemezoğlu 2019 added set 20.
+#: EOP sets of the paper; Terlemezoğlu 2019 added set 20.
 PAPER_SETS = tuple(number for number in EOP_SETS if number <= 19)
 
 
 def compute(
-    tables: Collection[str], seeds: Sequence[int], *, as_run: bool | Switches = False,
+    tables: Collection[str],
+    seeds: Sequence[int],
+    *,
+    as_run: bool | Switches = False,
     progress: Progress | None = None,
-) -> dict[CellKey, Array]:  # fmt: skip
-    """Cells of the tables "text", "1", "2"; see :func:`fg_orient.studies.tables_spot5.compute`."""
+) -> dict[CellKey, Array]:
+    """Return the cells of the tables "text", "1", "2"; see :func:`fg_orient.studies.tables_spot5.compute`."""
 
     def one_run(seed: int) -> Cells:
         out: Cells = {}
@@ -113,26 +119,33 @@ def compute(
 
 
 def _counts(run: TwoStage, point_set: str) -> Cells:
-    """Numbers of the text that follow from the synthetic block."""
+    """Return the numbers of the text that follow from the synthetic block."""
     name = point_set.replace("-", "").lower()
     n_lines = run.block.images[0].sensor.n_lines
     counts = {
-        f"{name}_n_gcp": len(run.control_ids), f"{name}_n_icp": len(run.check_ids),
+        f"{name}_n_gcp": len(run.control_ids),
+        f"{name}_n_icp": len(run.check_ids),
         "n_points_total": len(run.control_ids) + len(run.check_ids),
-        "hrg_n_lines": n_lines, "n_eop_types": len(COMPONENTS), "n_eop_unmodelled": n_lines * len(COMPONENTS),
+        "hrg_n_lines": n_lines,
+        "n_eop_types": len(COMPONENTS),
+        "n_eop_unmodelled": n_lines * len(COMPONENTS),
         "n_gcp_needed_unmodelled_printed": -(-n_lines * len(COMPONENTS) // 2),
         "n_gcp_needed_unmodelled": -(-n_lines * len(COMPONENTS) // 2),
-        "n_eop_coefficients": N_EOP, "n_gcp_needed_modelled": -(-N_EOP // 2),
+        "n_eop_coefficients": N_EOP,
+        "n_gcp_needed_modelled": -(-N_EOP // 2),
         "eop_polynomial_degree": N_EOP // len(COMPONENTS) - 1,
-    }  # fmt: skip
+    }
     return {CellKey("text", quantity=key): float(value) for key, value in counts.items()}
 
 
 def _table_1(run: TwoStage, point_set: str) -> Cells:
-    """Look angles alone: uncorrected (third look component +1, as printed), step 1, bundle with fixed EOPs."""
+    """Compute RMSE with look angles only: uncorrected (third component +1, as printed), step 1, fixed EOPs."""
     key = CellKey("1", method="look_angles_only", point_set=point_set)
-    stages = {"uncorrected": run.uncorrected(look_sign=1.0), "pre-adjusted": run.look_only(),
-              "bundle": run.bundle(None, 1, LEAST_SQUARES).accuracy}  # fmt: skip
+    stages = {
+        "uncorrected": run.uncorrected(look_sign=1.0),
+        "pre-adjusted": run.look_only(),
+        "bundle": run.bundle(None, 1, LEAST_SQUARES).accuracy,
+    }
     out: Cells = {}
     for stage, errors in stages.items():
         out |= rmse_cells(key._replace(stage=stage), errors.gcp_rmse, errors.icp_rmse)
@@ -140,7 +153,7 @@ def _table_1(run: TwoStage, point_set: str) -> Cells:
 
 
 def _table_2(run: TwoStage, point_set: str) -> Cells:
-    """The bundle with each EOP set."""
+    """Compute the bundle with each EOP set."""
     out: Cells = {}
     for number in PAPER_SETS:
         errors = run.bundle(number, 1, LEAST_SQUARES).accuracy

@@ -1,13 +1,13 @@
-"""The two-stage orientation of Topan 2009, as Topan & Maktav 2010 and Terlemezoğlu 2019 use it.
+"""Two-stage orientation of Topan 2009, as used by Topan & Maktav 2010 and Terlemezoğlu 2019.
 
-1. **Look-angle pre-adjustment** (first type, per image, control points only, P 19-20): every condition has its own
-   observation. Therefore the corrections of the look angles absorb the whole misclosure, whatever its origin. A
-   degree-2 polynomial in the column gives the look angles of check points.
-2. **EOP pre-adjustment** (second type, T 4.5): ``A dP + w = Delta`` is minimised per image at the look angles of
-   step 1. ``w`` is then rounding noise, and therefore dP is, too.
-3. **Bundle** (P 21, T 2.71): both images, EOP coefficients and check-point coordinates, one iteration. Control-point
-   accuracy results from a new intersection of the control points, check-point accuracy from the coordinates of the
-   bundle.
+1. **Look-angle pre-adjustment** (first type, per image, only control points, P 19-20): every condition has its own
+   observation. Therefore the corrections of the look angles absorb the whole misclosure, whatever its cause. A degree-2
+   polynomial in the column gives the look angles of check points.
+2. **EOP pre-adjustment** (second type, T 4.5): ``A dP + w = Delta`` is minimised per image at the look angles of step
+   1. ``w`` is then rounding noise, and so is dP.
+3. **Bundle** (P 21, T 2.71): both images, EOP coefficients and check-point coordinates, one iteration. The
+   control-point accuracy results from a new intersection of the control points, the check-point accuracy from their
+   coordinates in the bundle.
 
 The module repeats the published procedure with its weaknesses (docs/ill-conditioning.md). For practical work use
 :func:`fg_orient.adjust`. ``as_run`` selects the procedure of the authors' program instead of the equations of the text.
@@ -39,12 +39,12 @@ from fg_orient.studies.two_stage_results import AxisErrors, PreAdjustment, TwoSt
 LookModel = Literal["angles", "corrections"]
 Kind = Literal[1, 2]
 
-#: Step 1 repeats until the largest condition is at most this value or no longer decreases.
+#: Step 1 repeats until the largest condition is at most this value, or no longer decreases.
 CLOSED = 1e-15
 CLOSED_AS_RUN = np.radians(0.1 / 3600.0)
 MAX_CYCLES = 10
-#: The program repeats step 2 while a correction exceeds 10 (10" for sets of attitudes), up to the first number of
-#: repetitions. With a limit per unknown (10 m or 10") the second number is sufficient.
+#: The program repeats step 2 while a correction exceeds 10 (10" for sets of attitudes), at most as often as the first
+#: number of repetitions. With a limit per unknown (10 m or 10"), the second number of repetitions is sufficient.
 REPEAT_AS_RUN_M = 10.0
 REPEAT_AS_RUN_RAD = np.radians(10.0 / 3600.0)
 MAX_REPEATS, MAX_REPEATS_BY_UNKNOWN = 1000, 10
@@ -55,24 +55,24 @@ LEFT = "the corrections have left the range in which the conditions can be compu
 
 
 class TwoStage:
-    """The published procedure on a block of two or more images.
+    """Published procedure on a block of two or more images.
 
     Parameters
     ----------
     block : Block
-        Control points are held fixed at their coordinates; tie points count as check points without
+        Block; its control points are held fixed at their coordinates, and its tie points count as check points without
         coordinates.
     as_run : bool or Switches
-        As the authors' program works, with all its departures from the text or with these.
+        Procedure of the authors' program: with all its differences from the text, or with the given ones.
     look_model : "angles" or "corrections"
-        Quantity of the degree-2 polynomial for the check points: the look angles, as published, or their corrections
-        (free of the cubic part of the angle, about 3e-6 rad).
+        Quantity represented by the degree-2 polynomial for the check points. "angles": the look angles, as published;
+        "corrections": their corrections, which do not contain the cubic part of the angle, about 3e-6 rad.
 
     Raises
     ------
     InputError
-        Fewer than two images, or control points in fewer than three columns of an image. At first use: a check or tie
-        point whose rays do not intersect.
+        There are fewer than two images, or control points in fewer than three columns of an image. At first use: the
+        rays of a check or tie point do not intersect.
     """
 
     def __init__(self, block: Block, *, as_run: bool | Switches = False, look_model: LookModel = "angles") -> None:
@@ -93,15 +93,18 @@ class TwoStage:
             columns = np.unique(o.sample[(o.image == k) & np.isin(o.point, control)])
             if len(columns) <= LOOK_DEGREE:
                 raise InputError.of(
-                    "classical.few_control", file=self.block.name, place=f"image {image.id}", value=len(columns),
+                    "classical.few_control",
+                    file=self.block.name,
+                    place=f"image {image.id}",
+                    value=len(columns),
                     least=LOOK_DEGREE + 1,
-                )  # fmt: skip
+                )
 
     # --- step 1 ------------------------------------------------------------------------------
 
     @cached_property
     def _control_rows(self) -> Index:
-        """Image points of control points."""
+        """True for image points of control points."""
         return np.flatnonzero(np.isin(self.block.observations.point, self._control))
 
     @cached_property
@@ -111,7 +114,7 @@ class TwoStage:
 
     @cached_property
     def _polynomials(self) -> Conditions:
-        """:attr:`start` with the EOPs as polynomials of the line, for A and later intersections."""
+        """:attr:`start` with EOPs that are polynomials of the line, for A and later intersections."""
         return self._built(line_exact=False) if self.switches.line_exact else self.start
 
     def _built(self, *, line_exact: bool) -> Conditions:
@@ -122,21 +125,21 @@ class TwoStage:
         return conditions.build(block.images, block.observations, ground, switches=self.switches, line_exact=line_exact)
 
     def _smooth(self, at: Conditions, rows: Index | None = None) -> Conditions:
-        """Replace the EOPs of these conditions (of these rows) by polynomials."""
+        """Replace the EOPs of these conditions (or of the given rows) by polynomials."""
         if not self.switches.line_exact:
             return at
         return at.with_orbit(self._polynomials if rows is None else self._polynomials.take(rows))
 
     @cached_property
     def look(self) -> results.LookAngles:
-        """Step 1 of all images: adjusted look angles."""
+        """Adjusted look angles of step 1, for all images."""
         rows, none = self._control_rows, np.zeros((len(self.block.images), 0))
         at = self.start.take(rows)
         coarse, after = self.switches.coarse_stop, self.switches.test_after
         limit, cycles, previous = CLOSED_AS_RUN if coarse else CLOSED, 0, np.inf
         lin = at.linearise((), none)
         while cycles < MAX_CYCLES:
-            v = -(lin.value / lin.look)[:, ::-1]  # rows are psi_y, psi_x; columns of the record psi_x, psi_y
+            v = -(lin.value / lin.look)[:, ::-1]  # rows: psi_y, psi_x; columns of the record: psi_x, psi_y
             at, cycles, before = at.with_look(at.look_rad + v), cycles + 1, lin
             lin = at.linearise((), none)
             largest = float(np.abs((lin if after else before).value).max())
@@ -151,35 +154,36 @@ class TwoStage:
         return results.LookAngles(adjusted, v, cycles, remaining, float(np.sqrt(np.mean(v[rows] ** 2))))
 
     def _predict_check_angles(self, adjusted_rad: Array) -> None:
-        """Fill the rows of check points from the degree-2 polynomial in the column, image by image."""
+        """Fill the rows of check points from the degree-2 polynomial in the column, for each image."""
         o, is_control = self.block.observations, np.zeros(len(adjusted_rad), bool)
         is_control[self._control_rows] = True
         base = np.zeros_like(adjusted_rad) if self.look_model == "angles" else self.start.look_rad
         for k, image in enumerate(self.block.images):
             known, wanted = (np.flatnonzero((o.image == k) & side) for side in (is_control, ~is_control))
             centre = (image.sensor.n_samples - 1) / 2.0
-            powers = [((o.sample[rows] - centre) / centre)[:, None] ** np.arange(LOOK_DEGREE + 1) for rows in
-                      (known, wanted)]  # fmt: skip
+            powers = [
+                ((o.sample[rows] - centre) / centre)[:, None] ** np.arange(LOOK_DEGREE + 1) for rows in (known, wanted)
+            ]
             fitted = np.linalg.lstsq(powers[0], adjusted_rad[known] - base[known], rcond=None)[0]
             adjusted_rad[wanted] = base[wanted] + powers[1] @ fitted
 
     # --- accuracy without unknowns -----------------------------------------------------------
 
     def uncorrected(self, look_sign: float = -1.0) -> AxisErrors:
-        """Stereo intersection with metadata orientation and look angles ("L" of Topan & Maktav 2010, Table 1).
+        """Intersect with metadata orientation and look angles ("L" of Topan & Maktav 2010, Table 1).
 
-        ``look_sign=+1`` takes the third component of the viewing direction as printed. The rays then intersect above
-        the satellites.
+        ``look_sign=+1`` uses the third component of the viewing direction as printed. The rays then intersect above the
+        satellites.
         """
         return self._errors(self._intersect(self.start, (), self._no_eop(), look_sign=look_sign))
 
     def look_only(self) -> AxisErrors:
-        """Stereo intersection with the look angles of step 1 ("L bar" of Topan & Maktav 2010, Table 1)."""
+        """Intersect with the look angles of step 1 ("L bar" of Topan & Maktav 2010, Table 1)."""
         return self._errors(self._intersect(self.pre_adjusted, (), self._no_eop()))
 
     @cached_property
     def pre_adjusted(self) -> Conditions:
-        """Conditions at the look angles of step 1; check points intersected with them."""
+        """Conditions at the look angles of step 1; check points are intersected with these angles."""
         at = self.start.with_look(self.look.adjusted_rad)
         ground = self._intersect(at, (), self._no_eop())
         ground[self._control] = self.block.points.known.ecef_m[self._control]
@@ -190,25 +194,26 @@ class TwoStage:
     def pre_adjust(
         self, image: int, eop_set: int, solver: str, *, polynomial_misclosures: bool = False, once: bool = False
     ) -> PreAdjustment:
-        """Step 2 of one image: EOP corrections at the look angles of step 1, which are held fixed.
+        """Run step 2 for one image: EOP corrections at the look angles of step 1, which are held fixed.
 
         Parameters
         ----------
         image : int
-            Position in the block.
+            Position of the image in the block.
         eop_set : int
-            Number of the set.
+            Number of the EOP set.
         solver : str
             Name in the registry of ``fg_orient.adjustment.linear``.
         polynomial_misclosures : bool
-            Misclosures of the first iteration from the EOP polynomials, too (1e-8 rad instead of rounding).
+            True to compute the misclosures of the first iteration from EOP polynomials too (1e-8 rad instead of
+            rounding).
         once : bool
-            One iteration, whatever the switches are.
+            True to run only one iteration, whatever the switches are.
 
         Raises
         ------
         InputError
-            Unknown EOP set or solver.
+            The EOP set or solver is unknown.
         """
         codes = _codes(eop_set)
         rows = self._control_rows[self.pre_adjusted.image[self._control_rows] == image]
@@ -234,7 +239,7 @@ class TwoStage:
         return PreAdjustment(system, solution, eop[image], delta, repeats)
 
     def _repeats(self, codes: tuple[int, ...], dp: Array, system: LinearSystem, repeats: int) -> bool:
-        """Condition of the program to repeat: large corrections and a matrix of full rank."""
+        """Return the program's condition for repeating: large corrections and a matrix of full rank."""
         most = MAX_REPEATS if self.switches.one_limit else MAX_REPEATS_BY_UNKNOWN
         if not self.switches.repeated_step_2 or repeats >= most or not np.isfinite(dp).all():
             return False
@@ -246,13 +251,13 @@ class TwoStage:
         return bool((np.abs(dp) > limit).any() and np.linalg.matrix_rank(design) == len(codes))
 
     def step_two_only(self, eop_set: int, solver: str) -> AxisErrors:
-        """Procedure without bundle: step 2 of all images, then the intersection of all points.
+        """Run the procedure without bundle: step 2 of all images, then the intersection of all points.
 
         This procedure is inferred; the sources do not describe it. The check points of type 1 in T-Tables 4.25 to 4.34
-        diverge as the control points do. In a bundle, check points are unknowns and remain within one pixel; here they
-        are intersected with the diverging orientation. Step 1 closes the conditions with EOPs interpolated at the line.
-        With EOP polynomials, misclosures of 1e-8 rad remain. They are the right-hand side of step 2, which is solved
-        once. These misclosures exceed rounding errors only with the switch ``line_exact``.
+        diverge like the control points. In a bundle, check points are unknowns and remain within one pixel; here they
+        are intersected with the diverging orientation. Step 1 satisfies the conditions with EOPs interpolated at the
+        line. With EOP polynomials, misclosures of 1e-8 rad remain. They are the right-hand side of step 2, which is
+        solved once. These misclosures exceed rounding errors only with the switch ``line_exact``.
 
         Parameters
         ----------
@@ -269,7 +274,7 @@ class TwoStage:
         Raises
         ------
         InputError
-            Unknown EOP set or solver.
+            The EOP set or solver is unknown.
         """
         images = range(len(self.block.images))
         steps = [self.pre_adjust(k, eop_set, solver, polynomial_misclosures=True, once=True) for k in images]
@@ -280,23 +285,24 @@ class TwoStage:
     # --- bundle ------------------------------------------------------------------------------
 
     def bundle(self, eop_set: int | None, kind: Kind, solver: str, iterations: int = 1) -> TwoStageResult:
-        """Bundle adjustment of all images.
+        """Adjust the bundle of all images.
 
         Parameters
         ----------
         eop_set : int or None
-            Number of the set; None holds the EOPs ("B" of Topan & Maktav 2010, Table 1).
+            Number of the EOP set; None holds the EOPs fixed ("B" of Topan & Maktav 2010, Table 1).
         kind : 1 or 2
-            1 starts from the metadata EOPs, 2 from those of step 2.
+            1 starts from the metadata EOPs, 2 from the EOPs of step 2.
         solver : str
-            Name in the registry of ``fg_orient.adjustment.linear``; also used in step 2.
+            Name in the registry of ``fg_orient.adjustment.linear``; step 2 uses it too.
         iterations : int
-            One as published. Further iterations take the adjusted observations as new ones, as the sources do.
+            One iteration is published. Further iterations use the adjusted observations as new observations, as the
+            sources do.
 
         Raises
         ------
         InputError
-            Unknown EOP set, kind or solver; number of iterations below one.
+            The EOP set, kind or solver is unknown, or the number of iterations is below one.
         """
         if kind not in (1, 2) or iterations < 1:
             raise InputError.of("classical.bundle", place="bundle", value=f"kind {kind}, {iterations} iterations")
@@ -331,7 +337,7 @@ class TwoStage:
         return TwoStageResult(system, solution, residuals, eop, self._errors(ground), v.size, n_unknowns, failure)
 
     def _bundle_conditions(self, at: Conditions, codes: tuple[int, ...], eop: Array, *, first: bool) -> Linearised:
-        """Misclosures and derivatives of one iteration; in the first, misclosures may be those of other EOPs."""
+        """Return misclosures and derivatives of one iteration; its first misclosures may come from other EOPs."""
         lin = self._smooth(at).linearise(codes, eop)
         at_metadata = first and self.switches.metadata_misclosures
         if at_metadata or (first and self.switches.line_exact):
@@ -341,14 +347,14 @@ class TwoStage:
     def _iterate(
         self, at: Conditions, lin: Linearised, eop: Array, solver: str
     ) -> tuple[Conditions, Array, Array, LinearSystem | None, LinearSolution]:
-        """One linearised adjustment: new conditions, EOPs, residuals (psi_x, psi_y), system, solution."""
+        """Return one linearised adjustment: new conditions, EOPs, residuals (psi_x, psi_y), system, solution."""
         system = self._system(at, lin)
         if system is None:
             v = -(lin.value / lin.look)
             return at.with_look(at.look_rad + v[:, ::-1]), eop, v[:, ::-1], None, LinearSolution(np.zeros(0))
         solution = attempt(solver, system, as_run=self.switches.complex_roots)
         design, observed = system.require_design("bundle")
-        residual = (design @ solution.x - observed).reshape(-1, 2)  # B^-1 (A dP + w), B square
+        residual = (design @ solution.x - observed).reshape(-1, 2)  # B^-1 (A dP + w); B is square
         v = -np.sign(lin.look) * residual
         n_images, k = eop.shape
         eop = eop + solution.x[: n_images * k].reshape(n_images, k)
@@ -358,7 +364,7 @@ class TwoStage:
         return self._with_check_points(moved, ground), eop, v[:, ::-1], system, solution
 
     def _system(self, at: Conditions, lin: Linearised) -> LinearSystem | None:
-        """Whitened design of the bundle; no system without unknowns."""
+        """Return the whitened design of the bundle; no system if there are no unknowns."""
         n, k, n_images = len(at.image), lin.eop.shape[2], len(self.block.images)
         u = n_images * k + 3 * len(self._check)
         if not u:
@@ -380,24 +386,29 @@ class TwoStage:
         return np.zeros((len(self.block.images), count))
 
     def _by_point(self, at: Conditions) -> Array:
-        """Approximate coordinates (N, 3) by ground point."""
+        """Return the approximate coordinates (N, 3), by ground point."""
         out = np.full((len(self.block.points.ids), 3), np.nan)
         out[at.point] = at.approximate_m
         return out
 
     def _with_check_points(self, at: Conditions, ground_m: Array) -> Conditions:
-        """Move the check points to these coordinates (N, 3), but not the control points."""
+        """Move the check points, but not the control points, to these coordinates (N, 3)."""
         ground = self._by_point(at)
         ground[self._check] = ground_m[self._check]
         return at.with_ground(ground[at.point])
 
     def _intersect(
-        self, at: Conditions, codes: tuple[int, ...], eop: Array, *, metadata_position: bool = False,
+        self,
+        at: Conditions,
+        codes: tuple[int, ...],
+        eop: Array,
+        *,
+        metadata_position: bool = False,
         look_sign: float = -1.0,
-    ) -> Array:  # fmt: skip
-        """Intersect the rays of all points: (N, 3) ECEF m."""
+    ) -> Array:
+        """Intersect the rays of all points, and return their coordinates (N, 3), ECEF m."""
         n = len(self.block.points.ids)
-        with np.errstate(all="ignore"):  # large corrections overflow: these points are nan
+        with np.errstate(all="ignore"):  # large corrections overflow: these points become nan
             centre, direction = at.rays(codes, eop, metadata_position=metadata_position, look_sign=look_sign)
             if len(self.block.images) == 2:
                 return results.from_two_rays(centre, direction, at.image, at.point, n, midpoint=self.switches.midpoint)
@@ -405,12 +416,12 @@ class TwoStage:
 
     @cached_property
     def _assessed(self) -> Index:
-        """Control points with an intersection: neither in one image only nor with nearly parallel rays."""
+        """True for control points that can be intersected: in two images, with rays that are not nearly parallel."""
         ground = self._intersect(self.start, (), self._no_eop())[self._control]
         return self._control[np.isfinite(ground).all(axis=1)]
 
     def _errors(self, ground_m: Array) -> AxisErrors:
-        """Measured minus computed coordinates; opens the coordinates of the check points."""
+        """Return measured minus computed coordinates; this opens the coordinates of the check points."""
         known, points = self.block.points.known, self.block.points
         gcp = known.ecef_m[self._assessed] - ground_m[self._assessed]
         check = [j for j in self._check if points.roles[j] is Role.CHECK]

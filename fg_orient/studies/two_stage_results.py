@@ -1,4 +1,4 @@
-"""Results of the two-stage procedure: steps, errors per ECEF axis as published, intersection of two rays."""
+"""Results of the two-stage procedure: its steps, errors per ECEF axis as published, intersection of two rays."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ class LookAngles:
     Parameters
     ----------
     adjusted_rad : (n, 2) array
-        psi_x, psi_y of every image point; at check points from the polynomial.
+        psi_x, psi_y of every image point; for check points from the polynomial.
     v_rad : (n, 2) array
-        Adjusted minus file; at check points the correction by the polynomial.
+        Adjusted minus file values; for check points the correction from the polynomial.
     cycles : int
     largest_misclosure : float
-        max |F| at the control points afterwards.
+        Largest |F| at the control points after step 1.
     m0_rad : float
-        ``sqrt(v^T v / n)`` over the control points; it depends on the errors of the input.
+        ``sqrt(v^T v / n)`` over the control points; it depends on the input errors.
     """
 
     adjusted_rad: Array
@@ -41,10 +41,10 @@ class PreAdjustment:
     Parameters
     ----------
     system : LinearSystem
-        Raw units; ``design`` is A, ``observed`` is -w.
+        System in raw units; ``design`` is A, ``observed`` is -w.
     solution : LinearSolution
     dP : (k,) array
-        EOP corrections in the order of ``eop_codes``, nan if the solver broke down.
+        EOP corrections in the order of ``eop_codes``; nan if the solver broke down.
     delta : (r,) array
         ``A dP + w``.
     repeats : int
@@ -64,17 +64,17 @@ class TwoStageResult:
     Parameters
     ----------
     system : LinearSystem or None
-        Of the last iteration, rows whitened by B; None without unknowns.
+        System of the last iteration, with rows whitened by B; None if there are no unknowns.
     solution : LinearSolution
     v : (r,) array
-        Residuals of the look angles psi_y, psi_x per image point, rad.
+        Residuals of the look angles psi_y, psi_x of each image point, rad.
     dP : (M, k) array
-        Total EOP corrections of each image in the order of ``eop_codes``.
+        Total EOP corrections of each image, in the order of ``eop_codes``.
     accuracy : AxisErrors
-        nan where the solver broke down.
+        Errors; nan if the solver broke down.
     n_observations, n_unknowns : int
     failure : str
-        Why the solver broke down; "" if it did not.
+        Reason why the solver broke down; "" if it did not.
     """
 
     system: LinearSystem | None
@@ -94,11 +94,11 @@ class AxisErrors:
     Parameters
     ----------
     gcp_m : (n, 3) array
-        Control points, computed again by intersection; points in one image only are omitted.
+        Errors of control points, intersected again; points in only one image are omitted.
     icp_m : (k, 3) array
-        Check points.
+        Errors of check points.
     gcp_ids, icp_ids : tuple of str
-        Their points.
+        Ids of these points.
     """
 
     gcp_m: Array
@@ -108,27 +108,27 @@ class AxisErrors:
 
     @property
     def gcp_rmse(self) -> Array:
-        """m_X, m_Y, m_Z of the control points (3,); nan without any."""
+        """Errors m_X, m_Y, m_Z of the control points (3,); nan if there are none."""
         return rms(self.gcp_m)
 
     @property
     def icp_rmse(self) -> Array:
-        """m_X, m_Y, m_Z of the check points (3,); nan without any."""
+        """Errors m_X, m_Y, m_Z of the check points (3,); nan if there are none."""
         return rms(self.icp_m)
 
     @property
     def gcp_max(self) -> float:
-        """Largest of m_X, m_Y, m_Z at the control points."""
+        """Largest of m_X, m_Y, m_Z for the control points."""
         return float(self.gcp_rmse.max())
 
     @property
     def icp_max(self) -> float:
-        """Largest of m_X, m_Y, m_Z at the check points."""
+        """Largest of m_X, m_Y, m_Z for the check points."""
         return float(self.icp_rmse.max())
 
 
 def rms(values_m: Array) -> Array:
-    """Root mean square of each column; nan for no rows."""
+    """Return the root mean square of each column; nan if there are no rows."""
     if not len(values_m):
         return np.full(values_m.shape[1], np.nan)
     largest = np.abs(values_m).max(axis=0)
@@ -139,28 +139,29 @@ def rms(values_m: Array) -> Array:
 def from_two_rays(
     centre_m: Array, direction: Array, image: Index, point: Index, n_points: int, *, midpoint: bool = False
 ) -> Array:
-    """Foot point, on the first image's ray, of the shortest connection of two rays (T 2.49-2.52 as corrected).
+    """Return the foot point on the first ray of the shortest connection of two rays (T 2.49-2.52 as corrected).
 
     Parameters
     ----------
     centre_m, direction : (n, 3) arrays
-        Rays, ECEF.
+        Rays in ECEF.
     image, point : (n,) int arrays
         Image (0 or 1) and point of each ray.
     midpoint : bool
-        The middle of the connection, as in the authors' program, instead of its foot point on the first ray.
+        True to return the middle of the connection, as in the authors' program, instead of its foot point on the first
+        ray.
 
     Returns
     -------
     (n_points, 3) array
-        ECEF m; nan for points in one image only and for parallel rays.
+        Coordinates, ECEF m; nan for points in only one image and for parallel rays.
     """
     row = np.full((2, n_points), -1)
     row[image, point] = np.arange(len(image))
     both = np.flatnonzero((row >= 0).all(axis=0))
     (p1, u1), (p2, u2) = ((centre_m[row[k, both]], direction[row[k, both]]) for k in (0, 1))
     base, cos = p2 - p1, np.einsum("ni,ni->n", u1, u2)
-    sin2 = np.sum(np.cross(u1, u2) ** 2, axis=1)  # 1 - cos^2 without its cancellation
+    sin2 = np.sum(np.cross(u1, u2) ** 2, axis=1)  # 1 - cos^2 without cancellation
     sin2[sin2 == 0.0] = np.nan
     b1, b2 = np.einsum("ni,ni->n", u1, base), np.einsum("ni,ni->n", u2, base)
     out = np.full((n_points, 3), np.nan)

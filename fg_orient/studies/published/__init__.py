@@ -1,1 +1,1 @@
-"""Published values: tables as CSV with their sources, and their reader. Nothing that computes may import this."""
+"""Published values: CSV tables with their sources, and a reader. No module that computes may import this package."""

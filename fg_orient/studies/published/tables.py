@@ -1,7 +1,7 @@
 """Reader of the published tables: CSV files with one number per record, listed in an index.
 
-The index (``index.csv``) is always that of the package. The tables may be in another folder, for instance in a copy
-with one changed value.
+The index (``index.csv``) is always the index of the package. The tables may be in another folder, such as a copy with
+one changed value.
 """
 
 from __future__ import annotations
@@ -17,13 +17,22 @@ from typing import Final
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import CellKey
 
-#: Publications with tables in this package.
+#: Publications whose tables are in this package.
 SOURCES: Final = ("terlemezoglu2019", "topan2010", "ipbuker1994", "ayhan1996")
 _HERE: Final = Path(__file__).parent
 _NUMBER = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?|nan|[+-]?inf")
-#: Columns of the fields of a CellKey, in their order; a field without a column is empty.
-_ADDRESS: Final = ("table", "eop_set_no", "stage", "pre_adjustment_type", "point_role", "quantity", "method",
-                   "parameter", "point_set")  # fmt: skip
+#: CSV columns for the fields of a CellKey, in the order of the fields; a field without a column is empty.
+_ADDRESS: Final = (
+    "table",
+    "eop_set_no",
+    "stage",
+    "pre_adjustment_type",
+    "point_role",
+    "quantity",
+    "method",
+    "parameter",
+    "point_set",
+)
 _REQUIRED: Final = ("table", "quantity", "value", "unit")
 
 
@@ -34,13 +43,13 @@ class PublishedCell:
     Parameters
     ----------
     key : CellKey
-        Its address.
+        Address of the number.
     value : float
-        nan where "NaN", words or nothing is printed.
+        The value; nan if "NaN", words or nothing is printed.
     text : str
-        The value with its printed digits ("0.510"); "" where no number is printed.
+        Printed digits of the value ("0.510"); "" if no number is printed.
     printed : str
-        As printed.
+        Complete printed text.
     unit, note : str
         Unit as printed; doubts about the number.
     """
@@ -55,7 +64,7 @@ class PublishedCell:
 
 @dataclass(frozen=True)
 class PublishedTables:
-    """The tables of one publication.
+    """Tables of one publication.
 
     Parameters
     ----------
@@ -65,7 +74,7 @@ class PublishedTables:
         Title of each table, in the order of the publication.
     cells : tuple of PublishedCell
     sha256 : dict
-        SHA-256 of each file read.
+        SHA-256 of each file that was read.
     """
 
     source: str
@@ -82,12 +91,13 @@ def load(source: str, folder: Path | None = None) -> PublishedTables:
     source : str
         One of ``SOURCES``.
     folder : Path, optional
-        Folder that contains the CSV files, or a subfolder of the source's name with them; default: the package's own.
+        Folder that contains the CSV files, or contains them in a subfolder named after the source; default: the
+        package's own folder.
 
     Raises
     ------
     InputError
-        Unknown source; a missing, damaged or incomplete file: the error names file, line and reason.
+        The source is unknown, or a file is missing, damaged or incomplete; the error then names file, line and reason.
     """
     require_source(source)
     where = _HERE / source if folder is None else folder / source if (folder / source).is_dir() else folder
@@ -102,7 +112,7 @@ def load(source: str, folder: Path | None = None) -> PublishedTables:
         counts = {entry["table"]: int(entry["cells"]) for entry in index if entry["file"] == name}
         of_file, sha256[name] = _read(where / name, counts, places)
         cells += of_file
-    if folder is not None:  # a copy may contain other values, but no other addresses
+    if folder is not None:  # a copy may change values but not addresses
         own = {cell.key for cell in load(source).cells}
         for key, (file, place) in ((key, at) for key, at in places.items() if key not in own):
             raise InputError.of("published.unknown_cell", file=file, place=place, value=f"table {key.table} {key}")
@@ -112,12 +122,12 @@ def load(source: str, folder: Path | None = None) -> PublishedTables:
 
 
 def require_source(source: str) -> None:
-    """Refuse the name of a publication without tables here.
+    """Refuse the name of a publication that has no tables here.
 
     Raises
     ------
     InputError
-        Unknown source.
+        The source is unknown.
     """
     if source not in SOURCES:
         raise InputError.of("published.source", place="SOURCE", value=source, known=", ".join(SOURCES))
@@ -126,10 +136,10 @@ def require_source(source: str) -> None:
 def _read(
     path: Path, counts: dict[str, int], places: dict[CellKey, tuple[Path, str]]
 ) -> tuple[list[PublishedCell], str]:
-    """Cells of a file and its SHA-256.
+    """Return the cells of a file and its SHA-256.
 
-    Each cell must belong to a table of ``counts``; no cell may be missing or occur twice. ``places`` (address to file
-    and line) gets the new cells.
+    Each cell must belong to a table of ``counts``; no cell may be missing or occur twice. The new cells are added to
+    ``places`` (file and line of each address).
     """
     try:
         data = path.read_bytes()
@@ -165,7 +175,10 @@ def _read(
 
 
 def _cell(record: dict[str, str], path: Path, place: str) -> PublishedCell:
-    """Cell of a record. A file without the column "printed" may contain words, dates, lists and ranges as values."""
+    """Return the cell of a record.
+
+    If the file has no column "printed", the value may contain words, dates, lists and ranges.
+    """
     text, printed = record["value"], record.get("printed")
     if text and not _NUMBER.fullmatch(text):
         if printed is not None:

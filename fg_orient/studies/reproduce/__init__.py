@@ -1,1 +1,1 @@
-"""Comparison of published and reproduced values: the only package that reads both."""
+"""Comparison of published and reproduced values; no other package reads both."""

@@ -1,9 +1,9 @@
-"""Ayhan (1996): surfaces of revolution by close-range photogrammetry, from its own printed measurements.
+"""Ayhan (1996): surfaces of revolution by close-range photogrammetry, from the measurements printed there.
 
-The thesis prints raw data: comparator coordinates of 15 points, refined coordinates of 49 points, geodetic
-coordinates. Numbers that follow from these data are recomputed. If the thesis' program computed in single precision or
-with other parameters, a spread for this effect is stated with the number. This module: rings, geodetic points, fitted
-surfaces, mapping and sums.
+The thesis prints raw data: comparator coordinates of 15 points, refined coordinates of 49 points, and geodetic
+coordinates. Numbers that follow from these data are recomputed. Some numbers may have been computed in single precision
+or with other parameters; each such number is given with a spread for this effect. This module recomputes rings,
+geodetic points, fitted surfaces, the mapping and sums.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from fg_orient.studies.reproduce import ayhan1996_photos as photos
 from fg_orient.studies.reproduce.ayhan1996_photos import GEODETIC, GON, POINTS, SUMS, cells_of, points_of
 from fg_orient.studies.reproduce.verdict import Cells, Recomputed, Values, row_key
 
-#: First and last point of the rings.
+#: First and last point of each ring.
 RINGS: Final = ((1, 16), (17, 24), (25, 32), (33, 40), (41, 44), (45, 48), (49, 49))
-#: Height of the level, m: constant to 0.06 mm in tables 3 and 4.
+#: Height of the level, m; in tables 3 and 4 it is constant to 0.06 mm.
 LEVEL_Z_M: Final = 2.3849
-#: Step of single precision at 1000 m, m.
+#: Resolution of single precision at 1000 m, m.
 SINGLE_M: Final = 6.2e-5
 RUNS: Final = 200
 XYZ: Final = ("x_m", "y_m", "z_m")
@@ -35,7 +35,7 @@ LARGE_CM: Final = 5.0
 
 
 def ring_cells(values: Values) -> Cells:
-    """Tables 1 and 2: distance of each ring from the centre of the surface (eqs. 174, 175), diameters of the text."""
+    """Recompute tables 1 and 2 and the text: each ring's distance from surface's centre (eqs. 174, 175), diameters."""
     rings = [f"ring {k}" for k in range(1, len(RINGS) + 1)]
     across, along, ball = (values[row_key("text", "rig", name)] for name in ("design_a", "design_b", "design_radius"))
     radius = points_of(values, "1", ["radius_m"], rings)
@@ -49,7 +49,7 @@ def ring_cells(values: Values) -> Cells:
 
 
 def geodetic_cells(values: Values) -> Cells:
-    """Tables 3 and 4: X from the direction (eq. 176), Z from the reading of the level."""
+    """Recompute tables 3 and 4: X from the direction (eq. 176), Z from the reading of the level."""
     out: Cells = {}
     for table in ("3", "4"):
         alpha, reading, _, y, _ = points_of(values, table, ("alpha_gon", "level_reading_mm", *XYZ)).T
@@ -61,7 +61,7 @@ def geodetic_cells(values: Values) -> Cells:
 
 
 def surface_cells(values: Values) -> Cells:
-    """Appendix 3: the land spheroid from the coordinates of appendix 1, and differences of the printed surfaces."""
+    """Recompute appendix 3: land spheroid from the coordinates of appendix 1, differences of the printed surfaces."""
     fitted = fit_surface(points_of(values, "ek1.points", GEODETIC), "spheroid", method="algebraic")
     names = list(fitted.parameters)
     land, photo = points_of(values, "ek3.surfaces", ("land_49pt_m", "photo_case_i_m"), names).T
@@ -73,14 +73,14 @@ def surface_cells(values: Values) -> Cells:
 
 
 def ring_radius(points: Array, centre: Array) -> Array:
-    """Radius (49,) of the ring of each point, m: half the distance of its extreme targets; ``|X - X0|`` at the apex.
+    """Return the radius (49,) of each point's ring, m: half the distance of its extreme targets; apex: ``|X - X0|``.
 
-    Only this definition, of eight that were tried, gives the printed points.
+    Of eight definitions that were tried, only this one gives the printed points.
 
     Parameters
     ----------
     points : (49, 3) array
-        Land coordinates X, Y, Z, m.
+        Coordinates X, Y, Z of land points, m.
     centre : (3,) array
         Centre of the surface, m.
     """
@@ -92,14 +92,14 @@ def ring_radius(points: Array, centre: Array) -> Array:
 
 
 def _mapped(points: Array, surface: Surface) -> Array:
-    """Mapped land points (49, 3): the root of eq. 182 is positive whatever the sign of Y - Y0."""
+    """Return the mapped land points (49, 3); the root of eq. 182 is positive for any sign of Y - Y0."""
     forward = points.copy()
     forward[:, 1] = surface.centre[1] + np.abs(points[:, 1] - surface.centre[1])
     return map_points(forward, surface, ring_radius(points, surface.centre))
 
 
 def mapping_cells(values: Values) -> Cells:
-    """Appendix 3: land points mapped to the printed spheroid of case I."""
+    """Recompute appendix 3: land points mapped to the printed spheroid of case I."""
     land, rng = points_of(values, "ek1.points", GEODETIC), np.random.default_rng(1)
     names = ("a", "b", "x0", "y0", "z0")
     a, b, *centre = points_of(values, "ek3.surfaces", ["photo_case_i_m"], names)[:, 0].tolist()
@@ -117,13 +117,13 @@ def mapping_cells(values: Values) -> Cells:
 
 
 def sum_cells(values: Values) -> Cells:
-    """Tables 5 to 12: [Fpp] from the three sums of its row, each with two decimals."""
+    """Recompute tables 5 to 12: [Fpp] from the three sums in its row, which have two decimals."""
     keys = [key for key in values if key.quantity == "fpp_cm2"]
     return {key: Recomputed.around(sum(values[key._replace(quantity=q)] for q in SUMS), 0.015) for key in keys}
 
 
 def six_point_cells(values: Values) -> Cells:
-    """Tables 13 to 20: case I of table 13 is that of appendix 3; large values of other cases are noise."""
+    """Recompute tables 13 to 20: case I of table 13 is that of appendix 3; large values of other cases are noise."""
     out: Cells = {}
     for key, value in values.items():
         if key.quantity == "db_cm" and abs(value) > LARGE_CM:
@@ -136,16 +136,17 @@ def six_point_cells(values: Values) -> Cells:
 
 
 def text_cells(values: Values) -> Cells:
-    """Numbers in the text: the base, the sums of appendix 1, the largest deviation from the surfaces."""
+    """Return numbers of the text: the base, the sums of appendix 1, and the largest deviation from the surfaces."""
     stations = points_of(values, "ek1.cameras", photos.STATION, photos.PHOTOS)
     base = float(np.linalg.norm(stations[1] - stations[0]))
     out = {row_key("text", "camera", "computed_base"): Recomputed(base)}
     totals = np.sum(points_of(values, "ek1.points", photos.DIFFERENCE) ** 2, axis=0)
-    half = 3.0 * 2.0 * np.sqrt(totals / 12.0) * 1e-4  # of four decimals, rounded
+    half = 3.0 * 2.0 * np.sqrt(totals / 12.0) * 1e-4  # three sigmas, for terms rounded to four decimals
     out |= cells_of("text", ("fxfx", "fyfy", "fzfz"), ["sums"], totals, half)
     fields: tuple[tuple[Kind, Array], ...] = (
-        ("spheroid", points_of(values, "ek1.points", GEODETIC)), ("sphere", points_of(values, "4", XYZ)),
-    )  # fmt: skip
+        ("spheroid", points_of(values, "ek1.points", GEODETIC)),
+        ("sphere", points_of(values, "4", XYZ)),
+    )
     for name, points in fields:
         each = 1e3 * np.abs(fit_surface(points, name, method="algebraic").deviations_m)
         words = "/".join(f"{v:.2f}" for v in each.max(axis=0))
@@ -154,7 +155,7 @@ def text_cells(values: Values) -> Cells:
     return out
 
 
-#: Functions that recompute a table from all printed values.
+#: Functions that recompute each table from all printed values.
 COMPUTERS: Final[dict[str, Callable[[Values], Cells]]] = {
     "1": ring_cells, "2": ring_cells, "3": geodetic_cells, "4": geodetic_cells,
     "5": lambda values: sum_cells(values) | photos.accuracy_cells(values),

@@ -1,9 +1,10 @@
-"""Appendices 1 and 2 of Ayhan 1996 from their raw data.
+"""Appendices 1 and 2 of Ayhan 1996, from their raw data.
 
-Refined image coordinates, intersection, DLT, parallax, and the self-calibrating bundle of 15 control points from its
-comparator coordinates. Weights, the base and the observed stations of the bundle are not printed. The weights used here
-are inferred from the 77 printed mean errors (1e-4 of a condition in mm m, 1e-2 of everything observed in m, mm and rad,
-relative to the printed m0). The observed stations are the listing's own result: agreement is a pattern, not evidence.
+The module recomputes refined image coordinates, intersection, DLT and parallax, and the self-calibrating bundle of 15
+control points from their comparator coordinates. Weights, the base and the observed stations of the bundle are not
+printed. The weights used here are inferred from the 77 printed mean errors: relative to the printed m0, 1e-4 for a
+condition in mm m and 1e-2 for every observed quantity in m, mm and rad. The observed stations are the results printed
+in the thesis, so agreement there shows consistency but is no evidence.
 """
 
 from __future__ import annotations
@@ -38,13 +39,13 @@ DLT_INPUT: Final = ("x_input_m", "y_input_m", "z_input_m")
 DLT_POINT: Final = ("x_dlt_m", "y_dlt_m", "z_dlt_m")
 SUMS: Final = ("fxx_cm2", "fyy_cm2", "fzz_cm2")
 GON: Final = np.pi / 200.0
-#: Grid of the comparator, mm.
+#: Step of the comparator readings, mm.
 GRID_MM: Final = 0.001
-#: Runs of the emulated single precision.
+#: Number of runs with emulated single precision.
 RUNS: Final = 200
-#: Largest printed rounding of differences of coordinates with four decimals, cm.
+#: Largest rounding error, cm, of printed differences of coordinates with four decimals.
 ROUNDED_CM: Final = 0.011
-#: A row of a table by its name, or a point by its number.
+#: Row of a table by its name, or a point by its number.
 Row = int | str
 
 
@@ -53,15 +54,18 @@ def _name(row: Row) -> str:
 
 
 def points_of(values: Values, table: str, quantities: Sequence[str], points: Sequence[Row] = POINTS) -> Array:
-    """Printed numbers (n, k) of some points (or other rows) of a table."""
+    """Return the printed numbers (n, k) of some points (or other rows) of a table."""
     return np.array([[values[row_key(table, _name(row), q)] for q in quantities] for row in points])
 
 
 def cells_of(
-    table: str, quantities: Sequence[str], points: Sequence[Row], numbers: npt.ArrayLike,
+    table: str,
+    quantities: Sequence[str],
+    points: Sequence[Row],
+    numbers: npt.ArrayLike,
     half: npt.ArrayLike = np.nan,
-) -> Cells:  # fmt: skip
-    """Cells of some points (or other rows) of a table from numbers (n, k) with spreads of a size ``half``."""
+) -> Cells:
+    """Return the cells of some points (or other rows) of a table, with numbers (n, k) and spreads of size ``half``."""
     shape = len(points), len(quantities)
     pairs = np.reshape(numbers, shape), np.broadcast_to(half, shape)
     return {
@@ -72,14 +76,14 @@ def cells_of(
 
 
 def interior(values: Values, photo: str) -> PhotoInterior:
-    """Interior orientation of a photo as printed."""
+    """Return the interior orientation of a photo as printed."""
     names = ("c", "xo", "zo", "k1", "k2", "k3", "p1", "p2", "ap", "bp")
     c, *others = points_of(values, "ek1.cameras", names, [photo])[0].tolist()
     return PhotoInterior(c, np.array(others[:2]), np.array(others[2:]))
 
 
 def oriented(values: Values) -> list[Photo]:
-    """Photos as printed, for refined image coordinates."""
+    """Return the photos as printed, for refined image coordinates."""
     out = []
     for photo in PHOTOS:
         numbers = points_of(values, "ek1.cameras", ("c", "omega", "phi", "kappa", *STATION), [photo])
@@ -90,7 +94,7 @@ def oriented(values: Values) -> list[Photo]:
 
 
 def _as_program(camera: PhotoInterior, measured: Array) -> Array:
-    """Refined coordinates of the thesis' program: it doubles the P2 term of z in its last stage."""
+    """Return the refined coordinates of the author's program, which doubles the P2 term of z in its last stage."""
     reduced = np.ascontiguousarray(measured - camera.principal)
     out = ideal_points(camera.corrections, reduced)
     out[:, 1] += camera.corrections[4] * (np.sum(reduced**2, axis=1) + 2.0 * reduced[:, 1] ** 2)
@@ -98,25 +102,25 @@ def _as_program(camera: PhotoInterior, measured: Array) -> Array:
 
 
 def comparator(values: Values) -> Array:
-    """Comparator coordinates (49, 4), mm: inverse of the printed refined ones, rounded to the grid of 1 um."""
+    """Return comparator coordinates (49, 4), mm, that give the printed refined ones, rounded to 1 um."""
     out = []
     for photo, refined in zip(PHOTOS, np.hsplit(points_of(values, "ek1.refined", REFINED), 2), strict=True):
         camera = interior(values, photo)
         at = refined + camera.principal
-        for _ in range(30):  # corrections change by less than 1 % of a step: a fixed point
+        for _ in range(30):  # corrections change by less than 1 % of a step, so the iteration converges
             at = at + refined - _as_program(camera, at)
         out.append(at)
     return np.asarray(np.round(np.hstack(out) / GRID_MM) * GRID_MM)
 
 
 def comparator_cells(values: Values) -> Cells:
-    """Appendix 1: comparator coordinates that follow from the printed refined ones."""
+    """Recompute appendix 1: comparator coordinates that follow from the printed refined coordinates."""
     back = comparator(values)[np.array(CONTROL) - 1]
     return cells_of("ek1.comparator", COMPARATOR, CONTROL, back)
 
 
 def refined_cells(values: Values) -> Cells:
-    """Appendix 1: refined coordinates of the control points, within one step of single precision of the raw ones."""
+    """Recompute appendix 1: refined coordinates of control points, within one step of single precision."""
     raw = points_of(values, "ek1.comparator", COMPARATOR, CONTROL)
     sides = zip(PHOTOS, np.hsplit(raw, 2), strict=True)
     out = np.hstack([_as_program(interior(values, photo), side) for photo, side in sides])
@@ -125,19 +129,19 @@ def refined_cells(values: Values) -> Cells:
 
 
 def _intersected(photos: Sequence[Photo], image: Array, *, reweighted: bool = False) -> Intersection:
-    """All points from image coordinates (n, 4) of both photos."""
+    """Return all points from image coordinates (n, 4) of both photos."""
     n = len(image)
     both = np.concatenate(np.hsplit(image, 2))
     return intersect_photos(photos, np.repeat([0, 1], n), np.tile(np.arange(n), 2), both, reweighted=reweighted)
 
 
 def _refined_points(values: Values) -> Array:
-    """All points (49, 3) from the printed refined coordinates."""
+    """Return all points (49, 3) from the printed refined coordinates."""
     return _intersected(oriented(values), points_of(values, "ek1.refined", REFINED), reweighted=True).points_m
 
 
 def _single_precision(values: Values) -> Array:
-    """Points (runs, 49, 3) of the equations of section 2.5 in single precision, raw numbers moved by half a step."""
+    """Return points (runs, 49, 3) by section 2.5 in single precision; raw numbers are moved by up to half a step."""
     rng, photos, runs = np.random.default_rng(1), oriented(values), []
     refined = np.hsplit(points_of(values, "ek1.refined", REFINED), 2)
     near = points_of(values, "ek1.points", PHOTO)
@@ -155,13 +159,13 @@ def _single_precision(values: Values) -> Array:
 
 
 def _rounded(numbers: Array, rng: np.random.Generator) -> npt.NDArray[np.float32]:
-    """Single precision of numbers, moved at random by up to half a step, because the program's rounding is unknown."""
+    """Return single-precision numbers, moved at random by up to half a step: the program's rounding is unknown."""
     step = np.spacing(numbers.astype(np.float32))
     return np.asarray((numbers + rng.uniform(-0.5, 0.5, numbers.shape) * step).astype(np.float32))
 
 
 def point_cells(values: Values) -> Cells:
-    """Appendix 1: intersection of the points that are no control points, and differences from the geodetic ones."""
+    """Recompute appendix 1: intersection of other than control points, and differences from geodetic coordinates."""
     spread = 3.0 * np.std(_single_precision(values), axis=0)
     others = [k for k in POINTS if k not in CONTROL]
     rows = np.array(others) - 1
@@ -171,21 +175,21 @@ def point_cells(values: Values) -> Cells:
 
 
 def dlt_photos(values: Values, distortion: Sequence[str] = ()) -> list[DltFit]:
-    """DLT of both photos from the 15 control points."""
+    """Return the DLT of both photos from the 15 control points."""
     ground = points_of(values, "ek2.control", DLT_INPUT, CONTROL)
     sides = zip(PHOTOS, np.hsplit(points_of(values, "ek1.comparator", COMPARATOR, CONTROL), 2), strict=True)
     return [fit_dlt(ground, side, distortion=distortion, name=photo) for photo, side in sides]
 
 
 def dlt_points(values: Values) -> Intersection:
-    """All points by DLT; the control points from their printed comparator coordinates."""
+    """Return all points by DLT; control points use their printed comparator coordinates."""
     raw = comparator(values)
     raw[np.array(CONTROL) - 1] = points_of(values, "ek1.comparator", COMPARATOR, CONTROL)
     return _intersected([fit.photo for fit in dlt_photos(values)], raw)
 
 
 def dlt_parameter_cells(values: Values) -> Cells:
-    """Appendix 2: 11 parameters within the printed standard deviations, orientation within our own."""
+    """Recompute appendix 2: 11 parameters within their printed standard deviations, orientation within our own."""
     out: Cells = {}
     names = [f"L{k}" for k in range(1, 12)]
     for fit, photo in zip(dlt_photos(values), PHOTOS, strict=True):
@@ -197,7 +201,7 @@ def dlt_parameter_cells(values: Values) -> Cells:
         assert r.sigma is not None
         angle = r.sigma["turn_x"] / GON, r.sigma["turn_y"] / GON, r.sigma["turn_z"] / GON
         quantities = ("xo_mm", "zo_mm", "c_mm", "omega_gon", "phi_gon", "kappa_gon")
-        # kappa there belongs to the x axis (eq. 43), here to the y axis
+        # kappa refers there to the x axis (eq. 43), here to the y axis
         numbers = *r.principal, 0.5 * (r.cx + r.cy), -omega, phi, kappa - r.skew / GON
         sigmas = r.sigma["x0"], r.sigma["y0"], r.sigma["cx"], *angle
         out |= cells_of("ek2.dlt", quantities, [photo], numbers, sigmas)
@@ -205,7 +209,7 @@ def dlt_parameter_cells(values: Values) -> Cells:
 
 
 def dlt_control_cells(values: Values) -> Cells:
-    """Appendix 2: control points by DLT within their standard deviation; the column RMS follows from its row."""
+    """Recompute appendix 2: control points by DLT within their standard deviation; column RMS from its row."""
     points = dlt_points(values)
     assert points.sigma_m is not None
     at = np.array(CONTROL) - 1
@@ -215,19 +219,19 @@ def dlt_control_cells(values: Values) -> Cells:
 
 
 def dlt_point_cells(values: Values) -> Cells:
-    """Appendix 2: all points by DLT."""
+    """Recompute appendix 2: all points by DLT."""
     points = dlt_points(values)
     assert points.sigma_m is not None
     return cells_of("ek2.points", DLT_POINT, POINTS, points.points_m, points.sigma_m)
 
 
 def accuracy_cells(values: Values) -> Cells:
-    """Table 5: the rows whose raw data are printed."""
+    """Recompute table 5: the rows whose raw data are printed."""
     land, adjusted = points_of(values, "ek1.points", GEODETIC), points_of(values, "ek1.points", PHOTO)
     control = np.isin(POINTS, CONTROL)[:, None]
 
     def sums(points: Array) -> Array:
-        """Sums [Fxx], [Fyy], [Fzz], cm^2."""
+        """Return the sums [Fxx], [Fyy], [Fzz], cm^2."""
         return np.array(compare_points(land, points, np.zeros(len(land), bool)).every.sums_cm2[:3])
 
     runs = np.array([sums(np.where(control, adjusted, run)) for run in _single_precision(values)])
@@ -240,7 +244,7 @@ def accuracy_cells(values: Values) -> Cells:
 
 
 def parallax_points(values: Values) -> Array:
-    """All points by the parallax equations of unequal principal distances."""
+    """Return all points by the parallax equations for unequal principal distances."""
     cameras, photos = [interior(values, photo) for photo in PHOTOS], oriented(values)
     sides = [raw - camera.principal for raw, camera in zip(np.hsplit(comparator(values), 2), cameras, strict=True)]
     base = float(np.linalg.norm(photos[1].origin_m - photos[0].origin_m))
@@ -250,21 +254,22 @@ def parallax_points(values: Values) -> Array:
 # --- appendix 1: the bundle -----------------------------------------------------------------------
 
 UNKNOWN: Final = ("x0", "y0", "c", "k1", "k2", "k3", "p1", "p2", "affinity_a", "affinity_b")
-#: Names of the print, in the order of our numbers of a photo.
+#: Printed names, in the order of our numbers of a photo.
 PRINTED: Final = ("xo", "zo", "c", "k1", "k2", "k3", "p1", "p2", "ap", "bp", "omega", "phi", "kappa", "x0", "y0", "z0")
 STATION: Final = ("x0", "y0", "z0")
-#: Inferred: sigma of a condition (mm m) and of everything observed (m, mm, rad), in units of m0; base, m.
+#: Inferred sigmas, in units of m0, of a condition (mm m) and of every observed quantity (m, mm, rad); base, m.
 SIGMA_CONDITION: Final = 100.0
 SIGMA_OBSERVED: Final = 10.0
 BASE_M: Final = 1.199
-#: Approximate principal point, mm: the middle of the comparator's field; the print starts from whole millimetres.
+#: Approximate principal point, mm: middle of the comparator's field; the printed solution starts from whole
+#: millimetres.
 MIDDLE: Final = (115.0, 143.0)
-#: Largest relative difference between a mean error and its print with the verdict ``fitted``.
+#: Largest relative difference between a mean error and its print for the verdict ``fitted``.
 RATIO: Final = 0.05
 
 
 def bundle(values: Values, *, backend: str = "dense", with_base: bool = True) -> BundleResult:
-    """The bundle under the inferred weights; sigmas in units of the printed m0.
+    """Adjust the bundle with the inferred weights; sigmas are in units of the printed m0.
 
     Parameters
     ----------
@@ -272,29 +277,45 @@ def bundle(values: Values, *, backend: str = "dense", with_base: bool = True) ->
         Printed numbers.
     backend : str
     with_base : bool
-        Hold the base. The printed mean errors are those of the normal equations without that condition.
+        True to hold the base fixed. The printed mean errors come from normal equations without this condition.
     """
     m0 = values[row_key("ek1.bundle", "adjustment", "m0")]
     observed, photos = SIGMA_OBSERVED * m0, []
     for photo in PHOTOS:
         c = values[row_key("ek1.bundle", photo, "c_observed")]
         station = points_of(values, "ek1.cameras", STATION, [photo])[0]
-        photos.append(BundlePhoto(
-            photo, PhotoInterior(c, np.array(MIDDLE)), rotation_from_ayhan(0.0, 0.0, 0.0), station, UNKNOWN,
-            observed={"c": (c, observed)}, sigma_centre_m=np.full(3, observed), sigma_turn_rad=np.full(3, observed),
-        ))  # fmt: skip
+        photos.append(
+            BundlePhoto(
+                photo,
+                PhotoInterior(c, np.array(MIDDLE)),
+                rotation_from_ayhan(0.0, 0.0, 0.0),
+                station,
+                UNKNOWN,
+                observed={"c": (c, observed)},
+                sigma_centre_m=np.full(3, observed),
+                sigma_turn_rad=np.full(3, observed),
+            )
+        )
     land = points_of(values, "ek2.control", DLT_INPUT, CONTROL)
     raw, n = points_of(values, "ek1.comparator", COMPARATOR, CONTROL), len(CONTROL)
     ids = [str(k) for k in CONTROL]
     return adjust_bundle(
-        photos, ids, land, np.repeat([0, 1], n), np.tile(np.arange(n), 2), np.concatenate(np.hsplit(raw, 2)),
-        sigma=SIGMA_CONDITION * m0, control={name: (at, observed) for name, at in zip(ids, land, strict=True)},
-        constraints=[Constraint("base", PHOTOS, BASE_M)] if with_base else [], residual="condition", backend=backend,
-    )  # fmt: skip
+        photos,
+        ids,
+        land,
+        np.repeat([0, 1], n),
+        np.tile(np.arange(n), 2),
+        np.concatenate(np.hsplit(raw, 2)),
+        sigma=SIGMA_CONDITION * m0,
+        control={name: (at, observed) for name, at in zip(ids, land, strict=True)},
+        constraints=[Constraint("base", PHOTOS, BASE_M)] if with_base else [],
+        residual="condition",
+        backend=backend,
+    )
 
 
 def parameters(result: BundleResult, photo: int) -> dict[str, tuple[float, float]]:
-    """Numbers of a photo by the names of the print, angles in gon: value and root of its cofactor."""
+    """Return the numbers of a photo by printed name, angles in gon: value and root of its cofactor."""
     one = result.photos[photo]
     values = one.values.tolist()
     values[10:13] = (a / GON for a in ayhan_from_rotation(result.rotations[photo]))
@@ -302,13 +323,13 @@ def parameters(result: BundleResult, photo: int) -> dict[str, tuple[float, float
 
 
 def point_roots(result: BundleResult) -> Array:
-    """Roots of the cofactors (15, 3) of the control points."""
+    """Return the roots of the cofactors (15, 3) of the control points."""
     rows = [result.labels.index(f"point {k} X") for k in CONTROL]
     return np.asarray(np.sqrt([result.cofactors[k : k + 3] for k in rows]))
 
 
 def camera_cells(values: Values) -> Cells:
-    """Appendix 1: adjusted cameras, within a printed mean error."""
+    """Recompute appendix 1: adjusted cameras, within their printed mean errors."""
     adjusted = bundle(values)
     numbers = np.array([[value for value, _ in parameters(adjusted, k).values()] for k in range(len(PHOTOS))])
     half = points_of(values, "ek1.bundle", [f"m_{name}" for name in PRINTED], PHOTOS)
@@ -320,15 +341,16 @@ def camera_cells(values: Values) -> Cells:
 
 
 def bundle_cells(values: Values) -> Cells:
-    """Appendix 1: 77 mean errors, 15 adjusted control points, m0."""
+    """Recompute appendix 1: 77 mean errors, 15 adjusted control points, and m0."""
     held, free = bundle(values), bundle(values, with_base=False)
     adjusted, errors = (tuple(name.format(axis) for axis in "xyz") for name in ("{}_adjusted_m", "m_{}_m"))
     half = points_of(values, "ek1.bundle", errors, CONTROL)
     out = cells_of("ek1.bundle", adjusted, CONTROL, held.points_m, half)
     roots = np.array([[root for _, root in parameters(free, k).values()] for k in range(len(PHOTOS))])
     for quantities, rows, numbers in (
-        ([f"m_{name}" for name in PRINTED], PHOTOS, roots), (errors, CONTROL, point_roots(free)),
-    ):  # fmt: skip
+        ([f"m_{name}" for name in PRINTED], PHOTOS, roots),
+        (errors, CONTROL, point_roots(free)),
+    ):
         out |= cells_of("ek1.bundle", quantities, rows, numbers, RATIO * numbers)
     assert held.m0 is not None
     key = row_key("ek1.bundle", "adjustment", "m0")

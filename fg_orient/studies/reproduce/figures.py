@@ -1,8 +1,8 @@
-"""Figures of the publications in their arrangement, drawn from the reproduction.
+"""Figures of the publications in their original arrangement, drawn from the reproduction.
 
-Layouts show the points of our synthetic block and contain no published values. Error vectors are those of the first
-seed; each panel states the RMSE that belongs to its table. The published positions and drawings are not available.
-Figures that cannot be drawn are listed with the reason.
+Layouts show the points of our synthetic block and contain no published values. Error vectors belong to the first seed;
+each panel states the RMSE of its table. The published positions and drawings are not available. Figures that cannot be
+drawn are listed with the reason.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from fg_orient.studies.tables_twin import POINT_SETS, twin
 from fg_orient.studies.two_stage import TwoStage
 from fg_orient.studies.two_stage_results import AxisErrors
 
-#: Panels of T-Fig. 4.3: rule of kappa and EOP set.
+#: Panels of T-Fig. 4.3: rule for kappa, and EOP set.
 TIKHONOV: Final = (("hkb", 5), ("lw", 5), ("od", 5), ("od", 13), ("od", 15), ("od", 17), ("od", 19), ("od", 20))
-#: Panels of T-Fig. 4.4: tables 4.28 to 4.34 have one solver each.
+#: Panels of T-Fig. 4.4: tables 4.28 to 4.34 each belong to one solver.
 SOLVERS: Final = (
     "pivot_inverse", "gauss_inverse", "moore_penrose_inverse", "cholesky_inverse", "gauss_elimination",
     "gauss_partial_pivot_elimination", "cholesky_elimination",
 )  # fmt: skip
-#: The set of these panels: the only one that all solvers determine.
+#: EOP set of these panels, the only set that all solvers determine.
 SOLVED: Final = 15
-#: EOP sets of P-Fig. 7: position, velocity, attitude, position with attitude.
+#: EOP sets of P-Fig. 7: position; velocity; attitude; position and attitude.
 PAPER: Final = (1, 5, 9, 15)
 OURS: Final = "Layout of our synthetic block, not of the publication's points. "
 
@@ -47,12 +47,12 @@ class SourceFigure:
     Parameters
     ----------
     name : str
-        Its number in the publication: "4.3".
+        Number of the figure in the publication, such as "4.3".
     title, caption : str
     charts : tuple of Chart
-        Its panels; empty if it cannot be drawn.
+        Panels of the figure; empty if it cannot be drawn.
     missing : str
-        Why it cannot be drawn.
+        Reason why it cannot be drawn.
     """
 
     name: str
@@ -63,13 +63,13 @@ class SourceFigure:
 
     @property
     def file(self) -> str:
-        """Name of its files without the ending."""
+        """File name without suffix."""
         return "fig-" + self.name.replace(".", "-").replace(" ", "-").replace(",", "")
 
 
 def figures(result: Reproduction) -> tuple[SourceFigure, ...]:
-    """All figures of a publication that belong to the chosen tables, layouts always."""
-    with one_blas_thread(), np.errstate(all="ignore"):  # adjustments that break down overflow: nan is drawn as missing
+    """Return the figures of a publication that belong to the chosen tables; layouts are always included."""
+    with one_blas_thread(), np.errstate(all="ignore"):  # adjustments that break down overflow; nan is drawn as missing
         return tuple(_FIGURES[result.source.name](result))
 
 
@@ -136,7 +136,7 @@ def _twin(result: Reproduction, point_set: str) -> TwoStage:
 
 
 def _of_bundle(run: TwoStage, eop_set: int | None, solver: str, title: str = "") -> Chart:
-    """Panel of a bundle without EOP pre-adjustment (type 1)."""
+    """Return the panel of a bundle without EOP pre-adjustment (type 1)."""
     number = "" if eop_set is None else f"set {eop_set} {EOP_SETS[eop_set].name}"
     words = title or (f"{number}, {solver.replace('_', ' ')}" if solver != "pivot_inverse" else number)
     try:
@@ -156,7 +156,7 @@ def _layout(run: TwoStage, title: str) -> Chart:
 
 
 def _panel(run: TwoStage, errors: AxisErrors, title: str) -> Chart:
-    """Horizontal error vectors with the largest RMSE of an axis of each role."""
+    """Return the horizontal error vectors, with the RMSE of each role's worst axis."""
     return error_map(places_km(run.block), errors_of(run.block, errors), title)
 
 
@@ -165,7 +165,7 @@ def _panel(run: TwoStage, errors: AxisErrors, title: str) -> Chart:
 _LOST: Final = "The drawing and the choice of its points are not in the text of the thesis that is public."
 _MISFITS: Final = ("fxx_cm2", "fyy_cm2", "fzz_cm2")
 _SURFACES: Final = ("da_cm", "db_cm", "dx0_cm", "dy0_cm", "dz0_cm")
-#: Points of the sums of tables 5 to 12.
+#: Number of points in the sums of tables 5 to 12.
 _TARGETS: Final = 49
 
 
@@ -188,7 +188,7 @@ def _ayhan(result: Reproduction) -> Iterable[SourceFigure]:
 def _bars(
     rows: Sequence[Row], quantities: Sequence[str], labels: Sequence[str], words: str, scale: Callable[[float], float]
 ) -> Chart:
-    """Lines of the printed values over the rows of a table, and rings of the reproduced ones."""
+    """Return lines for the printed values over the rows of a table, and rings for the reproduced values."""
     names = list(dict.fromkeys(row.key.parameter for row in rows))
     by_key = {(row.key.parameter, row.key.quantity): row for row in rows}
     none = math.nan, math.nan
@@ -240,7 +240,7 @@ def _ipbuker(result: Reproduction) -> Iterable[SourceFigure]:
 
 
 def _shore() -> Chart:
-    """Schematic layout: sheets of 7.5' at 41 degrees of latitude, 10.5 km by 13.9 km."""
+    """Return the schematic layout: sheets of 7.5' at a latitude of 41 degrees, 10.5 km by 13.9 km."""
     wide, tall, rng = 10.5, 13.9, np.random.default_rng(1994)
     chart = empty_map(np.array([[0.0, 0.0], [2.0 * wide, 2.0 * tall]]), "schematic")
     for east in (0.0, wide):

@@ -1,4 +1,4 @@
-"""A reproduction as a folder: ``cells.csv``, ``claims.csv``, ``result.json``, ``report.html``, ``figures``.
+"""Folder of a reproduction: ``cells.csv``, ``claims.csv``, ``result.json``, ``report.html``, ``figures``.
 
 The page shows verdicts, a chart of all numbers, L-curves and the figures of the publication.
 """
@@ -37,17 +37,22 @@ SCHEMA_VERSION: Final = 3
 
 
 def reproduce_to(
-    name: str, out: Path | None = None, *, overwrite: bool = False, callback: Callback | None = None,
-    command: Sequence[str] = (), **options: Any,
-) -> tuple[Reproduction, dict[str, Any]]:  # fmt: skip
-    """Reproduce a publication and write the folder.
+    name: str,
+    out: Path | None = None,
+    *,
+    overwrite: bool = False,
+    callback: Callback | None = None,
+    command: Sequence[str] = (),
+    **options: Any,
+) -> tuple[Reproduction, dict[str, Any]]:
+    """Reproduce a publication and write the result folder.
 
     Parameters
     ----------
     out : Path, optional
-        Folder to make; default "reproduced-" and the name.
+        Folder to create; default: "reproduced-" and the name.
     overwrite : bool
-        Replace the folder of an earlier reproduction.
+        True to replace the folder of an earlier reproduction.
     command : sequence of str
         Command line, for the record.
     name, callback, **options
@@ -56,12 +61,12 @@ def reproduce_to(
     Returns
     -------
     Reproduction, dict
-        All rows and claims, and the record for the JSON output of the command.
+        All rows and claims; and the record for the JSON output of the command.
 
     Raises
     ------
     InputError
-        Bad options, damaged published tables, or an output that cannot be written.
+        Options are wrong, published tables are damaged, or the output cannot be written.
     """
     require_source(name)
     target = out or Path(f"reproduced-{name}")
@@ -73,7 +78,7 @@ def reproduce_to(
 
 
 def as_record(result: Reproduction) -> dict[str, Any]:
-    """Rows and claims as plain values; numbers that are not finite become None."""
+    """Return the rows and claims as plain values; numbers that are not finite become None."""
     rows = [plain(row.as_dict()) for row in result.rows]
     return {"rows": rows, "claims": [plain(asdict(claim)) for claim in result.claims]}
 
@@ -116,13 +121,13 @@ def _write(folder: Path, result: Reproduction, command: Sequence[str]) -> None:
 
 
 def captions(drawn: Sequence[SourceFigure]) -> str:
-    """Captions of the figures, with the reasons of those that are missing."""
+    """Return the captions of the figures, with the reasons for missing ones."""
     lines = [f"{one.file}: fig. {one.name}. {one.title}. {one.caption or 'Not drawn: ' + one.missing}" for one in drawn]
     return "\n\n".join(lines) + "\n"
 
 
 def render(result: Reproduction, record: dict[str, Any], drawn: Sequence[SourceFigure]) -> str:
-    """HTML text.
+    """Return the HTML page of the reproduction.
 
     Parameters
     ----------
@@ -133,21 +138,43 @@ def render(result: Reproduction, record: dict[str, Any], drawn: Sequence[SourceF
     """
     rows = {table: [row for row in result.rows if row.table == table] for table in result.titles}
     tables = [
-        {"id": table, "name": table_name(table), "title": title, "counts": result.counts(table), "rows": rows[table],
-         "shuffled": result.shuffled(table), "gained": result.gained(table), "grid": grid(rows[table])}
+        {
+            "id": table,
+            "name": table_name(table),
+            "title": title,
+            "counts": result.counts(table),
+            "rows": rows[table],
+            "shuffled": result.shuffled(table),
+            "gained": result.gained(table),
+            "grid": grid(rows[table]),
+        }
         for table, title in result.titles.items()
-    ]  # fmt: skip
+    ]
     problems = [f"Claim {c.id} is not met: {c.reason or c.text}" for c in result.claims if not c.met]
     legend = {kind: (*words[:2], result.source.meanings.get(kind, words[2])) for kind, words in LEGEND.items()}
-    return environment("fg_orient.studies.reproduce").get_template("reproduction.html.j2").render(
-        record=record, legend=legend, kinds=KINDS, tables=tables, claims=result.claims, counts=result.counts(),
-        verdict=verdict(result), scatter=scatter(result.rows), problems=problems, curves=l_curves(result),
-        figures=drawn, shuffles=SHUFFLES, seed=next(iter(result.options.get("seeds", [])), None),
-    )  # fmt: skip
+    return (
+        environment("fg_orient.studies.reproduce")
+        .get_template("reproduction.html.j2")
+        .render(
+            record=record,
+            legend=legend,
+            kinds=KINDS,
+            tables=tables,
+            claims=result.claims,
+            counts=result.counts(),
+            verdict=verdict(result),
+            scatter=scatter(result.rows),
+            problems=problems,
+            curves=l_curves(result),
+            figures=drawn,
+            shuffles=SHUFFLES,
+            seed=next(iter(result.options.get("seeds", [])), None),
+        )
+    )
 
 
 def table_name(table: str) -> str:
-    """Name a table in words: "Table 4.3", "Eq. (4.1)", "Sect. 4.2.2", "Text", "Summary"."""
+    """Return the heading of a table: "Table 4.3", "Eq. (4.1)", "Sect. 4.2.2", "Text", "Summary"."""
     if table.startswith("eq"):
         return f"Eq. ({table[2:]})"
     if table.isalpha():
@@ -156,7 +183,7 @@ def table_name(table: str) -> str:
 
 
 def verdict(result: Reproduction) -> dict[str, str]:
-    """Outcome in sentences: ``kind`` (good, warn), ``title`` and ``text``."""
+    """Return the outcome as sentences: ``kind`` (good, warn), ``title`` and ``text``."""
     counts, n, met = result.counts(), len(result.rows), sum(claim.met for claim in result.claims)
     informing = Counter(row.verdict for row in result.rows if row.informs)
     by_role = counts["equal"] + counts["rounding"] - informing.total()
@@ -182,14 +209,17 @@ def verdict(result: Reproduction) -> dict[str, str]:
 
 
 class Grid(NamedTuple):
-    """Arrange verdicts of one table: names of the columns, then per line its address and a Row or None per column."""
+    """Verdicts of one table, arranged for the page: column names.
+
+    And lines of an address and a Row or None per column.
+    """
 
     columns: tuple[str, ...]
     rows: tuple[tuple[str, tuple[Row | None, ...]], ...]
 
 
 def grid(rows: Sequence[Row]) -> Grid | None:
-    """Arrange the rows of one table by solver or EOP set; None for a single column."""
+    """Arrange the rows of one table by solver or EOP set; return None if there would be only one column."""
     for field in ("method", "eop_set"):
         columns = tuple(dict.fromkeys(name for row in rows if (name := getattr(row.key, field))))
         if len(columns) > 1:
@@ -197,7 +227,7 @@ def grid(rows: Sequence[Row]) -> Grid | None:
     else:
         return None
     lines: dict[str, dict[str, Row]] = {}
-    for row in rows:  # a cell without this field is in the first column; if that is occupied, in a new line
+    for row in rows:  # a cell without this field goes into the first column, or into a new line if that is occupied
         column = getattr(row.key, field) or columns[0]
         line = lines.setdefault(str(row.key._replace(**{field: ""})) or row.cell, {})
         if column in line:
@@ -207,14 +237,14 @@ def grid(rows: Sequence[Row]) -> Grid | None:
     return Grid(tuple(words), tuple((name, tuple(map(line.get, columns))) for name, line in lines.items()))
 
 
-#: Name of a printed kappa among the rules of a drawing.
+#: Name of a printed kappa among the rules in a drawing.
 PRINTED: Final = "printed"
-#: Unknowns of the bundle are in the units of the publication, not in standard deviations.
+#: Unknowns of the bundle have the units of the publication, not standard deviations.
 AXES: Final = ("norm of the residuals |Ax − l|", "norm of the solution |x|, units of the publication")
 
 
 def l_curves(result: Reproduction) -> list[dict[str, Any]]:
-    """L-curve of each EOP set with the kappas of the tables: ``eop_set``, ``drawing``, ``rules`` by their kappas."""
+    """Return the L-curve of each EOP set with the tables' kappas: ``eop_set``, ``drawing``, ``rules`` by kappa."""
     out = []
     for number, curve in result.curves.items():
         rules = [asdict(choice) | {"table": ""} for choice in curve.choices]
@@ -223,27 +253,34 @@ def l_curves(result: Reproduction) -> list[dict[str, Any]]:
             key = row.key
             if (key.quantity, key.eop_set, key.pre_adjustment_type) == ("kappa", str(number), "1"):
                 residual, solution = curve.place(row.published)
-                rules.append({
-                    "rule": PRINTED, "label": f"{labels.get(key.method, key.method)}, printed",
-                    "kappa": row.published, "residual_norm": residual, "solution_norm": solution, "notes": (),
-                    "failure": "", "table": row.table,
-                })  # fmt: skip
+                rules.append(
+                    {
+                        "rule": PRINTED,
+                        "label": f"{labels.get(key.method, key.method)}, printed",
+                        "kappa": row.published,
+                        "residual_norm": residual,
+                        "solution_norm": solution,
+                        "notes": (),
+                        "failure": "",
+                        "table": row.table,
+                    }
+                )
         section = plain({"rule": PRINTED, "rules": rules, "curve": asdict(curve)})
         out.append({"eop_set": number, "drawing": l_curve(section, AXES), "rules": ranked(section)})
     return out
 
 
 SIZE: Final = 520.0
-#: Largest range of the axes, powers of ten; sizes outside are drawn at the border.
+#: Largest range of the axes, as powers of ten; numbers outside are drawn at the border.
 RANGE: Final = (-30, 15)
-#: Largest ratio of numbers of the same order.
+#: Largest ratio of two numbers that have the same order of magnitude.
 BAND: Final = 10.0
 
 
 def scatter(rows: Sequence[Row]) -> Chart | None:
-    """Sizes of all numbers other than zero that are published and reproduced; None if fewer than two.
+    """Return the sizes of all nonzero numbers that are published and reproduced; None if fewer than two.
 
-    Points at the same place are drawn once.
+    Points at the same place are drawn only once.
     """
     pairs = [(abs(r.published), abs(r.reproduced), r) for r in rows]
     pairs = [p for p in pairs if all(math.isfinite(v) and v > 0.0 for v in p[:2])]

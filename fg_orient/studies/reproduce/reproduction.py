@@ -1,4 +1,4 @@
-"""Published and reproduced values, cell by cell, with the claims: computation of ``fg-orient reproduce``."""
+"""Comparison of published and reproduced values by cell, with the claims: computation of ``fg-orient reproduce``."""
 
 from __future__ import annotations
 
@@ -22,33 +22,33 @@ from fg_orient.studies.reproduce.sources import SOURCES, Source
 from fg_orient.studies.reproduce.verdict import KINDS, CellComparison, Judge, Kind, assess_runs, known_reason
 from fg_orient.studies.tables_spot6 import PERMUTATIONS
 
-#: Called after each run with runs done, number of runs, and name of the work.
+#: Function called after each run with runs done, number of runs, and name of the work.
 Callback = Callable[[int, int, str], None]
 
-#: Default number of runs: about a minute.
+#: Default number of runs, which take about a minute.
 DEFAULT_SEEDS: Final = 10
 MAX_SEEDS: Final = 1000
 
 
 @dataclass(frozen=True)
 class Row:
-    """One published number, the result of the runs, and the verdict.
+    """One published number with the result of the runs and the verdict.
 
     Parameters
     ----------
     key : CellKey
-        Address.
+        Address of the number.
     published, reproduced : float
-        nan if nothing is printed, or the runs broke down. ``reproduced`` is the median.
+        Values; nan if nothing is printed, or if the runs broke down. ``reproduced`` is the median.
     low, high : float
-        Smallest and largest run.
+        Smallest and largest result of the runs.
     verdict, reason : str
-        One of ``KINDS``, and its reason.
+        Verdict, one of ``KINDS``, and its reason.
     printed, unit, note : str
-        Digits as printed, unit, doubts about the number.
+        Printed digits, unit, and doubts about the number.
     chance : float
-        Share of the shuffles of the printed values in which the cell gets this verdict or a stronger one; nan if it
-        has no verdict or nothing to be exchanged with (see :func:`baseline`).
+        Share of the shuffles of printed values in which the cell gets this verdict or a stronger one. nan if the cell
+        has no verdict, or if no other cell can be exchanged with it (see :func:`baseline`).
     """
 
     key: CellKey
@@ -65,21 +65,21 @@ class Row:
 
     @property
     def informs(self) -> bool:
-        """The digits agree, and not because the role of the cell alone makes them."""
+        """True if the digits agree, and the role of the cell alone does not explain the agreement."""
         return self.verdict in DIGITS and not self.chance == 1.0
 
     @property
     def table(self) -> str:
-        """Table of the number."""
+        """Table that contains the number."""
         return self.key.table
 
     @property
     def cell(self) -> str:
-        """Address in the table, in words."""
+        """Description of the address in the table."""
         return str(self.key)
 
     def as_dict(self) -> dict[str, Any]:
-        """Columns by name: table and cell, then all but ``key``."""
+        """Return the columns by name: table and cell, then all fields but ``key``."""
         columns = {"table": self.table, "cell": self.cell} | vars(self)
         del columns["key"]
         return columns
@@ -87,7 +87,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Reproduction:
-    """All rows and claims of a publication.
+    """All rows and claims of one publication.
 
     Parameters
     ----------
@@ -96,14 +96,14 @@ class Reproduction:
         Titles of the tables, in order.
     rows : tuple of Row
     baseline : Baseline
-        Verdicts of shuffled values.
+        Verdicts that shuffled values get.
     claims : tuple of ClaimResult
     options : dict
-        ``tables``, ``seeds``, ``as_run``.
+        The options ``tables``, ``seeds``, ``as_run``.
     sha256 : dict
         SHA-256 of the files of published values.
     curves : dict
-        L-curve of each EOP set whose kappas are among the rows, for the first seed.
+        L-curve for the first seed, for each EOP set whose kappas are among the rows.
     """
 
     source: Source
@@ -116,17 +116,17 @@ class Reproduction:
     curves: dict[int, LCurve] = field(default_factory=dict)
 
     def counts(self, table: str | None = None) -> dict[str, int]:
-        """Number of rows with each verdict, of one table or of all."""
+        """Return the number of rows with each verdict, for one table or for all."""
         counter = Counter(row.verdict for row in self.rows if table in (None, row.table))
         return {kind: counter[kind] for kind in KINDS}
 
     def shuffled(self, table: str | None = None) -> dict[str, float]:
-        """Number of rows with each verdict if the printed values are shuffled, of one table or of all."""
+        """Return the number of rows with each verdict after shuffling printed values, for one table or all."""
         chosen = [counts for name, counts in self.baseline.verdicts.items() if table in (None, name)]
         return {kind: sum(counts[kind] for counts in chosen) for kind in KINDS}
 
     def gained(self, table: str | None = None) -> float:
-        """Cells that agree in digits, spread or size beyond those that agree shuffled, of one table or of all."""
+        """Return how many more cells agree in digits, spread or size than after shuffling, for one table or all."""
         if table is None:
             return sum(map(self.gained, self.titles))
         true = sum(r.verdict in AGREEING for r in self.rows if r.table == table and r.key in self.baseline.chance)
@@ -134,37 +134,45 @@ class Reproduction:
 
 
 def reproduce(
-    name: str, *, tables: str = "", n_seeds: int = DEFAULT_SEEDS, as_run: bool = False, claims: bool = True,
-    published: Path | None = None, data: Path | None = None, permutations: int = PERMUTATIONS,
+    name: str,
+    *,
+    tables: str = "",
+    n_seeds: int = DEFAULT_SEEDS,
+    as_run: bool = False,
+    claims: bool = True,
+    published: Path | None = None,
+    data: Path | None = None,
+    permutations: int = PERMUTATIONS,
     callback: Callback | None = None,
-) -> Reproduction:  # fmt: skip
-    """Run the experiments of a publication on synthetic blocks and compare with the printed values.
+) -> Reproduction:
+    """Run the experiments of a publication on synthetic blocks, and compare the results with the printed values.
 
     Parameters
     ----------
     name : str
-        "terlemezoglu2019", "topan2010"; "ipbuker1994", "ayhan1996" (without seeds, points or programs to vary).
+        "terlemezoglu2019" or "topan2010"; "ipbuker1994" or "ayhan1996", which have no seeds, points or programs to
+        vary.
     tables : str
-        Tables and ranges of tables ("4.3-4.9,4.28"); "" for all.
+        Tables and ranges of tables ("4.3-4.9,4.28"); "" for all tables.
     n_seeds : int
-        Number of synthetic blocks, with the seeds 1 to n.
+        Number of synthetic blocks; their seeds are 1 to n.
     as_run : bool
-        Procedure of the authors' program, on blocks with radial velocity and attitude.
+        True to use the procedure of the authors' program, on blocks with radial velocity and attitude.
     claims : bool
-        Assess the claims about the publication, too.
+        True to assess the claims about the publication too.
     published : Path, optional
-        Other folder of published tables.
+        Another folder with published tables.
     data : Path, optional
         Control points of the SPOT-6 scene, for tables 4.35-4.55; default ``$FG_ORIENT_REAL_DATA``.
     permutations : int
-        Orders of these points in addition to the order of their file.
+        Number of orders of these points, in addition to the order of their file.
     callback : callable, optional
-        Called after each run of the tables and each run of the claims.
+        Function called after each run of the tables and of the claims.
 
     Raises
     ------
     InputError
-        Unknown publication or table, number of seeds out of range, damaged tables.
+        The publication or table is unknown, the number of seeds is out of range, or tables are damaged.
     """
     for option, count in (("seeds", n_seeds), ("permutations", permutations)):
         if not 1 <= count <= MAX_SEEDS:
@@ -187,9 +195,7 @@ def reproduce(
         if len(on_twin) < len(chosen):
             options["permutations"] = permutations
     if source.real is not None:
-        on_points = source.real(
-            printed, chosen, data, permutations=permutations, progress=progress("real points")
-        )  # fmt: skip
+        on_points = source.real(printed, chosen, data, permutations=permutations, progress=progress("real points"))
     about_it = [claim for claim in all_claims() if claims and claim.id in source.claims]
     assessed = run_claims(seeds, progress("claims", n_seeds, steps), about_it) if about_it else []
     titles = {table: printed.titles[table] for table in chosen}
@@ -199,12 +205,12 @@ def reproduce(
 
 
 def select(text: str, tables: Sequence[str]) -> tuple[str, ...]:
-    """Choose tables by name and range.
+    """Return the tables chosen by name and range.
 
     Raises
     ------
     InputError
-        No such table, or a range that runs backwards.
+        A table does not exist, or the ends of a range are exchanged.
     """
     if not text.strip():
         return tuple(tables)
@@ -221,10 +227,15 @@ def select(text: str, tables: Sequence[str]) -> tuple[str, ...]:
 
 
 def pair(
-    printed: PublishedTables, computed: Mapping[CellKey, Array], source: Source, tables: Sequence[str],
-    on_points: Mapping[CellKey, Judge] | None = None, *, as_run: bool = False,
-) -> tuple[tuple[Row, ...], Baseline]:  # fmt: skip
-    """Compare each published cell of some tables with its runs, or by its judge ``on_points``; then shuffled."""
+    printed: PublishedTables,
+    computed: Mapping[CellKey, Array],
+    source: Source,
+    tables: Sequence[str],
+    on_points: Mapping[CellKey, Judge] | None = None,
+    *,
+    as_run: bool = False,
+) -> tuple[tuple[Row, ...], Baseline]:
+    """Compare each published cell of some tables with its runs, or by its judge ``on_points``; then shuffle."""
     cells = [cell for cell in printed.cells if cell.key.table in tables]
     judges = {cell.key: (on_points or {}).get(cell.key) or _of_runs(cell.key, computed) for cell in cells}
     null, rows = baseline(cells, judges), []
@@ -232,25 +243,36 @@ def pair(
         comparison: CellComparison = judges[cell.key](cell)
         is_open = comparison.kind == "differs" and cell.key not in (on_points or {})
         known = known_reason(source.known, cell, as_run) if is_open else ""
-        rows.append(Row(
-            cell.key, cell.value, comparison.reproduced, comparison.low, comparison.high, comparison.kind,
-            "; ".join(filter(None, (comparison.reason, known))), cell.text or cell.printed, cell.unit, cell.note,
-            null.chance.get(cell.key, math.nan),
-        ))  # fmt: skip
+        rows.append(
+            Row(
+                cell.key,
+                cell.value,
+                comparison.reproduced,
+                comparison.low,
+                comparison.high,
+                comparison.kind,
+                "; ".join(filter(None, (comparison.reason, known))),
+                cell.text or cell.printed,
+                cell.unit,
+                cell.note,
+                null.chance.get(cell.key, math.nan),
+            )
+        )
     return tuple(rows), null
 
 
 def _of_runs(key: CellKey, computed: Mapping[CellKey, Array]) -> Judge:
-    """Judge of a cell by its runs on synthetic blocks."""
+    """Function that judges a cell by its runs on synthetic blocks."""
     order = float(computed.get(key._replace(quantity="matrix_order"), np.array([math.nan]))[0])
     return partial(assess_runs, runs=computed.get(key), order=None if math.isnan(order) else order)
 
 
-#: Number of shuffles, with the seeds 1 to N.
+#: Number of shuffles; their seeds are 1 to N.
 SHUFFLES: Final = 20
-#: Verdicts with information on the value of a cell, the strongest first; a common side of a limit is not enough.
+#: Verdicts that contain information on the value of a cell, strongest first. A value on the same side of a limit does
+#: not count.
 AGREEING: Final[tuple[Kind, ...]] = ("equal", "rounding", "unit", "sigma", "spread", "order")
-#: Verdicts of digits: the only ones that the headline counts.
+#: Verdicts on digits, the only ones counted by the headline.
 DIGITS: Final[tuple[Kind, ...]] = ("equal", "rounding")
 
 
@@ -261,10 +283,11 @@ class Baseline:
     Parameters
     ----------
     verdicts : dict
-        Table to verdict to the number of cells, mean of the shuffles; cells that nothing can be exchanged with and
-        cells without verdict are left out.
+        For each table, the mean number of cells with each verdict over the shuffles. Cells without verdict, and cells
+        that cannot be exchanged, are left out.
     chance : dict
-        Share of the shuffles in which a cell gets its own verdict or a stronger one; no entry for cells left out.
+        Share of the shuffles in which a cell gets its own verdict or a stronger one. Cells that are left out have no
+        entry.
     """
 
     verdicts: dict[str, dict[Kind, float]]
@@ -272,12 +295,12 @@ class Baseline:
 
 
 def roles(cells: Sequence[PublishedCell]) -> list[list[int]]:
-    """Places of the cells of each role that has at least two printed numbers."""
+    """Return the places of the cells of each role that has at least two printed numbers."""
     groups: dict[CellKey, list[int]] = {}
     for place, cell in enumerate(cells):
         if cell.text:
             key = cell.key._replace(eop_set="", stage="", method="")
-            row_is_name = key == cell.key  # neither set, image nor solver: the parameter is the row of the table
+            row_is_name = key == cell.key  # neither set, image nor solver: the parameter names the row
             groups.setdefault(key._replace(parameter="") if row_is_name else key, []).append(place)
     return [places for places in groups.values() if len(places) > 1]
 
@@ -289,7 +312,7 @@ def shuffled(cells: Sequence[PublishedCell], seed: int) -> tuple[PublishedCell, 
     ----------
     cells : sequence of PublishedCell
     seed : int
-        Of the permutations.
+        Seed of the permutations.
     """
     out, rng = list(cells), np.random.default_rng(seed)
     for places in roles(cells):
@@ -300,17 +323,18 @@ def shuffled(cells: Sequence[PublishedCell], seed: int) -> tuple[PublishedCell, 
 
 
 def baseline(cells: Sequence[PublishedCell], judges: Mapping[CellKey, Judge], n: int = SHUFFLES) -> Baseline:
-    """Judge shuffled values: those of a table, exchanged among cells of the same role.
+    """Judge shuffled values: within a table, values are exchanged among cells of the same role.
 
-    A verdict that exchanged values get as often as the true ones shows that the quantity has this size in the table,
-    not that the cell has this value (docs/reproduce.md). Role: table, quantity, coefficient, axis, point set and type;
-    EOP sets, images and solvers are exchanged, in tables without these the rows. Computed values stay in their places.
+    If exchanged values get a verdict as often as the true values, the verdict only shows that the quantity has this
+    size in the table, not that the cell has this value (docs/reproduce.md). The role consists of table, quantity,
+    coefficient, axis, point set and type. EOP sets, images and solvers are exchanged; in tables without these, rows are
+    exchanged. Computed values are not exchanged.
 
     Parameters
     ----------
     cells : sequence of PublishedCell
     judges : mapping
-        Judge of each cell.
+        Function that judges each cell.
     n : int
         Number of shuffles.
     """

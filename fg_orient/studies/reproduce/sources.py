@@ -1,4 +1,4 @@
-"""Publications: functions that compute their cells, and the declarations of ``sources.toml``."""
+"""Publications: functions that compute their cells, and declarations from ``sources.toml``."""
 
 from __future__ import annotations
 
@@ -24,30 +24,30 @@ from fg_orient.studies.reproduce.verdict import Cells, Judges, Kind, Values, ass
 
 @dataclass(frozen=True)
 class Source:
-    """A publication.
+    """Declaration of one publication.
 
     Parameters
     ----------
     name, title : str
-        Folder of the published tables; author, year and subject.
+        Name of the folder of published tables; author, year and subject.
     about : str
         Basis of the numbers, for the report.
     compute : callable or None
-        ``compute(tables, seeds, as_run=, progress=)``: values (n,) of each cell on n synthetic blocks, one per seed.
-        None if nothing is computed on synthetic blocks.
+        ``compute(tables, seeds, as_run=, progress=)`` returns values (n,) of each cell on n synthetic blocks, one per
+        seed. None if nothing is computed on synthetic blocks.
     real : callable, optional
-        ``real(printed, tables, data, permutations=, progress=)``: judge of each cell of tables that need no
+        ``real(printed, tables, data, permutations=, progress=)`` returns the judge of each cell of tables that need no
         synthetic block.
     real_tables : tuple of str
-        Tables for ``real``, if ``compute`` computes others.
+        Tables computed by ``real``, if ``compute`` computes other tables.
     curves : callable, optional
-        ``curves(tables, seed, as_run=)``: L-curve of each EOP set whose kappas are in these tables.
+        ``curves(tables, seed, as_run=)`` returns the L-curve of each EOP set whose kappas are in these tables.
     claims : tuple of str
-        Ids of the claims about it.
+        Ids of the claims about the publication.
     meanings : mapping
-        Meaning of a verdict where it differs from that for runs on synthetic blocks.
+        Meaning of verdicts, if it differs from the meaning for runs on synthetic blocks.
     known : sequence of mappings
-        Known reasons of differences, see :func:`fg_orient.studies.reproduce.verdict.known_reason`.
+        Known reasons for differences; see :func:`fg_orient.studies.reproduce.verdict.known_reason`.
     """
 
     name: str
@@ -63,36 +63,42 @@ class Source:
 
 
 def recomputed(
-    computers: Mapping[str, Callable[[Values], Cells]], remarks: Mapping[str, str], reasons: Mapping[str, str],
+    computers: Mapping[str, Callable[[Values], Cells]],
+    remarks: Mapping[str, str],
+    reasons: Mapping[str, str],
     within: Mapping[str, Kind],
-    printed: PublishedTables, tables: Collection[str], _: Path | None = None, *, permutations: int = 0,
+    printed: PublishedTables,
+    tables: Collection[str],
+    _: Path | None = None,
+    *,
+    permutations: int = 0,
     progress: Callable[[int, int], None] = lambda *_: None,
-) -> Judges:  # fmt: skip
+) -> Judges:
     """Compare tables that follow from printed numbers.
 
     Parameters
     ----------
     computers : mapping
-        Table to the function that computes cells from all printed values.
+        Function that computes the cells of each table from all printed values.
     remarks : mapping
-        Regular expressions of "table, address" to the origin of computed cells, see ``Recomputed``.
+        Origin of computed cells, by regular expressions of "table, address"; see ``Recomputed``.
     reasons : mapping
-        Tables to the reason why their other cells cannot be reproduced; "*" for all other tables.
+        Reason why the other cells of a table cannot be reproduced; "*" stands for all other tables.
     within : mapping
-        Regular expressions of "table, address" to the verdict inside a stated spread, where it is not ``spread``.
+        Verdict inside a stated spread, by regular expressions of "table, address", if it is not ``spread``.
     printed : PublishedTables
     tables : collection of str
     permutations : int
-        Not used.
+        Not used here.
     progress : callable, optional
-        Called with the number of tables done and of all.
+        Function called with the number of tables done and of all tables.
     """
     values: Values = {cell.key: np.float64(cell.value) for cell in printed.cells}
     why = {table: reason for names, reason in reasons.items() for table in names.split()}
     out: Judges = {}
     for done, table in enumerate(tables, start=1):
         cells, unknown = Cells(), why.get(table, why["*"])
-        with one_blas_thread(), np.errstate(all="ignore"):  # a copy may contain any number: nan then differs
+        with one_blas_thread(), np.errstate(all="ignore"):  # a copy may contain any number; nan then gives "differs"
             try:
                 if table in computers:
                     cells = computers[table](values)
@@ -101,15 +107,18 @@ def recomputed(
             for cell in printed.cells:
                 if (key := cell.key).table == table:
                     out[key] = partial(
-                        assess_value, other=cells.get(key), unknown=unknown, origin=_first(remarks, key, ""),
+                        assess_value,
+                        other=cells.get(key),
+                        unknown=unknown,
+                        origin=_first(remarks, key, ""),
                         within=_first(within, key, "spread"),
-                    )  # fmt: skip
+                    )
         progress(done, len(tables))
     return out
 
 
 def _first(rules: Mapping[str, Any], key: CellKey, other: str) -> Any:
-    """Value of the first regular expression that matches "table, address"."""
+    """Return the value of the first regular expression that matches "table, address"."""
     return next((value for words, value in rules.items() if re.fullmatch(words, f"{key.table}, {key}")), other)
 
 
@@ -118,7 +127,7 @@ _DEFAULTS: Final = {name: value for name, value in _DECLARED.items() if isinstan
 
 
 def _source(name: str, computers: Mapping[str, Callable[[Values], Cells]] | None = None, **functions: Any) -> Source:
-    """Source of its declaration and functions; with ``computers`` its tables follow from printed numbers."""
+    """Return a source from its declaration and functions; with ``computers`` its tables follow from printed numbers."""
     of_source = dict(_DECLARED[name])
     of_source["claims"] = tuple(of_source.get("claims", "").split())
     texts = of_source.pop("remarks", {}), of_source.pop("reasons", {}), of_source.pop("within", {})

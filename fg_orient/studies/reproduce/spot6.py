@@ -1,14 +1,14 @@
-"""Tables 4.35-4.55 of Terlemezoğlu (2019) on the real control points: data, verdicts, reasons.
+"""Tables 4.35-4.55 of Terlemezoğlu (2019) with the real control points: data, verdicts, reasons.
 
-In contrast to the synthetic blocks of the other tables, these are the authors' own points: a number either agrees with
-the printed digits or is rounding noise. The verdicts (docs/rfm.md):
+Unlike the synthetic blocks of other tables, these are the authors' own points: a number either agrees with the printed
+digits or is rounding noise. The verdicts (docs/rfm.md):
 
-- ``equal``: the points in the order of their file give all printed digits, and each permutation of them is within one
-  unit of the last digit.
-- ``spread``: the published size, as an interval of its printed digits, meets min/30 to 30 max of the permutations.
-  If the method itself loses digits (degree 3, inverses formed from N): within 0.2 px^2 of [vv] in the order of the
-  file.
-- ``differs``: neither; ``not_reproducible``: no points, or nothing to compare with.
+- ``equal``: the points in the order of their file give all printed digits, and each permutation gives a value within
+  one unit of the last digit.
+- ``spread``: the interval of the published size, given by its printed digits, overlaps min/30 to 30 max of the
+  permutations. If the method itself loses digits (degree 3, inverses formed from N): in the order of the file, [vv]
+  agrees within 0.2 px^2.
+- ``differs``: none of these holds. ``not_reproducible``: there are no points, or there is nothing to compare with.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ from fg_orient.studies import tables_spot6
 from fg_orient.studies.published.tables import PublishedCell, PublishedTables
 from fg_orient.studies.reproduce.verdict import CellComparison, Judges, Kind, declared, known_reason
 
-#: Folder of real data if ``--data`` is not given.
+#: Environment variable for the folder of real data, used if ``--data`` is not given.
 VARIABLE: Final = "FG_ORIENT_REAL_DATA"
-#: Whole numbers that must agree exactly, like a printed zero; elsewhere "13" is 13 +- 0.5.
+#: Whole numbers that must agree exactly, as a printed zero must; elsewhere "13" means 13 +- 0.5.
 COUNTED: Final = ("n_observations", "n_unknowns", "matrix_order", "rank")
-#: Factor by which the range of the permutations is extended for rounding noise.
+#: Factor that extends the range of the permutations for rounding noise.
 MARGIN: Final = 30.0
 #: Relative spread of the permutations below which a number is not noise.
 STEADY: Final = 0.01
-#: Inverses formed from the normalised N of degree 3 (condition 4e12) lose digits of [vv]: the result is 0 to 0.7 px^2
-#: above its minimum 2.94, for all methods and orders of the points (printed 2.9 to 3.1).
+#: Inverses formed from the normalised N of degree 3 (condition 4e12) lose digits of [vv]. The result is 0 to 0.7 px^2
+#: above its minimum 2.94, for all methods and orders of the points (printed: 2.9 to 3.1).
 INVERSES: Final = ("pivot_inverse", "cholesky_inverse", "gauss_inverse", "moore_penrose_inverse")
 VV_TOLERANCE_PX2: Final = 0.2
-#: Effect of these 0.2 px^2 on m0, plus the rounding of its print.
+#: Effect of these 0.2 px^2 on m0, plus the rounding error of its print.
 M0_TOLERANCE_PX: Final = 0.0044 + 0.005
 NO_POINTS: Final = f"the 99 control points are not here: give them as data, or a folder of real data in {VARIABLE}"
 
@@ -53,7 +53,7 @@ def control_points(data: Path | None) -> ControlPoints | None:
     Returns
     -------
     ControlPoints or None
-        None if nothing is given and the environment names no folder with the points.
+        Points; None if nothing is given and the environment names no folder with the points.
 
     Raises
     ------
@@ -68,9 +68,13 @@ def control_points(data: Path | None) -> ControlPoints | None:
 
 
 def compare(
-    printed: PublishedTables, tables: Collection[str], data: Path | None, *,
-    permutations: int = tables_spot6.PERMUTATIONS, progress: Callable[[int, int], None] | None = None,
-) -> Judges:  # fmt: skip
+    printed: PublishedTables,
+    tables: Collection[str],
+    data: Path | None,
+    *,
+    permutations: int = tables_spot6.PERMUTATIONS,
+    progress: Callable[[int, int], None] | None = None,
+) -> Judges:
     """Compare the cells of some tables; tables of other scenes are ignored.
 
     Parameters
@@ -78,11 +82,11 @@ def compare(
     printed : PublishedTables
     tables : collection of str
     data : Path, optional
-        See :func:`control_points`.
+        Folder or file of points; see :func:`control_points`.
     permutations : int
-        Orders of the points in addition to the order of the file.
+        Number of orders of the points, in addition to the order of the file.
     progress : callable, optional
-        Called with runs done and number of runs.
+        Function called with runs done and number of runs.
     """
     cells = [cell for cell in printed.cells if cell.key.table in tables and cell.key.table in tables_spot6.TABLES]
     if not cells:
@@ -98,13 +102,13 @@ def compare(
 
 
 def printed_kappas(printed: PublishedTables) -> dict[tuple[str, int], float]:
-    """Kappas of Table 4.45 by method and degree."""
+    """Return the kappas of Table 4.45 by method and degree."""
     cells = (cell for cell in printed.cells if cell.key.table == "4.45" and cell.key.quantity == "kappa")
     return {(cell.key.method, int(cell.key.stage[-1])): cell.value for cell in cells}
 
 
 def assess(cell: PublishedCell, computed: Mapping[CellKey, Array]) -> CellComparison:
-    """Compare a printed number with the order of the file and the permutations; see the module docstring.
+    """Compare a printed number with the file's order and the permutations; see the module docstring.
 
     Parameters
     ----------
@@ -121,7 +125,7 @@ def assess(cell: PublishedCell, computed: Mapping[CellKey, Array]) -> CellCompar
 
 
 def _sizes(runs: Array) -> Array:
-    """Finite sizes of the permutations."""
+    """Return the finite sizes of the permutations."""
     return np.abs(runs[1:][np.isfinite(runs[1:])])
 
 
@@ -130,7 +134,7 @@ def _quantiles(sizes: Array) -> str:
 
 
 def _tested(cell: PublishedCell, runs: Array, sizes: Array) -> tuple[Kind, str]:
-    """Kind of verdict and its reason."""
+    """Return the kind of verdict and its reason."""
     if reason := _equal(cell, runs):
         return "equal", reason
     tolerance = _tolerance(cell.key)
@@ -158,7 +162,7 @@ def _tested(cell: PublishedCell, runs: Array, sizes: Array) -> tuple[Kind, str]:
 
 
 def _equal(cell: PublishedCell, runs: Array) -> str:
-    """Reason why a number counts as equal, or ""."""
+    """Return the reason why a number counts as equal; "" if it does not."""
     if math.isinf(cell.value):
         return "overflows like the printed one" if np.isinf(runs).all() and runs[0] == cell.value else ""
     if not math.isfinite(cell.value) or not math.isfinite(runs[0]):
@@ -166,13 +170,13 @@ def _equal(cell: PublishedCell, runs: Array) -> str:
     off = np.abs(runs - cell.value)
     exact = cell.key.quantity in COUNTED or (cell.value == 0.0 and cell.key.quantity != "rpc")
     unit = 0.0 if exact else last_digit(cell.text)
-    slack = 1e-9 * abs(cell.value)  # the decimal print of a double
+    slack = 1e-9 * abs(cell.value)  # rounding of the decimal print of a double
     stays = np.isfinite(runs).all() and float(off.max()) <= 1.5 * unit + slack
     return "all printed digits" if off[0] <= 0.5 * unit + slack and stays else ""
 
 
 def _tolerance(key: CellKey) -> float | None:
-    """Tolerance of cells whose method loses digits."""
+    """Return the tolerance of cells whose method loses digits."""
     if key.method not in INVERSES or key.stage != tables_spot6.stage(3):
         return None
     if key.table == "4.55" and key.quantity == "m0":
@@ -181,7 +185,7 @@ def _tolerance(key: CellKey) -> float | None:
 
 
 def _hadamard(cell: PublishedCell, runs: Array) -> str:
-    """Reason for Hadamard numbers that no matrix of these points gives, or ""."""
+    """Return the reason for Hadamard numbers that no matrix of these points gives; "" for other numbers."""
     if cell.key.quantity != "cond_hadamard":
         return ""
     if math.isnan(cell.value):
@@ -195,7 +199,7 @@ def _hadamard(cell: PublishedCell, runs: Array) -> str:
 
 
 def _more(cell: PublishedCell, computed: Mapping[CellKey, Array]) -> str:
-    """Numbers that are not in the source: m0 of the true image residuals; m0 with the printed kappa."""
+    """Return the numbers that the source does not give: m0 of true image residuals; m0 with the printed kappa."""
     key = cell.key
     if key.quantity != "m0":
         return ""

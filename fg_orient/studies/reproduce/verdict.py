@@ -1,25 +1,26 @@
 """Comparison of a published number with computed ones.
 
-:func:`assess_runs` compares a number with the runs of the twin, by the rule of its quantity (``rules.toml``,
-docs/reproduce.md). The tests of a rule are tried in order. The first that holds is the verdict; if none holds it is
-``differs``:
+:func:`assess_runs` compares a number with the runs on synthetic blocks, by the rule of its quantity (``rules.toml``,
+docs/reproduce.md). The tests of a rule are tried in order. The first test that holds gives the verdict; if none holds
+it is ``differs``:
 
 - ``equal``: every run gives all printed digits.
 - ``rounding``: the reproduced value (median of the runs) rounds to the printed digits.
-- ``order``: published and reproduced have a ratio of 0.1 to 10, signs aside.
-- ``spread``: the published size lies between the smallest and the largest run, a decade added on
-  both sides (not for ranks).
-- ``side``: published and more than half of the runs lie on the same side of ``limit``. A solver that breaks down
-  and a printed NaN count as above the limit.
+- ``order``: the ratio of published and reproduced size is 0.1 to 10; signs are ignored.
+- ``spread``: the published size lies between the smallest and the largest run, extended by a factor of ten on both
+  sides (not for ranks).
+- ``side``: the published number and more than half of the runs lie on the same side of ``limit``. A solver that breaks
+  down, and a printed NaN, count as above the limit.
 
 :func:`assess_value` compares a number with a number recomputed from other printed numbers, laws or simulations:
 
-- ``equal``: the printed digits; ``rounding``: the same, beside a stated spread that is wider than the print.
-- ``unit``: one unit of the last digit away (not for sums and products of printed numbers).
-- ``spread``, ``sigma``: inside the stated spread; ``sigma`` if that is one standard deviation.
-- ``fitted``: inside the stated spread, but something in the computation was fitted to the printed values.
+- ``equal``: the printed digits agree. ``rounding``: they agree, and a stated spread is wider than one unit of the last
+  digit.
+- ``unit``: the difference is one unit of the last digit (not for sums and products of printed numbers).
+- ``spread``, ``sigma``: the number lies inside the stated spread; ``sigma`` if the spread is one standard deviation.
+- ``fitted``: the number lies inside the stated spread, but the computation was fitted partly to the printed values.
 - ``order``: only the order of magnitude is expected to agree; the ratio is given.
-- ``differs``: none of these; ``not_reproducible``: with the reason.
+- ``differs``: none of these holds. ``not_reproducible``: a reason is given.
 """
 
 from __future__ import annotations
@@ -43,24 +44,24 @@ from fg_orient.studies.published.tables import PublishedCell
 
 Test = Literal["equal", "rounding", "order", "spread", "side"]
 Kind = Literal["equal", "rounding", "unit", "spread", "sigma", "order", "side", "fitted", "differs", "not_reproducible"]
-#: Ratio of published and reproduced that is accepted as the same order of magnitude.
+#: Largest ratio of published and reproduced numbers accepted as the same order of magnitude.
 ORDER: Final = 10.0
 
 
 @dataclass(frozen=True)
 class CellComparison:
-    """A published number compared with the reproduced one.
+    """Result of comparing a published number with the reproduced one.
 
     Parameters
     ----------
     kind : str
-        One of ``KINDS``.
+        Verdict, one of ``KINDS``.
     reason : str
-        One line.
+        Reason in one line.
     reproduced : float
-        Recomputed value or median of the runs; nan if it is missing or if half or more of the runs broke down.
+        Recomputed value, or median of the runs; nan if it is missing, or if half or more of the runs broke down.
     low, high : float
-        Stated spread, or smallest and largest run; nan if missing.
+        Stated spread, or smallest and largest run; nan if there is none.
     """
 
     kind: Kind
@@ -70,31 +71,31 @@ class CellComparison:
     high: float = math.nan
 
 
-#: Comparison of a cell, whose printed number may be its own or that of another cell (see ``reproduction.baseline``).
+#: Function that compares a cell; its printed number may be its own or that of another cell (``reproduction.baseline``).
 Judge = Callable[[PublishedCell], CellComparison]
 Judges = dict[CellKey, Judge]
 
 
 @dataclass(frozen=True)
 class Rule:
-    """Tests of a kind of quantity.
+    """Tests for one kind of quantity.
 
     Parameters
     ----------
     tests : tuple of str
-        In order, see the module docstring.
+        Tests in the order of trial; see the module docstring.
     what : str
         Meaning of the number, for the reason.
     limit : float
-        Limit of the test ``side``; nan for ranks, which are compared with the order of the matrix.
+        Limit for the test ``side``; nan for ranks, which are compared with the order of the matrix.
     unit : str
         Unit of the limit.
     without_value : str
-        Reason why a printed NaN without counterpart cannot be compared.
+        Reason why a printed NaN without a computed value cannot be compared.
     nan_above : bool
-        A printed NaN means a solver that broke down and counts as above every limit.
+        True if a printed NaN means that the solver broke down; it then counts as above every limit.
     decade : bool
-        ``spread`` widens the spread by a decade.
+        True if ``spread`` extends the spread by a factor of ten.
     """
 
     tests: tuple[Test, ...]
@@ -108,29 +109,29 @@ class Rule:
 
 @cache
 def declared(name: str) -> dict[str, Any]:
-    """Content of a TOML file of this package."""
+    """Return the content of a TOML file of this package."""
     return tomllib.loads(Path(__file__).with_name(name).read_text("utf-8"))
 
 
 _DECLARED: Final = declared("rules.toml")
 #: Rule of each kind of quantity.
 RULES: Final = {name: Rule(**row | {"tests": tuple(row["tests"])}) for name, row in _DECLARED["rules"].items()}
-#: Sign, name and meaning of each verdict, in the order of reports.
+#: Symbol, name and meaning of each verdict, in the order of reports.
 LEGEND: Final[dict[Kind, list[str]]] = _DECLARED["legend"]
 KINDS: Final[tuple[Kind, ...]] = tuple(LEGEND)
 
 
 def known_reason(rules: Iterable[Mapping[str, Any]], cell: PublishedCell, as_run: bool = False) -> str:
-    """Reason of the first rule whose regular expressions match the address of a cell; "" if there is none.
+    """Return the reason of the first rule whose regular expressions match a cell's address; "" if none does.
 
     Parameters
     ----------
     rules : iterable of mappings
-        Regular expressions by the fields of the address; ``above``: limit that the printed value exceeds; ``why``, and
-        ``as_run`` if the reason for the program is another one.
+        Regular expressions for the fields of the address. ``above``: limit that the printed value exceeds. ``why``: the
+        reason; ``as_run``: its replacement for the authors' program.
     cell : PublishedCell
     as_run : bool
-        The procedure is that of the authors' program.
+        True for the procedure of the authors' program.
     """
     for rule in rules:
         fields = rule.keys() & set(CellKey._fields)
@@ -141,7 +142,7 @@ def known_reason(rules: Iterable[Mapping[str, Any]], cell: PublishedCell, as_run
 
 
 def kind_of(key: CellKey) -> str:
-    """Row of ``RULES`` for a cell."""
+    """Return the rule in ``RULES`` that applies to a cell."""
     if key.quantity.startswith("rmse_"):
         return key.point_role
     if key.quantity in {"sum_residual", "sum_squared_residual"}:
@@ -161,7 +162,7 @@ def assess_runs(cell: PublishedCell, runs: Array | None, order: float | None = N
     ----------
     cell : PublishedCell
     runs : (n,) array or None
-        Values of the cell, nan where a solver broke down; None if nothing computes it.
+        Values of the cell, nan if a solver broke down; None if nothing computes the cell.
     order : float, optional
         Order of the matrix, for ranks.
     """
@@ -169,17 +170,17 @@ def assess_runs(cell: PublishedCell, runs: Array | None, order: float | None = N
         fact = "a fact about the real data or a convention: nothing to compute"
         return _without_number(cell) or CellComparison("not_reproducible", fact)
     finite = np.sort(runs[np.isfinite(runs)])
-    # the value of one run, not a mean of two: counts and ranks remain whole
+    # the value of one run, not a mean of two, so that counts and ranks are whole numbers
     median = float(finite[(len(finite) - 1) // 2]) if 2 * len(finite) > len(runs) else math.nan
     low, high = (float(finite[0]), float(finite[-1])) if len(finite) else (math.nan, math.nan)
     return replace(_without_number(cell) or _tested(cell, runs, median, order), reproduced=median, low=low, high=high)
 
 
 def _without_number(cell: PublishedCell) -> CellComparison | None:
-    """Comparison of a cell without a number; None for all others."""
+    """Return the comparison for a cell without a number; None for other cells."""
     if cell.text:
         return None
-    has_words = any(character.isalnum() for character in cell.printed)  # not so for a dash
+    has_words = any(character.isalnum() for character in cell.printed)  # False for a dash
     return CellComparison("not_reproducible", "a statement in words" if has_words else "nothing is printed")
 
 
@@ -189,7 +190,8 @@ def _tested(cell: PublishedCell, runs: Array, median: float, order: float | None
     for name in rule.tests:
         if reason := _reason(name, cell, rule, runs, median, order):
             return CellComparison(name, reason)
-    if not math.isfinite(cell.value) or not math.isfinite(median):  # one of them broke down, not the other
+    # either the printed or the computed solver broke down
+    if not math.isfinite(cell.value) or not math.isfinite(median):
         broken = "" if math.isfinite(median) else f" (no result in most of {len(runs)} runs)"
         return CellComparison("not_reproducible", rule.without_value + broken)
     ratio = abs(median / cell.value) if cell.value else 0.0
@@ -203,7 +205,7 @@ def _tested(cell: PublishedCell, runs: Array, median: float, order: float | None
 
 
 def _reason(test: Test, cell: PublishedCell, rule: Rule, runs: Array, median: float, order: float | None) -> str:
-    """Reason if a test of the module docstring holds, else ""."""
+    """Return the reason if a test of the module docstring holds; otherwise ""."""
     n, value, sizes = len(runs), cell.value, np.abs(runs[np.isfinite(runs)])
     if test == "side":  # ranks: both deficient or both full
         is_rank = math.isnan(rule.limit)
@@ -220,11 +222,11 @@ def _reason(test: Test, cell: PublishedCell, rule: Rule, runs: Array, median: fl
         return f"both {'above' if above else 'below'} {rule.limit:g}{rule.unit} ({same} of {n} runs)"
     if not math.isfinite(value):
         return ""
-    if test == "equal":  # a whole number (counts, 0 after an underflow, a clamped 1) is exact
+    if test == "equal":  # a whole number (counts, 0 after an underflow, 1 at the limit of kappa) must be exact
         half = 0.0 if cell.text.lstrip("+-").isdigit() else 0.5 * last_digit(cell.text)
-        slack = 1e-12 * abs(value)  # the decimal print of a double
+        slack = 1e-12 * abs(value)  # rounding of the decimal print of a double
         return f"all {n} runs" if len(sizes) == n and (np.abs(runs - value) <= half + slack).all() else ""
-    if test == "rounding":  # a printed zero is met by an exact zero alone
+    if test == "rounding":  # only an exact zero agrees with a printed zero
         half = 0.5 * last_digit(cell.text) * (1.0 + 1e-9) if value else 0.0
         return "the median rounds to the printed digits" if abs(median - value) <= half else ""
     if test == "order":
@@ -242,24 +244,24 @@ def _reason(test: Test, cell: PublishedCell, rule: Rule, runs: Array, median: fl
 
 @dataclass(frozen=True)
 class Recomputed:
-    """A number that follows from other printed numbers, a law or a simulation.
+    """Number that follows from other printed numbers, a law or a simulation.
 
     Parameters
     ----------
     value : float
-        nan if only a verdict is known.
+        Recomputed value; nan if only a verdict is known.
     remark : str
-        Addition to the origin of the number, which ``sources.toml`` declares.
+        Addition to the origin of the number that ``sources.toml`` declares.
     low, high : float
         Expected spread of the published number; nan if equal digits are expected.
     is_exact : bool
-        Arithmetic on printed numbers: a difference of one unit of the last digit is an error.
+        True for arithmetic on printed numbers: a difference of one unit of the last digit is then an error.
     is_order : bool
-        Only the order of magnitude is expected to agree.
+        True if only the order of magnitude is expected to agree.
     kind : {"differs", "not_reproducible"}, optional
-        Verdict, if it does not follow from the numbers here.
+        Verdict, if it does not follow from these numbers.
     facts : tuple
-        Values for the places of the declared sentence.
+        Values for the placeholders of the declared sentence.
     """
 
     value: float
@@ -273,7 +275,7 @@ class Recomputed:
 
     @classmethod
     def around(cls, value: float, half: float, remark: str = "", facts: tuple[object, ...] = ()) -> Recomputed:
-        """Number with a symmetric spread."""
+        """Return the number with a symmetric spread."""
         return cls(float(value), remark, float(value - half), float(value + half), facts=facts)
 
 
@@ -282,12 +284,12 @@ Cells = dict[CellKey, Recomputed]
 
 
 def row_key(table: str, row: str, quantity: str) -> CellKey:
-    """Address of a number in a table of rows and quantities."""
+    """Return the address of a number in a table of rows and quantities."""
     return CellKey(table, quantity=quantity, parameter=row)
 
 
 def attempt(call: Callable[..., float], *printed: float) -> float:
-    """Call with printed numbers; nan if the call refuses them, because a copy may contain any number."""
+    """Call a function with printed numbers; return nan if it refuses them, because a copy may contain any number."""
     try:
         return call(*printed)
     except InputError:
@@ -296,7 +298,7 @@ def attempt(call: Callable[..., float], *printed: float) -> float:
 
 def assess_value(
     cell: PublishedCell, other: Recomputed | None, unknown: str, origin: str = "", within: Kind = "spread"
-) -> CellComparison:  # fmt: skip
+) -> CellComparison:
     """Compare a printed number with a recomputed one; see the module docstring.
 
     Parameters
@@ -304,11 +306,11 @@ def assess_value(
     cell : PublishedCell
     other : Recomputed or None
     unknown : str
-        Reason for a missing recomputed value.
+        Reason why there is no recomputed value.
     origin : str
-        Sentence on the recomputed value, with places for its facts.
+        Sentence on the recomputed value, with placeholders for its facts.
     within : {"spread", "sigma", "fitted"}
-        Verdict inside the stated spread: by what the spread is.
+        Verdict inside the stated spread; it depends on the nature of the spread.
     """
     if without := _without_number(cell):
         return without
@@ -320,7 +322,7 @@ def assess_value(
 
 
 def _value_kind(cell: PublishedCell, other: Recomputed, within: Kind) -> tuple[Kind, str]:
-    """Compare the sizes, or with the spread widened by the rounding of the print, or with the printed digits."""
+    """Compare the sizes; or with the spread, extended by the print's rounding; or with the printed digits."""
     unit = last_digit(cell.text)
     if other.is_order:
         if cell.value == 0.0:
