@@ -1,8 +1,8 @@
-"""Observation equations and elementary maps: value and analytic Jacobian together.
+"""Observation equations and elementary maps: each gives its value together with its analytic Jacobian.
 
-Lowest room of fg_orient: it imports numpy and numba only (``factors.graph`` also GTSAM). Each relation is in one file;
-the calling convention is in ``factors._contract``.
+Lowest room of fg_orient: it imports only numpy and numba (``factors.graph`` also GTSAM). Each relation is in a file of
+its own; ``factors._contract`` describes the calling convention.
 """
 
-#: Version of both packages, by which ``fg_orient`` recognises its own ``factors`` package.
+#: Version of both packages; ``fg_orient`` uses it to recognise its own ``factors`` package.
 FG_ORIENT_FACTORS = "0.2.0"

@@ -1,8 +1,8 @@
-"""Compilation with numba: at the first call, with a cache on disk that is checked against all sources.
+"""Compilation with numba at the first call, with a cache on disk that is checked against all sources.
 
-numba uses compiled code on disk as long as the file of the function is unchanged. Here it is used only while everything
-that was compiled into it is unchanged (``factors._sources``). If no folder can be written, kernels are compiled for the
-run only.
+numba reuses compiled code from disk as long as the function's own file is unchanged. Here it is reused only while
+everything compiled into it is unchanged (``factors._sources``). If no folder is writable, kernels are compiled only for
+the run.
 
 Each function states whether products and sums may fuse and whether it is inlined into its caller. A function without
 these options would take them from the caller that is compiled first, and its last bits would depend on that caller.
@@ -22,33 +22,33 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def compiled(function: F) -> F:
-    """Compile with numba: cached, no fast-math, division by zero gives inf (then refused)."""
+    """Compile with numba: cached, without fast-math; division by zero gives inf, which is refused later."""
     return _kernel(function, fastmath=False, forceinline=False)
 
 
 def inlined(function: F) -> F:
-    """As :func:`compiled`, and always inlined into its caller: a loop that calls it can become vector instructions."""
+    """Compile as :func:`compiled`, and always inline: a loop that calls the function can become vector instructions."""
     return _kernel(function, fastmath=False, forceinline=True)
 
 
 def exact(function: F) -> F:
-    """Compile for parallel threads; loops over equations become vector instructions, nothing is fused."""
+    """Compile for parallel threads; loops over equations become vector instructions, no operations are fused."""
     return _kernel(function, nogil=True, fastmath=False, forceinline=False, vectorised=True)
 
 
 def threaded(function: F) -> F:
-    """Compile for parallel threads; products and sums may fuse, sums keep their order."""
+    """Compile for parallel threads; products and sums may fuse, but sums keep their order."""
     return _kernel(function, nogil=True, fastmath={"contract"}, forceinline=False)
 
 
 def cache_folder() -> Path | None:
-    """Folder of the compiled kernels of this package, or None if no folder is writable."""
+    """Return the folder of this package's compiled kernels; None if no folder is writable."""
     opened = _nothing.open_cache() if isinstance(_nothing, Kernel) else None
     return None if opened is None else Path(opened.cache_path)
 
 
 def _kernel(function: F, *, fastmath: Any, forceinline: bool, nogil: bool = False, vectorised: bool = False) -> F:
-    if config.DISABLE_JIT:  # NUMBA_DISABLE_JIT: plain Python
+    if config.DISABLE_JIT:  # with NUMBA_DISABLE_JIT kernels are plain Python
         return function
     options = {"nopython": True, "error_model": "numpy", "boundscheck": None, "fastmath": fastmath,
                "forceinline": forceinline, "nogil": nogil}  # fmt: skip
@@ -57,4 +57,4 @@ def _kernel(function: F, *, fastmath: Any, forceinline: bool, nogil: bool = Fals
 
 @compiled
 def _nothing() -> None:
-    """Empty kernel, from which :func:`cache_folder` gets the folder."""
+    """Do nothing; :func:`cache_folder` gets the folder from this kernel."""

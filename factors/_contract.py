@@ -4,14 +4,13 @@ An equation is one pure scalar kernel::
 
     value, jacobian_1, ..., jacobian_n = kernel(record, setup, x_1, ..., x_n, want)
 
-``record`` (d,) holds the constants of one observation, by the names of ``factors.records``, ``setup`` (2, k) what
-all observations of a group have in common, ``x_i`` (k_i,) the unknowns, all float64 in C order.
-``value`` (m,) is the whitened residual, ``jacobian_i`` (m, k_i) its derivative. With ``want`` False the Jacobians are
-(0, 0) arrays; the value never depends on ``want``.
-``residual(record, setup, x_1, ...)`` gives the value alone and accepts complex unknowns,
-so that every Jacobian can be checked by complex step. What is called for each observation is compiled with numba:
-``fill`` of an equation of image points, ``residual``, or the kernel itself (:func:`compiled`). A kernel that takes
-many records at once is plain numpy. Factors and batches call the same kernel. Observations run along axis 0.
+``record`` (d,) contains the constants of one observation, named by ``factors.records``. ``setup`` (2, k) contains what
+all observations of a group share. ``x_i`` (k_i,) are the unknowns. All are float64 in C order. ``value`` (m,) is the
+whitened residual, ``jacobian_i`` (m, k_i) its derivative. The Jacobians are (0, 0) arrays if ``want`` is False; the
+value never depends on ``want``. ``residual(record, setup, x_1, ...)`` returns only the value and accepts complex
+unknowns, so that every Jacobian can be checked by complex step. Functions called for each observation are compiled with
+numba: ``fill`` of an equation of image points, ``residual``, or the kernel itself (:func:`compiled`). Kernels that
+process many records at once are plain numpy. Factors and batches call the same kernel. Observations run along axis 0.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from factors.arrays import Array as Array
 
 @dataclass(frozen=True)
 class Argument:
-    """One unknown of an equation: name, unit of one step, and whether it is a Point3 in GTSAM."""
+    """One unknown of an equation: its name, the unit of one step, and whether GTSAM stores it as a Point3."""
 
     name: str
     unit: str
@@ -49,17 +48,18 @@ class Equation:
     kernel, residual : callable
         See the module docstring.
     arguments : tuple of Argument
-        The unknowns in order.
+        The unknowns, in order.
     source : str
         Author year, equation number.
     fill : callable, optional
-        ``fill(records, row, setup, x_1, ..., out, want) -> bool`` writes the value of one row of (N, d)
-        records into column 0 of ``out`` and the Jacobians into the following ones; False if sizes do not
-        fit or a value is not finite. It gives the same numbers without allocation; factors use it if it exists.
+        ``fill(records, row, setup, x_1, ..., out, want) -> bool`` writes the value of one row of (N, d) records into
+        column 0 of ``out``, and the Jacobians into the next columns. It returns False if sizes do not fit or a value is
+        not finite. It gives the same numbers as the kernel without allocating memory; factors use it if it exists.
     arrays : bool, optional
-        Kernel and residual are plain numpy and also take N records (N, d) at once: (N, m), (N, m, k).
+        True if kernel and residual are plain numpy and also accept N records (N, d) at once; the results are then (N,
+        m) and (N, m, k).
     n_constants : int
-        Least size of a record. Compiled equations read these numbers without checking the size.
+        Smallest size of a record. Compiled equations read these numbers without checking the size.
     """
 
     name: str
@@ -74,7 +74,7 @@ class Equation:
 
 @compiled
 def is_finite(out: Array, columns: int) -> bool:
-    """Whether the first columns that a ``fill`` wrote are finite."""
+    """Return whether the first columns written by a ``fill`` are finite."""
     total = 0.0
     for j in range(columns):
         total += 0.0 * out[0, j] + 0.0 * out[1, j]
@@ -82,9 +82,9 @@ def is_finite(out: Array, columns: int) -> bool:
 
 
 def kernel_of(fill: Callable[..., bool]) -> Callable[..., tuple[Array, Array, Array]]:
-    """Kernel of an equation of an image and a ground point, from its ``fill``; its arrays are nan if sizes do not fit.
+    """Return the kernel made from the ``fill`` of an image-point equation; its arrays are nan if sizes do not fit.
 
-    It is plain Python, so that not one more kernel is compiled for each equation.
+    It is plain Python, so that each equation needs no further compiled kernel.
     """
 
     def kernel(record: Array, setup: Array, x: Array, ground: Array, want: bool) -> tuple[Array, Array, Array]:
@@ -132,14 +132,14 @@ def register_condition(
 
 
 def registered() -> dict[str, Equation]:
-    """Copy of the registry: name to equation."""
+    """Return a copy of the registry: equations by name."""
     return dict(_REGISTRY)
 
 
 def evaluate(
     equation: Equation, records: Array, setups: list[Array], *unknowns: list[Array] | Array, jacobian: bool = True
 ) -> tuple[Array, tuple[list[Array], ...]]:
-    """Evaluate an equation over N observations with the scalar kernel.
+    """Evaluate an equation for N observations with the scalar kernel.
 
     Parameters
     ----------
@@ -158,18 +158,18 @@ def evaluate(
 
 
 class NotFiniteError(ValueError):
-    """A residual or Jacobian is nan or inf: the equation has no value at this state."""
+    """A residual or Jacobian is nan or inf: the equation has no value here."""
 
 
 def check_blocks(name: str, label: str, blocks: tuple[Any, ...], sizes: tuple[int, ...], n_residuals: int) -> None:
-    """Refuse a kernel result of wrong shape or type, or with values that are not finite.
+    """Refuse a kernel result that has a wrong shape or type, or values that are not finite.
 
-    GTSAM 4.3.0 accepts all of these silently (docs/equations.md 9).
+    GTSAM 4.3.0 accepts all of these without an error (docs/equations.md 9).
 
     Raises
     ------
     ValueError
-        Names the equation, the observation and the error.
+        The message names the equation, the observation and the error.
     """
     expected = [(n_residuals,)] + [(n_residuals, size) for size in sizes]
     if len(blocks) != len(expected):

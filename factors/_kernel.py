@@ -1,10 +1,10 @@
-"""Kernels: functions that numba compiles as a whole at their first call, cached with a digest of their sources.
+"""Kernels: functions that numba compiles as a whole at their first call, and stores with a digest of their sources.
 
-Plain numba optimises each function that a kernel calls, turns it into machine code that is never called, and repeats
-this inside each caller: half the time of a first run. Here a function that kernels call is a *part*: it is translated
-once and linked into kernels. A kernel is optimised once, together with its parts, and becomes machine code.
+Plain numba optimises each function called by a kernel, makes machine code of it that is never called, and repeats this
+in each caller. This takes half the time of a first run. Here a function called by kernels is a *part*: it is translated
+once and linked into kernels. A kernel is optimised and converted to machine code once, together with its parts.
 
-This module extends internal classes of numba, which may change: pyproject.toml bounds the version of numba.
+This module extends internal classes of numba, which may change; therefore pyproject.toml limits the version of numba.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from factors._libraries import Flags, KernelLibrary, PartLibrary, Result, Steps,
 from factors._preparation import preparing, report_compilation
 from factors._sources import stamp
 
-#: Right to write of the group and of others.
+#: Write permission for the group and for others.
 _OF_OTHERS: Final = stat.S_IWGRP | stat.S_IWOTH
 
 
 class _Part(NamedTuple):
-    """Function in the form in which other kernels call it."""
+    """Function in the form that other kernels call."""
 
     key: object
     result: Any
@@ -41,7 +41,10 @@ class _Part(NamedTuple):
 
 @cache
 def _flags(fastmath: str, forceinline: bool) -> Flags:
-    """Options of a part; one object for equal options, so that numba's own compiled functions are shared."""
+    """Return the options of a part.
+
+    Equal options are the same object, so that numba's compiled functions are shared.
+    """
     flags = Flags()
     options = {"nopython": True, "error_model": "numpy", "forceinline": forceinline,
                "fastmath": {fastmath} if fastmath else False}  # fmt: skip
@@ -51,7 +54,7 @@ def _flags(fastmath: str, forceinline: bool) -> Flags:
 
 
 class _KernelCompiler(_FunctionCompiler):  # type: ignore[misc]
-    """Compiles parts, and kernels from them."""
+    """Compiler of parts, and of kernels from parts."""
 
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
@@ -59,7 +62,7 @@ class _KernelCompiler(_FunctionCompiler):  # type: ignore[misc]
         self.vectorised = False
 
     def part(self, args: tuple[Any, ...]) -> _Part:
-        """Part for one tuple of argument types, to be linked into kernels."""
+        """Return the part for one tuple of argument types, ready to be linked into kernels."""
         if args not in self.parts:
             context, options = self.targetdescr.target_context, self.targetoptions
             library = PartLibrary(context.codegen(), self.py_func.__qualname__)
@@ -68,7 +71,7 @@ class _KernelCompiler(_FunctionCompiler):  # type: ignore[misc]
                 _flags(*(options["fastmath"] or ("",)), options["forceinline"]), {}, library,
                 pipeline_class=self.pipeline_class,
             )  # fmt: skip
-            # by this name numba would give the same function, loaded from disk, the constants of the part: none
+            # otherwise numba would give the same function, loaded from disk, the constants of the part, which has none
             Environment._memo.pop(result.fndesc.env_name, None)
             part = _Part(object(), result)
             context.insert_user_function(part.key, result.fndesc, [library])
@@ -78,7 +81,7 @@ class _KernelCompiler(_FunctionCompiler):  # type: ignore[misc]
     def _compile_core(self, args: tuple[Any, ...], return_type: Any) -> Any:
         report_compilation(self.py_func.__name__)
         result = self.part(tuple(args)).result
-        context = result.target_context  # with the options of the part
+        context = result.target_context  # includes the options of the part
         library = KernelLibrary(context.codegen(), result.fndesc.qualname)
         library.vectorised = self.vectorised
         library.enable_object_caching()
@@ -92,10 +95,10 @@ class _KernelCompiler(_FunctionCompiler):  # type: ignore[misc]
 
 
 class _PrivateFiles(IndexDataCacheFile):  # type: ignore[misc]
-    """Files of a kernel that no other user can have written: they hold pickled code, which is run.
+    """Files of a kernel that no other user can have written; they contain pickled code, which is executed.
 
-    Folders and files of other users, or that others can write, are not read. In our own ones, writing takes this right
-    from others, so that also under a umask of 002 the next run reads them.
+    Folders and files that belong to other users, or that others can write, are not read. After writing our own files,
+    write permission is removed from others, so that the next run reads them even under a umask of 002.
     """
 
     def _load_index(self) -> Any:
@@ -119,15 +122,15 @@ class _PrivateFiles(IndexDataCacheFile):  # type: ignore[misc]
 
 
 def _is_private(path: str) -> bool:
-    """Whether only this user, root or the owner of the program can write a file or folder."""
-    if not hasattr(os, "getuid"):  # Windows: a user's folders are private
+    """Return whether only this user, root or the owner of the program can write a file or folder."""
+    if not hasattr(os, "getuid"):  # on Windows the folders of a user are private
         return True
     status = os.stat(path)
     return status.st_uid in (os.getuid(), 0, os.stat(__file__).st_uid) and not status.st_mode & _OF_OTHERS
 
 
 def _make_private(path: str) -> None:
-    """Take the right to write from others, if the file or folder is ours."""
+    """Remove write permission for others, if the file or folder is ours."""
     status = os.stat(path)
     if status.st_mode & _OF_OTHERS and hasattr(os, "getuid") and status.st_uid == os.getuid():
         os.chmod(path, stat.S_IMODE(status.st_mode) & ~_OF_OTHERS)
@@ -137,10 +140,10 @@ class _Cache(FunctionCache):  # type: ignore[misc]
     """Kernels on disk; if a file cannot be read or written, the kernel is compiled and the run continues."""
 
     def load_overload(self, signature: Any, context: Any) -> Any:
-        try:  # with numba's memory management, without its registries of compilable functions: half the time
+        try:  # numba's memory management without its registries of compilable functions takes half the time
             rtsys.initialize(context)
             return self._load_overload(signature, context)
-        except Exception:  # a damaged file may fail in any way; it is written again
+        except Exception:  # a damaged file may fail in any way; it is rewritten
             with suppress(OSError):
                 self.flush()
             return None
@@ -153,7 +156,7 @@ class _Cache(FunctionCache):  # type: ignore[misc]
 
 
 class Kernel(CPUDispatcher):  # type: ignore[misc]
-    """A compiled function: as a whole for Python, as a part for other kernels."""
+    """Compiled function: Python calls it as a whole, other kernels link it as a part."""
 
     def __init__(self, py_func: Any, vectorised: bool = False, **options: Any) -> None:
         super().__init__(py_func, **options)
@@ -162,13 +165,16 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
         self._opened = False
 
     def compile(self, signature: Any) -> Any:
-        """Machine code for one signature, from disk or compiled."""
+        """Return the machine code for one signature, from disk or newly compiled."""
         with global_compiler_lock, preparing(), signatures_kept(self.targetdescr.typing_context):
             self.open_cache()
             return super().compile(signature)
 
     def open_cache(self) -> _Cache | None:
-        """Files of this kernel, or None if no folder is writable; opened late, because numba tries each folder."""
+        """Files of this kernel; None if no folder is writable.
+
+        They are opened late, because numba tries each folder.
+        """
         if not self._opened:
             self._opened = True
             with suppress(RuntimeError):  # no folder is writable
@@ -180,7 +186,7 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
         return self._cache if isinstance(self._cache, _Cache) else None
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
-        """Type of the part for a call by another kernel."""
+        """Return the type of the part for a call by another kernel."""
         signature, types = self._compiler.fold_argument_types(args, kws)
         result = self._compiler.part(tuple(types)).result
         name = self.py_func.__name__
@@ -188,5 +194,5 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
         return template, signature, types, {}
 
     def get_overload(self, signature: Any) -> object:
-        """Key of the part for the signature of a call."""
+        """Return the key of the part for the signature of a call."""
         return self._compiler.part(tuple(sigutils.normalize_signature(signature)[0])).key

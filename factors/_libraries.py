@@ -1,6 +1,6 @@
-"""Extended classes of numba's compiler: options compared by identity, cached types, code to be linked or run.
+"""Extended classes of numba's compiler: options compared by identity, cached types, and code to link or execute.
 
-``factors._kernel`` makes kernels with them.
+``factors._kernel`` uses them to make kernels.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numba.core import codegen, compiler, typed_passes, types, untyped_passes
 
 
 class Flags(compiler.Flags):  # type: ignore[misc]
-    """Options of the compiler, equal only if they are the same object: numba compares them thousands of times."""
+    """Compiler options, equal only if they are the same object: numba compares them thousands of times."""
 
     __slots__ = ()
     __hash__ = object.__hash__
@@ -26,13 +26,17 @@ class Flags(compiler.Flags):  # type: ignore[misc]
         return self
 
 
-#: Signatures of operations on numbers by the identities of operation and types; operation and types are kept, too.
+#: Signatures of operations on numbers, by the identities of operation and types. Operation and types are stored too, so
+#: that the identities remain valid.
 _SIGNATURES: Final[dict[tuple[int, ...], tuple[Any, ...]]] = {}
 
 
 @contextmanager
 def signatures_kept(context: Any) -> Iterator[None]:
-    """Cache the types of operations on numbers: numba would try all its templates for each product of two floats."""
+    """Cache the types of operations on numbers.
+
+    Otherwise numba tries all its templates for each product of two floats.
+    """
     if "resolve_function_type" in vars(context):
         yield
         return
@@ -54,9 +58,8 @@ def signatures_kept(context: Any) -> Iterator[None]:
         del context.resolve_function_type
 
 
-#: Steps of the compiler for constructs that no function of this package contains: closures, ``with``, expressions of
-#: whole arrays, loops over tuples of several types. Each step visits the whole function, and most count the uses of all
-#: variables.
+#: Compiler steps for constructs that this package does not use: closures, ``with``, expressions of whole arrays, loops
+#: over tuples of several types. Each step visits the whole function, and most steps count the uses of all variables.
 _NOT_NEEDED: Final = frozenset({
     typed_passes.InlineOverloads, typed_passes.NopythonRewrites, untyped_passes.FindLiterallyCalls,
     untyped_passes.InlineClosureLikes, untyped_passes.InlineInlinables, untyped_passes.LiteralUnroll,
@@ -66,7 +69,7 @@ _NOT_NEEDED: Final = frozenset({
 
 
 class Steps(compiler.Compiler):  # type: ignore[misc]
-    """numba's compiler without the steps that are not needed."""
+    """numba's compiler without unnecessary steps."""
 
     def define_pipelines(self) -> list[Any]:
         managers: list[Any] = super().define_pipelines()
@@ -75,12 +78,12 @@ class Steps(compiler.Compiler):  # type: ignore[misc]
         return managers
 
 
-#: Beginning of the names of a function's Python constants.
+#: Beginning of the names under which a function's Python constants are stored.
 _CONSTANTS: Final = "_ZN08NumbaEnv"
 
 
 class Result(compiler.CompileResult):  # type: ignore[misc]
-    """Compiled kernel; its file contains only what it needs itself, nothing of its parts."""
+    """Compiled kernel; its file contains only its own code and constants, not those of its parts."""
 
     __slots__ = ()
 
@@ -89,7 +92,7 @@ class Result(compiler.CompileResult):  # type: ignore[misc]
 
 
 class PartLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
-    """Code that is only linked into kernels; it is not optimised or turned into machine code alone."""
+    """Code that is only linked into kernels; it is not optimised or converted to machine code by itself."""
 
     def _optimize_functions(self, module: Any) -> None:
         module.data_layout = self._codegen._data_layout
@@ -98,7 +101,7 @@ class PartLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
         self._finalized = True
 
     def own_module(self) -> Any:
-        """Code to be linked; each kernel has its own place for constants, which would be empty in a later kernel."""
+        """Return code to link. Each kernel has its own place for constants, which would be empty in a later kernel."""
         if self._shared_module is None:
             module = super()._get_module_for_linking()
             for variable in module.global_variables:
@@ -107,7 +110,7 @@ class PartLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
         return self._shared_module
 
     def _get_module_for_linking(self) -> Any:
-        """The same code with everything it calls, for a function that plain numba compiles."""
+        """Return the same code with everything it calls, for a function compiled by plain numba."""
         module = self.own_module().clone()
         for part in _reached(self._linking_libraries):
             module.link_in(part._get_module_for_linking(), preserve=True)
@@ -115,14 +118,14 @@ class PartLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
 
 
 class _Alone:
-    """A part without the parts that it calls: the kernel links each of them once."""
+    """Return a part without the parts that it calls, because the kernel links each of them once."""
 
     def __init__(self, part: PartLibrary) -> None:
         self._reload_init, self._get_module_for_linking = part._reload_init, part.own_module
 
 
 def _reached(libraries: list[Any]) -> list[Any]:
-    """Libraries and everything that the parts among them call, each once."""
+    """Return the libraries and, once each, everything called by the parts among them."""
     reached, waiting = dict[Any, None](), list(libraries)
     while waiting:
         library = waiting.pop()
@@ -141,8 +144,9 @@ class KernelLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
     vectorised: bool = False
 
     def _optimize_final_module(self) -> None:
-        # a loop over observations that calls a whole equation becomes vector instructions only if everything is inlined
-        # and simplified first; other kernels gain nothing, and a first run would take a tenth longer (measured)
+        # A loop over observations that calls a whole equation becomes vector instructions only if everything is inlined
+        # and simplified first. Other kernels gain nothing by this, and a first run would take a tenth longer
+        # (measured).
         first: dict[str, Any] = {"opt": 1, "loop_vectorize": False, "slp_vectorize": False}
         for options in (first, {}) if self.vectorised else ({},):
             passes, builder = self._codegen._module_pass_manager(**options)
@@ -153,7 +157,7 @@ class KernelLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
         super().finalize()
 
     def serialize_using_object_code(self) -> Any:
-        """Machine code; of the intermediate code only empty functions, because parts are never loaded."""
+        """Return the machine code; its intermediate code has only empty functions, because parts are never loaded."""
         names = [function.name for function in self.get_defined_functions()]
         text = "".join(f'define void @"{name}"() {{ ret void }}\n' for name in names)
         return self.name, "object", (self._get_compiled_object(), binding.parse_assembly(text).as_bitcode())

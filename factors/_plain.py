@@ -1,9 +1,9 @@
-"""Kernels as plain Python, for few rows: compiling takes a second, a loop in Python a millisecond.
+"""Kernels as plain Python for few rows: compiling takes a second, a loop in Python a millisecond.
 
-The same functions run with the same operations in the same order and give the same bits (tests). Results do not depend
-on the number of rows or on the kernels that are compiled already.
+The same functions execute the same operations in the same order and give the same bits (tested). So results depend
+neither on the number of rows nor on which kernels are already compiled.
 
-Maps on scalars without branches also take arrays with one number per row (:func:`plain`).
+Scalar maps without branches also accept arrays with one number per row (:func:`plain`).
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from factors._sources import LIBRARIES, names_of
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-#: Largest number of elements for which a loop runs in Python; of rows for which arrays are passed to a map on scalars.
+#: Largest number of elements for which a loop runs in Python, and of rows for which arrays are passed to a scalar map.
 FEW: Final = 256
 FEW_ARRAYS: Final = 1024
-#: Number of calls after which the compiled loop is also used for few numbers: frequent calls repay the compilation.
+#: Number of calls after which the compiled loop is used even for few numbers, because frequent calls repay compilation.
 OFTEN: Final = 24
 _ON_ARRAYS: dict[str, Any] = {}
 
 
 def on_arrays(other: Any) -> Callable[[F], F]:
-    """Declare the function that replaces a function with a branch if its arguments are arrays."""
+    """Declare which function replaces a function with a branch if its arguments are arrays."""
 
     def note(function: F) -> F:
         _ON_ARRAYS[f"{function.__module__}.{function.__qualname__}"] = other
@@ -41,34 +41,34 @@ def on_arrays(other: Any) -> Callable[[F], F]:
 
 @cache
 def plain(function: Any) -> Any:
-    """Plain Python form of a kernel; the kernels that it calls are plain Python, too."""
+    """Return the plain Python form of a kernel and of the kernels that it calls."""
     inner = getattr(function, "py_func", function)
     if (replaced := _ON_ARRAYS.get(f"{inner.__module__}.{inner.__qualname__}")) is not None:
         return replaced
     space, bound = inner.__globals__, dict[str, Any]({"__builtins__": builtins})
     out = FunctionType(inner.__code__, bound, inner.__name__, inner.__defaults__, inner.__closure__)
-    for name in names_of(inner.__code__):  # with those of attributes, of which one may be that of the kernel
+    for name in names_of(inner.__code__):  # includes names of attributes, which may be kernels
         if name in space:
             bound[name] = out if space[name] is function else _plain_member(space[name])
     return out
 
 
 def few_in_python(kernel: F) -> F:
-    """Run the first calls of a kernel as plain Python if none of its arrays has more than :data:`FEW` numbers."""
+    """Run the first calls of a kernel as plain Python, if none of its arrays has more than :data:`FEW` numbers."""
     calls = count()
 
     @wraps(getattr(kernel, "py_func", kernel))
     def choose(*arguments: Any) -> Any:
         if max(a.size for a in arguments if isinstance(a, np.ndarray)) > FEW or next(calls) > OFTEN:
             return kernel(*arguments)
-        with np.errstate(all="ignore"):  # as compiled code does
+        with np.errstate(all="ignore"):  # compiled code does not warn either
             return plain(kernel)(*arguments)
 
     return cast(F, choose)
 
 
 class _Members:
-    """Module with its kernels as plain Python."""
+    """Module whose kernels are plain Python."""
 
     def __init__(self, module: ModuleType) -> None:
         self._module = module
@@ -78,7 +78,7 @@ class _Members:
 
 
 def _plain_member(value: Any) -> Any:
-    """Value of a name for the plain Python form."""
+    """Return the value of a name in plain Python form."""
     if isinstance(value, ModuleType):
         return _Members(value) if _is_ours(value.__name__) else value
     function = getattr(value, "py_func", value)
@@ -86,5 +86,5 @@ def _plain_member(value: Any) -> Any:
 
 
 def _is_ours(module: str | None) -> bool:
-    """Whether a module is not a library: kernels may be defined in any package."""
+    """Return whether a module is not a library; kernels may be defined in any package."""
     return (module or "").partition(".")[0] not in LIBRARIES

@@ -1,6 +1,6 @@
-"""Compiling and loading of kernels during a run: callbacks and times.
+"""Compilation and loading of kernels during a run: callbacks and times.
 
-This module does not import numba, so that a command can register a callback before anything is imported.
+This module does not import numba, so that a command can register a callback before any import.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ _LISTENERS: list[Callable[[str], None]] = []
 
 
 class _Spent:
-    """Seconds of this process, and number of nested preparations."""
+    """Seconds spent by this process, and depth of nested preparations."""
 
     seconds: float = 0.0
     depth: int = 0
 
 
 def report_compilation(name: str) -> None:
-    """Call the listeners: this kernel is not on disk and is being compiled."""
+    """Inform the listeners that this kernel is not on disk and is being compiled."""
     for listener in _LISTENERS:
         listener(name)
 
 
 @contextmanager
 def on_compilation(listener: Callable[[str], None]) -> Iterator[None]:
-    """Call ``listener`` with the name of each kernel that is compiled inside the block."""
+    """Call ``listener`` with the name of each kernel compiled inside the context."""
     _LISTENERS.append(listener)
     try:
         yield
@@ -38,10 +38,10 @@ def on_compilation(listener: Callable[[str], None]) -> Iterator[None]:
 
 @contextmanager
 def preparing() -> Iterator[None]:
-    """Count the time of a block; one thread at a time.
+    """Measure the time of the context; one thread at a time.
 
-    The garbage collector is disabled: the compiler makes a million permanent objects, and repeated visits of all of
-    them take a fifth of its time.
+    The garbage collector is disabled, because the compiler makes a million permanent objects. Repeated visits to them
+    all would take a fifth of its time.
     """
     begin, collects = time.perf_counter(), gc.isenabled()
     _Spent.depth += 1
@@ -57,10 +57,10 @@ def preparing() -> Iterator[None]:
 
 
 def preparing_seconds() -> float:
-    """Seconds in which this process has compiled and loaded kernels."""
+    """Return the seconds that this process has spent on compiling and loading kernels."""
     return _Spent.seconds
 
 
 def working_clock() -> float:
-    """Seconds on a clock that stops while kernels are compiled or loaded."""
+    """Return the seconds of a clock that stops while kernels are compiled or loaded."""
     return time.perf_counter() - _Spent.seconds

@@ -1,8 +1,8 @@
-"""Digest of everything that a kernel is compiled from: its code, the code of all called functions, their constants.
+"""Digest of everything compiled into a kernel: its code, the code of all called functions, and their constants.
 
-Names are followed to their values, however they were imported: ``import factors.x``,
-``from factors.sub import x as y``, an import inside ``if`` or ``try``. The digest contains the byte code of a function,
-the members of a module that the code names, and the value of everything else. Libraries are not followed.
+Each name is followed to its value, whatever the form of import: ``import factors.x``,
+``from factors.sub import x as y``, an import inside ``if`` or ``try``. The digest contains the byte code of functions,
+the members of modules that the code names, and the values of everything else. Libraries are not followed.
 """
 
 from __future__ import annotations
@@ -17,12 +17,13 @@ from typing import Any, Final
 
 import numpy as np
 
-#: Top-level packages that are not followed: numba's own cache knows its version, numpy is not compiled into kernels.
+#: Top-level packages that are not followed: numba's own cache checks its version, and numpy is not compiled into
+#: kernels.
 LIBRARIES: Final = frozenset({"numba", "llvmlite", "numpy", "scipy", *sys.stdlib_module_names})
 
 
 def stamp(function: FunctionType, options: object = None) -> bytes:
-    """Digest of a function, of all functions that it calls, of the constants that they use, and of ``options``."""
+    """Return the digest of a function, all functions that it calls, the constants that they use, and ``options``."""
     digest, seen, waiting = hashlib.sha256(_own() + repr(options).encode()), set[int](), [function]
     while waiting:
         current = waiting.pop()
@@ -37,7 +38,7 @@ def stamp(function: FunctionType, options: object = None) -> bytes:
 
 @cache
 def _own() -> bytes:
-    """Digest of the modules that define the compilation."""
+    """Return the digest of the modules that define the compilation."""
     here = Path(__file__)
     return hashlib.sha256(
         b"".join(here.with_name(f"_{n}.py").read_bytes() for n in ("compile", "kernel", "libraries"))
@@ -46,7 +47,7 @@ def _own() -> bytes:
 
 @cache
 def _read(function: FunctionType) -> tuple[bytes, list[FunctionType]]:
-    """Digest of one function and of the constants that it names; the functions that it names."""
+    """Return the digest of one function and its named constants, and the functions that it names."""
     digest, callees = hashlib.sha256(_code(function.__code__)), []
     for name, value in _bound(function):
         callee = _function_of(value)
@@ -60,7 +61,7 @@ def _read(function: FunctionType) -> tuple[bytes, list[FunctionType]]:
 
 
 def _bound(function: FunctionType) -> Iterator[tuple[str, Any]]:
-    """Names in a function's code with their values: globals, members of modules, variables of a closure."""
+    """Yield names in a function's code with their values: globals, members of modules, variables of a closure."""
     names = names_of(function.__code__)
     for cell, name in zip(function.__closure__ or (), function.__code__.co_freevars, strict=True):
         yield name, cell.cell_contents
@@ -80,7 +81,7 @@ def _bound(function: FunctionType) -> Iterator[tuple[str, Any]]:
 
 
 def names_of(code: CodeType) -> list[str]:
-    """Global names and attributes of a code, in their order, with those of the functions inside it."""
+    """Return the global names and attributes of a code in their order, including those of inner functions."""
     names = dict.fromkeys(code.co_names)
     for constant in code.co_consts:
         if isinstance(constant, CodeType):
@@ -89,7 +90,7 @@ def names_of(code: CodeType) -> list[str]:
 
 
 def _code(code: CodeType) -> bytes:
-    """Byte code and constants, without file name, line numbers and docstring."""
+    """Return byte code and constants, without file name, line numbers and docstring."""
     constants = [_literal(c) for c in code.co_consts]
     if code.co_consts and isinstance(code.co_consts[0], str):
         constants[0] = ""  # a docstring has no effect
@@ -97,7 +98,7 @@ def _code(code: CodeType) -> bytes:
 
 
 def _literal(constant: Any) -> str:
-    """Text of a constant that is the same in every run: sets have no order."""
+    """Return a text of a constant that is the same in every run, although sets have no order."""
     if isinstance(constant, CodeType):
         return _code(constant).hex()
     if isinstance(constant, tuple | frozenset):
@@ -107,7 +108,7 @@ def _literal(constant: Any) -> str:
 
 
 def _function_of(value: Any) -> FunctionType | None:
-    """Python function behind a function, a kernel or an intrinsic of numba; None for anything else."""
+    """Return the Python function of a function, kernel or numba intrinsic; None for anything else."""
     for inner in (value, getattr(value, "py_func", None), getattr(value, "_defn", None)):
         if isinstance(inner, FunctionType):
             return inner
@@ -119,7 +120,7 @@ def _is_followed(function: FunctionType) -> bool:
 
 
 def _constant(value: Any) -> str:
-    """Text of a value that is the same in every run."""
+    """Return a text of a value that is the same in every run."""
     if isinstance(value, np.ndarray):
         return f"{value.dtype}{value.shape}{hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()}"
     if value is None or isinstance(value, bool | int | float | complex | str | bytes | slice | np.generic):

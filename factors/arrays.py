@@ -1,4 +1,4 @@
-"""Types of arrays in annotations: numbers, positions and masks."""
+"""Array types for annotations: numbers, positions and masks."""
 
 import numpy as np
 import numpy.typing as npt

@@ -1,8 +1,8 @@
-"""Equations as GTSAM factors: checked shapes, types and values, named in every message.
+"""Equations as GTSAM factors; shapes, types and values are checked, and every message names the factor.
 
-GTSAM 4.3.0 takes a Jacobian of the wrong width, nan and sigma 0 without a word (docs/equations.md 9). Every callback
-here checks what its kernel returned and raises a ValueError that names equation, image and point; GTSAM passes it on
-unchanged. The only module of ``factors`` that imports gtsam.
+GTSAM 4.3.0 accepts a Jacobian of the wrong width, nan and sigma 0 without an error (docs/equations.md 9). Therefore
+every callback checks the results of its kernel and raises a ValueError that names equation, image and point; GTSAM
+passes it on unchanged. No other module of ``factors`` imports gtsam.
 """
 
 from __future__ import annotations
@@ -33,24 +33,24 @@ def factor(
     loss: Any = None,
     hard: bool = False,
 ) -> gtsam.CustomFactor:
-    """Wrap one observation of an equation into a GTSAM factor.
+    """Return a GTSAM factor for one observation of an equation.
 
     Parameters
     ----------
     equation : Equation
         Its kernel gives the whitened residual and Jacobians.
     unknowns : one GTSAM key (int), a constant vector or a :class:`Split`, per argument of the equation
-        A constant argument (a fixed control point) is no unknown of the factor.
+        A constant argument (such as a fixed control point) is not an unknown of the factor.
     sizes : size of each argument, in order
         Keys of arguments marked ``is_point`` are read as ``Point3``, others as vectors.
     record, setup : arrays
-        Constants of the observation, see ``factors._contract``.
+        Constants of the observation; see ``factors._contract``.
     label : str
-        "image ..., point ...": named in every message.
+        "image ..., point ...", shown in every message.
     loss : gtsam.noiseModel.mEstimator, optional
-        Robust loss on the whitened norm.
+        Robust loss of the whitened norm.
     hard : bool
-        The residual must vanish: sigma 0. GTSAM then eliminates by QR.
+        True if the residual must vanish (sigma 0); GTSAM then eliminates by QR.
 
     Raises ValueError at creation if nothing is unknown; at evaluation for arrays of wrong number, shape or type, and
     for values that are not finite.
@@ -75,15 +75,15 @@ def factor(
 def eliminated_factor(
     keys: Sequence[int], sizes: Sequence[int], evaluate: Callable[[Any, bool], Rows], *, label: str
 ) -> gtsam.CustomFactor:
-    """Factor between image vectors of these sizes only, n unknowns: eliminated ground points with all their rays.
+    """Return a factor that connects only image vectors (n unknowns): eliminated ground points with all their rays.
 
     Parameters
     ----------
     evaluate : callable
-        Error e (n + 1,) and, if it is wanted, Jacobian J (n + 1, n) from GTSAM's values: ``J^T J``, ``J^T e``,
-        ``|e|^2 / 2`` are the reduced normal matrix, its gradient and the cost.
+        Function that returns, from GTSAM's values, the error e (n + 1,) and on request its Jacobian J (n + 1, n).
+        ``J^T J``, ``J^T e``, ``|e|^2 / 2`` are the reduced normal matrix, its gradient and the cost.
     label : str
-        Named in every message.
+        Name shown in every message.
     """
     ends, n = list(itertools.accumulate(sizes, initial=0)), sum(sizes)
 
@@ -101,7 +101,7 @@ def eliminated_factor(
 
 
 def _noise(n_residuals: int, loss: Any) -> Any:
-    """Unit weight (the residual is whitened), under a robust loss if given."""
+    """Return unit weight, because the residual is whitened; with the robust loss if there is one."""
     unit = gtsam.noiseModel.Unit.Create(n_residuals)
     return unit if loss is None else gtsam.noiseModel.Robust.Create(loss, unit)
 
@@ -116,11 +116,11 @@ def image_point_factors(
     n_residuals: int = 2,
     loss: Any = None,
 ) -> Callable[[int, int, int], gtsam.CustomFactor]:
-    """Give a maker of factors between an image vector and a ground point, one per row of ``records``.
+    """Return a function that makes factors between image vector and ground point, one per row of ``records``.
 
-    ``make(image_key, point_key, row)`` returns the factor; ``label(row)`` names it when something is
-    wrong. All factors share buffers (GTSAM copies what it is given), records, setup and noise model,
-    and keep three numbers of their own: what thousands of callbacks touch must stay in the cache.
+    ``make(image_key, point_key, row)`` returns the factor; ``label(row)`` names it in messages. All factors share
+    buffers (GTSAM copies what it receives), records, setup and noise model, and have only three numbers of their own:
+    the data used by thousands of callbacks must stay in the cache.
     """
     fill, noise, m = equation.fill, _noise(n_residuals, loss), n_residuals
     assert fill is not None, f"equation {equation.name!r} has no fill function"
@@ -156,7 +156,7 @@ def _require_size(name: str, label: str, x: Array, size: int) -> None:
 
 
 def _value(u: Unknown, values: Any, is_point: bool, size: int) -> Any:
-    """Value of one argument."""
+    """Return the value of one argument."""
     if isinstance(u, np.ndarray):
         return u
     if isinstance(u, Split):
@@ -173,7 +173,7 @@ def _general(
     label: str,
     m: int,
 ) -> Callable[[Any, Any, Any], Array]:
-    """Build the case of any number of arguments, constants among them."""
+    """Build the general form: any number of arguments, some of which may be constants."""
     kernel, name, widths = equation.kernel, equation.name, tuple(sizes)
     free = [k for k, u in enumerate(unknowns) if not isinstance(u, np.ndarray)]
 

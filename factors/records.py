@@ -1,4 +1,4 @@
-"""Records of constants: flat arrays whose numbers have names, for kernels, batches and the code that writes them."""
+"""Records of constants: flat arrays with named numbers, for kernels, batches and the code that writes them."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ Array = npt.NDArray[np.float64]
 
 
 class Record(ModuleType):
-    """Names of the fields of a flat record, from one list.
+    """Names of the fields of a flat record, defined by one list.
 
-    ``RECORD.tau`` is the index of a field of one number, ``RECORD.mounting`` the slice of a longer field, and
-    ``RECORD.size`` the size of the record. In arrays with steps of n, observation i has a field of one number at
-    ``i + RECORD.tau * n``; a longer field begins at ``i + RECORD.mounting.start * n``. A record is a module because
-    numba takes attributes of modules as compile-time constants.
+    ``RECORD.tau`` is the index of a field with one number, ``RECORD.mounting`` the slice of a longer field, and
+    ``RECORD.size`` the size of the record. In arrays with stride n, observation i has a one-number field at
+    ``i + RECORD.tau * n``; a longer field begins at ``i + RECORD.mounting.start * n``. A record is a module, because
+    numba treats attributes of modules as compile-time constants.
 
     Parameters
     ----------
     **fields : int or str
-        Fields in the order of the record: number of their numbers, or the names of these numbers.
+        Fields in the order of the record; the value is the count of numbers in the field, or their names.
     """
 
     def __init__(self, **fields: int | str) -> None:
@@ -39,7 +39,7 @@ class Record(ModuleType):
             self.size += size
 
     def pack(self, **values: Any) -> Array:
-        """Records (..., size) of all fields: (...) for a field of one number, (..., k) for one of k numbers.
+        """Return records (..., size) made from all fields: (...) for a field with one number, (..., k) for k numbers.
 
         Raises
         ------

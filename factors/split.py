@@ -1,4 +1,4 @@
-"""Argument of an equation whose elements are in several vectors of unknowns."""
+"""Argument of an equation whose elements come from several vectors of unknowns."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Index = npt.NDArray[np.intp]
 
 @dataclass(frozen=True)
 class Split:
-    """Vector argument whose elements are in several GTSAM vectors: an image's own unknowns and shared unknowns.
+    """Vector argument composed of several GTSAM vectors: an image's own unknowns and shared unknowns.
 
     Parameters
     ----------
@@ -33,14 +33,14 @@ class Split:
     sizes: tuple[int, ...]
 
     def gathered(self, values: Any, size: int) -> Array:
-        """Argument (size,) from the values."""
+        """Return the argument (size,) from the values."""
         out = np.empty(size)
         for key, columns, places in zip(self.keys, self.columns, self.places, strict=True):
             out[columns] = values.atVector(key)[places]
         return out
 
     def scattered(self, block: Array) -> list[Array]:
-        """Jacobians with respect to the vectors."""
+        """Return the Jacobians with respect to the vectors."""
         out = []
         for columns, places, size in zip(self.columns, self.places, self.sizes, strict=True):
             part = np.zeros((len(block), size))

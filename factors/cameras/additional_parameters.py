@@ -4,9 +4,9 @@
     dy = a8 xy + a9 x^2 + a10 x^2 y + a11 x y^2 + a12 x^2 y^2 + y s + a20 + a21 y/c
     s  = [a13 (x^2 - y^2) + a14 x^2 y^2 + a15 (x^4 - y^4)]/c + a16 r^2 + a17 r^4 + a18 r^6
 
-(Brown 1976, quoted by Ayhan 1996, eq. 2.) x, y are reduced to the principal point; c is a nominal, fixed principal
-distance. a16 to a18 are k1 to k3, a19 to a21 change the interior orientation: an adjustment with unknown k1 to k3 or
-interior orientation holds them fixed.
+(Brown 1976, quoted by Ayhan 1996, eq. 2.) x, y are relative to the principal point; c is a fixed nominal principal
+distance. a16 to a18 are k1 to k3; a19 to a21 change the interior orientation. An adjustment with unknown k1 to k3 or
+interior orientation therefore holds them fixed.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ NAMES: Final = tuple(f"a{j + 1}" for j in range(AT.size))
 
 @compiled
 def terms(x: Any, y: Any, c: float) -> Any:
-    """Derivatives of dx and dy with respect to the parameters: array (2, 21)."""
+    """Return the derivatives of dx and dy with respect to the parameters: array (2, 21)."""
     xx, yy, xy, o, one = x * x, y * y, x * y, 0.0 * x, 1.0 + 0.0 * x
     r = xx + yy
     a, b, d, r4 = (xx - yy) / c, xx * yy / c, (xx * xx - yy * yy) / c, r * r
@@ -38,7 +38,7 @@ def terms(x: Any, y: Any, c: float) -> Any:
 
 @compiled
 def slopes(a: Array, x: float, y: float, c: float) -> tuple[float, float, float, float]:
-    """Derivatives dx_x, dx_y, dy_x, dy_y of the corrections with respect to the point."""
+    """Return the derivatives dx_x, dx_y, dy_x, dy_y of the corrections with respect to the point."""
     xx, yy, r = x * x, y * y, x * x + y * y
     a13, a14, a15, a16, a17, a18 = a[AT.a13], a[AT.a14], a[AT.a15], a[AT.a16], a[AT.a17], a[AT.a18]
     s = (a13 * (xx - yy) + a14 * xx * yy + a15 * (xx * xx - yy * yy)) / c + r * (a16 + r * (a17 + r * a18))

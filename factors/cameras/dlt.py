@@ -3,12 +3,13 @@
     x + dx = (L1 X + L2 Y + L3 Z + L4)/A,   y + dy = (L5 X + L6 Y + L7 Z + L8)/A,   A = L9 X + L10 Y + L11 Z + 1
 
 (Abdel-Aziz & Karara 1971; Ayhan 1996, eqs. 34-36). dx and dy are the corrections of
-``factors.cameras.image_corrections`` about a point that is held fixed. L also determines a principal point (eq. 43),
-but together with the coefficients so poorly that an adjustment in which it is free converges very slowly.
+``factors.cameras.image_corrections`` about a fixed point. L also determines a principal point (eq. 43). Together with
+the coefficients it is determined so poorly that an adjustment with a free principal point converges very slowly.
 
-The record has the fields of ``factors.cameras.plane`` (ground coordinates, image coordinates, whitening) and the centre
-of the distortion. Unknowns: L1 to L11, then the coefficients whose numbers (0 to 4) and steps are in the setup (2, k).
-Coordinates should be centred and of size 1: with 1000 m of coordinates the form with "+1" is nearly singular.
+The record contains the fields of ``factors.cameras.plane`` (ground coordinates, image coordinates, whitening) and the
+centre of distortion. The unknowns are L1 to L11, followed by the coefficients whose numbers (0 to 4) and steps are in
+the setup (2, k). Coordinates should be centred and of size 1: with coordinates of 1000 m the form with "+1" is nearly
+singular.
 """
 
 from __future__ import annotations
@@ -30,19 +31,19 @@ N_DISTORTION: Final = 5
 
 
 def _numerators(record: Any, x: Any) -> tuple[Any, Any, Any]:
-    """Both numerators and 1/A."""
+    """Return both numerators and 1/A."""
     a, b, c = record[..., RECORD.x], record[..., RECORD.y], record[..., RECORD.z]
     below = x[8] * a + x[9] * b + x[10] * c + 1.0
     return x[0] * a + x[1] * b + x[2] * c + x[3], x[4] * a + x[5] * b + x[6] * c + x[7], 1.0 / below
 
 
 def _reduced(record: Any) -> Any:
-    """Image coordinates about the centre of the distortion: two numbers."""
+    """Return the image coordinates about the centre of distortion: two numbers."""
     return record[..., RECORD.u] - record[..., RECORD.centre_x], record[..., RECORD.v] - record[..., RECORD.centre_y]
 
 
 def residual(record: Any, setup: Any, x: Any) -> Any:
-    """Whitened residual (..., 2), computed minus corrected; accepts complex unknowns."""
+    """Return the whitened residual (..., 2): computed minus corrected; accepts complex unknowns."""
     u, v, g = _numerators(record, x)
     u, v = u * g, v * g
     if setup.shape[1] > 0:
@@ -55,7 +56,7 @@ def residual(record: Any, setup: Any, x: Any) -> Any:
 
 
 def kernel(record: Array, setup: Array, x: Array, want: bool) -> tuple[Array, Array]:
-    """Residual (..., 2) and Jacobian (..., 2, 11 + k)."""
+    """Return the residual (..., 2) and Jacobian (..., 2, 11 + k)."""
     value = residual(record, setup, x)
     if not want:
         return value, np.empty((0, 0))

@@ -8,11 +8,12 @@ For an image point measured at (line, sample) of ground point G (docs/equations.
                    from measured to ideal coordinates: d = f (x, y) - unit Brown(u, v), u, v of the observed pixel
     4 whitening    r = A d
 
-Derivatives are carried back from map 4 to map 1. Unknown 1 is the orientation of the image in prior sigmas, exterior
-and interior, any of them; unknown 2 the ground point (m, local origin). The projection centre is the unknown, not the
-translation ``-R C``: a receiver on board measures it, and a rotation does not move it. w are rotations about the axes
-of the camera; w is the accumulated vector, not the last step, so that a state has the same meaning throughout a run.
-A of a polynomial that corrects applies to the corrected image: a sigma of 1 px is 1 px there.
+Derivatives are carried back from map 4 to map 1. Unknown 1 is the orientation of the image (any elements of exterior
+and interior orientation) in prior sigmas; unknown 2 is the ground point (m, local origin). The projection centre is the
+unknown, not the translation ``-R C``, because a receiver on board measures it and a rotation does not move it. w is a
+rotation vector about the axes of the camera; it is the accumulated vector, not the last step, so that a state has the
+same meaning throughout a run. With a polynomial from measured to ideal coordinates, A applies to the corrected
+image: a sigma of 1 px is 1 px there.
 """
 
 from __future__ import annotations
@@ -27,25 +28,26 @@ from factors.cameras.frame_camera import CAMERA, brown, brown_slopes, by_turn, d
 from factors.geometry.rotations import Vector
 from factors.records import Record
 
-#: Observed pixel; A, 1/px, for line and sample; the camera without corrections, its centre minus the local origin, m.
-#: The unit is 0 where the polynomial leads from ideal to measured coordinates.
+#: Observed pixel; A, 1/px, for line and sample; the camera without corrections, its centre relative to the local
+#: origin, m. The unit is 0 if the polynomial converts ideal to measured coordinates.
 RECORD: Final = Record(line=1, sample=1, a_line=1, a_sample=1, rotation=9, centre=3, focal=1, principal=2, distortion=5,
                        aspect=1, unit=1)  # fmt: skip
 #: Setup: codes of the unknowns, which are their places here, and their prior sigmas: rotation about the camera's X, Y,
-#: Z rad, projection centre m, interior orientation px; the aspect acts only where the polynomial corrects.
+#: Z rad, projection centre m, interior orientation px. The aspect has an effect only if the polynomial converts
+#: measured to ideal coordinates.
 UNKNOWN: Final = Record(
     rotation="w1 w2 w3", centre="x y z", focal=1, principal="sample line", distortion="k1 k2 k3 p1 p2", aspect=1,
 )  # fmt: skip
 N_UNKNOWNS: Final = UNKNOWN.size
-#: Columns of derivatives: the unknowns, the ground point, and a column of zeros for unknowns of an image on which no
-#: pixel depends: codes from N_UNKNOWNS on (``factors.conditions.navigation``).
+#: Columns of derivatives: the unknowns, the ground point, and a column of zeros. The zeros are for image unknowns on
+#: which no pixel depends: codes from N_UNKNOWNS on (``factors.conditions.navigation``).
 COLUMN: Final = Record(**UNKNOWN.fields, ground="g1 g2 g3", silent=1)
 GROUND: Final = COLUMN.ground.start
 
 
 @compiled
 def camera(record: Any, setup: Any, x: Any) -> Any:
-    """Map 1: camera, as ``CAMERA``, of unknowns (k,) in prior sigmas."""
+    """Map 1: return the camera, as ``CAMERA``, for unknowns (k,) in prior sigmas."""
     d, out = np.zeros(N_UNKNOWNS, x.dtype), np.empty(CAMERA.size, x.dtype)
     for j in range(setup.shape[1]):
         if setup[0, j] < N_UNKNOWNS:
@@ -59,7 +61,7 @@ def camera(record: Any, setup: Any, x: Any) -> Any:
 
 @compiled
 def difference(c: Any, line: Any, sample: Any, x: Any, y: Any) -> Any:
-    """Map 3: adjusted minus observed line and sample (px) of a direction x, y."""
+    """Map 3: return adjusted minus observed line and sample (px) for a direction x, y."""
     if c[CAMERA.unit] == 0.0:
         computed = frame_camera.pixel(c, x, y)
         return computed[0] - line, computed[1] - sample
@@ -70,10 +72,10 @@ def difference(c: Any, line: Any, sample: Any, x: Any, y: Any) -> Any:
 
 @compiled
 def derivatives(c: Any, observed: Any, ray: Vector, out: Array) -> float:
-    """Write the whitened derivatives into ``out`` (2, 19), columns ``COLUMN``; 0 if they are finite.
+    """Write the whitened derivatives into ``out`` (2, 19), columns ``COLUMN``; return 0 if they are finite.
 
-    ``observed`` are the first four numbers of the record, ``ray`` is what
-    :func:`factors.cameras.frame_camera.direction` gives.
+    ``observed`` contains the first four numbers of the record, ``ray`` the result of
+    :func:`factors.cameras.frame_camera.direction`.
     """
     o_line, o_sample, a_line, a_sample = observed
     x, y, _ = ray
@@ -108,7 +110,7 @@ def derivatives(c: Any, observed: Any, ray: Vector, out: Array) -> float:
 
 @compiled
 def _carry_back(c: Any, ray: Vector, by_x: float, by_y: float, out: Array, row: int) -> float:
-    """Map 2 backwards: write the derivatives by rotation, centre and ground of a row from those by x, y; their sum."""
+    """Map 2 backwards: write a row's derivatives by rotation, centre and ground, from x, y; return their sum."""
     x, y, inverse = ray
     by_z = -(by_x * x + by_y * y)  # with q = R (G - C) = Z (x, y, 1), derivatives by q are (by_x, by_y, by_z)/Z
     w1, w2, w3 = by_turn(c, (x, y, 1.0), (by_x, by_y, by_z))
@@ -121,9 +123,9 @@ def _carry_back(c: Any, ray: Vector, by_x: float, by_y: float, out: Array, row: 
 
 @compiled
 def evaluated(c: Any, observed: Any, ground: Vector, out: Array, want: bool) -> Any:
-    """Maps 2 to 4, for a factor and for a batch: whitened line and sample, and 0 if all is finite.
+    """Evaluate maps 2 to 4 for a factor or a batch: return whitened line and sample, and 0 if all values are finite.
 
-    Derivatives are written into ``out`` (2, 19) with ``want``.
+    Derivatives are written into ``out`` (2, 19) if ``want`` is True.
     """
     ray = direction(c, ground[0], ground[1], ground[2])
     line, sample = difference(c, observed[0], observed[1], ray[0], ray[1])
@@ -136,7 +138,7 @@ def evaluated(c: Any, observed: Any, ground: Vector, out: Array, want: bool) -> 
 
 @compiled
 def columns_of(setup: Any) -> Any:
-    """Column (k,) of each unknown among the derivatives."""
+    """Return the column (k,) of each unknown among the derivatives."""
     out = setup[0].astype(np.int64)
     for j in range(len(out)):
         if out[j] >= N_UNKNOWNS:
@@ -146,7 +148,7 @@ def columns_of(setup: Any) -> Any:
 
 @compiled
 def residual(record: Any, setup: Any, x: Any, ground: Any) -> Any:
-    """Whitened residual (2,); accepts complex unknowns."""
+    """Return the whitened residual (2,); accepts complex unknowns."""
     c = camera(record, setup, x)
     u, v, _ = direction(c, ground[0], ground[1], ground[2])
     line, sample = difference(c, record[RECORD.line], record[RECORD.sample], u, v)

@@ -1,17 +1,18 @@
 """Frame camera: rotation, projection centre, interior orientation and distortion as scalar maps.
 
-Camera axes: X right along the samples, Y down along the lines, Z forward along the view (OpenCV, COLMAP). Cameras
-that look along -Z with Y up (photogrammetric axes, BAL) are described by these axes after a half-turn about X.
+Camera axes: X right along the samples, Y down along the lines, Z forward along the view (OpenCV, COLMAP). Cameras that
+look along -Z with Y up (photogrammetric axes, BAL) have these axes after a rotation by 180 degrees about X.
 
-A *camera* is an array with the fields of ``CAMERA``: rotation camera_from_ground row-major, projection centre m, focal
-length and principal point px, coefficients of the distortion, and J row-major: a change dw of the rotation vector w
-rotates the camera by J dw about its own axes. A *turn* is a camera in which only the rotation and J are set.
+A *camera* is an array with the fields of ``CAMERA``: rotation camera_from_ground (row-major), projection centre (m),
+focal length and principal point (px), coefficients of the distortion, and J (row-major). A change dw of the rotation
+vector w rotates the camera by J dw about its own axes. A *turn* is a camera of which only the rotation and J are set.
 
-Brown's polynomial leads from ideal to measured coordinates (OpenCV, COLMAP, BAL; x, y are X/Z, Y/Z), or corrects the
-measured coordinates, as in photogrammetric calibrations (Brown 1971; Ayhan 1996; DBAT: Börlin, Grussenmeyer 2016,
-"backward" models). Each is the inverse of the other; no finite polynomial is both. When it corrects, its arguments are
-``x = (sample - sample_0) (1 + aspect) / unit`` and ``y = (line - line_0) / unit`` with a fixed unit (px), for example
-the pixels of 1 mm: coefficients do not change with the focal length.
+Brown's polynomial has one of two directions. It converts ideal to measured coordinates (OpenCV, COLMAP, BAL; x, y are
+X/Z, Y/Z); or it corrects the measured coordinates, as in photogrammetric calibrations (Brown 1971; Ayhan 1996; DBAT:
+Börlin, Grussenmeyer 2016, "backward" models). The two directions are inverse to each other, and no finite polynomial is
+the inverse of another. A correcting polynomial has the arguments ``x = (sample - sample_0) (1 + aspect) / unit`` and
+``y = (line - line_0) / unit`` with a fixed unit (px), for example the number of pixels in 1 mm: the coefficients do not
+change with the focal length.
 """
 
 from __future__ import annotations
@@ -28,13 +29,13 @@ CAMERA: Final = Record(
     rotation="r11 r12 r13 r21 r22 r23 r31 r32 r33", centre="x y z", focal=1, principal="sample line",
     distortion="k1 k2 k3 p1 p2", aspect=1, unit=1, jacobian="j11 j12 j13 j21 j22 j23 j31 j32 j33",
 )  # fmt: skip
-#: Rotation vectors shorter than the root of this (rad^2) go through series: no cancellation, no division by zero.
+#: Rotation vectors shorter than the root of this (rad^2) use series, without cancellation or division by zero.
 SMALL_ANGLE_SQUARED: Final = 1e-4
 
 
 @compiled
 def rotation_coefficients(t: Any) -> Any:
-    """Coefficients sin a / a, (1 - cos a) / a^2, (a - sin a) / a^3 for t = a^2."""
+    """Return the coefficients sin a / a, (1 - cos a) / a^2, (a - sin a) / a^3 for t = a^2."""
     if t.real < SMALL_ANGLE_SQUARED:
         c = 1.0 / 6.0 - t / 120.0 + t * t / 5040.0
         return 1.0 - t * c, 0.5 - t / 24.0 + t * t / 720.0, c
@@ -45,7 +46,7 @@ def rotation_coefficients(t: Any) -> Any:
 
 @inlined
 def _exponential(w: Vector, p: Any, q: Any) -> Any:
-    """Matrix I + p [w]x + q [w]x^2, row-major."""
+    """Return the matrix I + p [w]x + q [w]x^2, row-major."""
     x, y, z = w[0], w[1], w[2]
     return (
         1.0 - q * (y * y + z * z), q * x * y - p * z, q * x * z + p * y,
@@ -58,7 +59,7 @@ def _exponential(w: Vector, p: Any, q: Any) -> Any:
 def turned(w: Vector, start: Any, out: Any) -> None:
     """Write R = exp([w]x) R_0 and J, its left Jacobian at w, into a camera; ``start`` (9,) is R_0.
 
-    Exact and without a singularity below a full turn (Rodrigues; Chirikjian 2012, eq. 10.86).
+    The formulas are exact and have no singularity below a full turn (Rodrigues; Chirikjian 2012, eq. 10.86).
     """
     s, b, c = rotation_coefficients(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
     turn, jacobian, first = _exponential(w, s, b), _exponential(w, b, c), start.reshape(3, 3)
@@ -71,7 +72,7 @@ def turned(w: Vector, start: Any, out: Any) -> None:
 
 @inlined
 def _rotation(c: Any) -> Any:
-    """Rotation R of a camera: nine numbers, row-major."""
+    """Return the rotation R of a camera: nine numbers, row-major."""
     return (
         c[CAMERA.r11], c[CAMERA.r12], c[CAMERA.r13], c[CAMERA.r21], c[CAMERA.r22], c[CAMERA.r23], c[CAMERA.r31],
         c[CAMERA.r32], c[CAMERA.r33],
@@ -80,21 +81,21 @@ def _rotation(c: Any) -> Any:
 
 @inlined
 def rotate(turn: Any, d: Vector) -> Any:
-    """Product R d (three numbers)."""
+    """Return the product R d (three numbers)."""
     return multiply(_rotation(turn), d)
 
 
 @inlined
 def rotate_back(turn: Any, d: Vector) -> Any:
-    """Product R^T d (three numbers)."""
+    """Return the product R^T d (three numbers)."""
     return multiply_transposed(_rotation(turn), d)
 
 
 @inlined
 def by_turn(turn: Any, q: Vector, g: Vector) -> Any:
-    """Derivatives J^T (q x g) by the rotation vector of a function with derivatives g by q = R p.
+    """Return the derivatives J^T (q x g) by the rotation vector, where q = R p and g are a function's derivatives by q.
 
-    q moves by (J dw) x q, and g . (e x q) = e . (q x g).
+    A step dw changes q by (J dw) x q, and g . (e x q) = e . (q x g).
     """
     x, y, z = cross(q, g)
     return (
@@ -105,7 +106,7 @@ def by_turn(turn: Any, q: Vector, g: Vector) -> Any:
 
 
 def rotated(start: Array, w: Array) -> Array:
-    """Rotation ``exp([w]x) start`` (3, 3)."""
+    """Return the rotation ``exp([w]x) start`` (3, 3)."""
     out = np.empty(CAMERA.size)
     turned(np.ascontiguousarray(w), np.ascontiguousarray(start).ravel(), out)
     return np.asarray(out[CAMERA.rotation].reshape(3, 3))
@@ -113,7 +114,7 @@ def rotated(start: Array, w: Array) -> Array:
 
 @compiled
 def direction(camera: Any, gx: Any, gy: Any, gz: Any) -> Any:
-    """X/Z, Y/Z and 1/Z (1/m) of a ground point in camera axes."""
+    """Return X/Z, Y/Z and 1/Z (1/m) of a ground point in camera axes."""
     x, y, z = rotate(camera, (gx - camera[CAMERA.x], gy - camera[CAMERA.y], gz - camera[CAMERA.z]))
     inverse = 1.0 / z
     return x * inverse, y * inverse, inverse
@@ -121,9 +122,9 @@ def direction(camera: Any, gx: Any, gy: Any, gz: Any) -> Any:
 
 @compiled
 def brown(camera: Any, x: Any, y: Any) -> Any:
-    """Brown's polynomial (Brown 1966, form of OpenCV): two numbers.
+    """Return the result of Brown's polynomial (Brown 1966, form of OpenCV): two numbers.
 
-    x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2), likewise y' with p1 and p2 exchanged.
+    x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2); y' has the same form with p1 and p2 exchanged.
     """
     k1, k2, k3 = camera[CAMERA.k1], camera[CAMERA.k2], camera[CAMERA.k3]
     p1, p2 = camera[CAMERA.p1], camera[CAMERA.p2]
@@ -135,7 +136,7 @@ def brown(camera: Any, x: Any, y: Any) -> Any:
 
 @compiled
 def brown_slopes(camera: Any, x: Any, y: Any) -> Any:
-    """Derivatives x'_x, x'_y = y'_x, y'_y of :func:`brown`."""
+    """Return the derivatives x'_x, x'_y = y'_x, y'_y of :func:`brown`."""
     k1, k2, k3 = camera[CAMERA.k1], camera[CAMERA.k2], camera[CAMERA.k3]
     p1, p2 = camera[CAMERA.p1], camera[CAMERA.p2]
     r = x * x + y * y
@@ -147,13 +148,13 @@ def brown_slopes(camera: Any, x: Any, y: Any) -> Any:
 
 @compiled
 def pixel(camera: Any, x: Any, y: Any) -> Any:
-    """Line and sample (px) of an ideal direction."""
+    """Return line and sample (px) of an ideal direction."""
     mx, my = brown(camera, x, y)
     return camera[CAMERA.line] + camera[CAMERA.focal] * my, camera[CAMERA.sample] + camera[CAMERA.focal] * mx
 
 
 @compiled
 def polynomial_arguments(c: Any, line: Any, sample: Any) -> Any:
-    """Arguments x, y of a polynomial that corrects, from a measured pixel."""
+    """Return the arguments x, y of a correcting polynomial, from a measured pixel."""
     x, y = sample - c[CAMERA.sample], line - c[CAMERA.line]
     return x * (1.0 + c[CAMERA.aspect]) / c[CAMERA.unit], y / c[CAMERA.unit]

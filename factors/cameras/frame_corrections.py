@@ -1,4 +1,4 @@
-"""Corrections of frame images: every term in use, in both directions, with perspective or fisheye projection.
+"""Corrections of frame images: all supported terms, in both directions, with perspective or fisheye projection.
 
 Maps::
 
@@ -28,28 +28,28 @@ from factors.cameras import image_variants as variants
 from factors.cameras.frame_camera import brown, brown_slopes, direction
 from factors.records import Record
 
-#: Coefficients behind those of ``frame_camera``.
+#: Coefficients that follow the coefficients of ``frame_camera``.
 FURTHER: Final = Record(
     shear="shear", fisheye="fisheye_1 fisheye_2 fisheye_3 fisheye_4", affinity="affinity_a affinity_b",
     additional=" ".join(additional.NAMES), variants=" ".join(variants.NAMES),
 )  # fmt: skip
-#: Their names.
+#: Names of these coefficients.
 NAMES: Final = tuple(name for field in FURTHER.fields.values() for name in str(field).split())
-#: Constants of a camera: whether it is a fisheye camera, s, nominal principal distance of the additional parameters
-#: and radius of the orthogonal polynomials in the unit of D.
+#: Constants of a camera: 1 for a fisheye camera; the sign s; the nominal principal distance of the additional
+#: parameters; and the radius of the orthogonal polynomials, in the unit of D.
 CONSTANTS: Final = Record(is_fisheye=1, sign=1, nominal=1, radius=1)
 CAMERA: Final = Record(**frame_camera.CAMERA.fields, **FURTHER.fields, **CONSTANTS.fields)
-#: Newton steps of an inverse; the last one must be below the tolerance.
+#: Largest number of Newton steps for an inverse; the last step must be below the tolerance.
 STEPS: Final = 30
 TOLERANCE: Final = 1e-13
-#: r^2 below which arctan(r)/r and its derivative are series.
+#: Value of r^2 below which arctan(r)/r and its derivative are computed by series.
 _SMALL: Final = 0.01
 _SERIES: Final = 9
 
 
 @compiled
 def lens(c: Any, x: Any, y: Any) -> Any:
-    """Factor theta_d/r of a fisheye lens, its derivative by r^2, theta/r and theta^2; 1, 0, 1, 0 of another lens."""
+    """Return theta_d/r of a fisheye lens, its derivative by r^2, theta/r and theta^2; for another lens 1, 0, 1, 0."""
     t = x * x + y * y
     if c[CAMERA.is_fisheye].real == 0.0:
         return 1.0 + 0.0 * t, 0.0 * t, 1.0 + 0.0 * t, 0.0 * t
@@ -74,7 +74,7 @@ def lens(c: Any, x: Any, y: Any) -> Any:
 
 @compiled
 def distorted(c: Any, x: Any, y: Any) -> Any:
-    """D of coordinates x, y: two numbers."""
+    """Return D of coordinates x, y: two numbers."""
     u, v = brown(c, x, y)
     u, v = u + c[CAMERA.affinity_a] * y, v + c[CAMERA.affinity_b] * y
     a = c[CAMERA.additional]
@@ -92,7 +92,7 @@ def distorted(c: Any, x: Any, y: Any) -> Any:
 
 @compiled
 def slopes(c: Array, x: float, y: float) -> tuple[float, float, float, float]:
-    """Derivatives u_x, u_y, v_x, v_y of (u, v) = D(x, y)."""
+    """Return the derivatives u_x, u_y, v_x, v_y of (u, v) = D(x, y)."""
     xx, xy, yy = brown_slopes(c, x, y)
     out = xx, xy + c[CAMERA.affinity_a], xy, yy + c[CAMERA.affinity_b]
     if np.any(c[CAMERA.additional] != 0.0):
@@ -106,13 +106,13 @@ def slopes(c: Array, x: float, y: float) -> tuple[float, float, float, float]:
 
 @compiled
 def affine(c: Any, x: Any, y: Any) -> Any:
-    """E of coordinates x, y: two numbers."""
+    """Return E of coordinates x, y: two numbers."""
     return (1.0 + c[CAMERA.aspect]) * x + c[CAMERA.shear] * y, y
 
 
 @compiled
 def projected(c: Any, x: Any, y: Any) -> Any:
-    """Projection of a direction X/Z, Y/Z: two numbers."""
+    """Return the projection (two numbers) of a direction X/Z, Y/Z."""
     factor = lens(c, x, y)[0]
     return factor * x, c[CAMERA.sign] * factor * y
 
@@ -122,7 +122,7 @@ def projected(c: Any, x: Any, y: Any) -> Any:
 
 @compiled
 def undistorted(c: Array, u: float, v: float) -> tuple[float, float]:
-    """Coordinates x, y with D(x, y) = (u, v) by Newton; nan beyond the fold of D."""
+    """Return coordinates x, y with D(x, y) = (u, v), found by Newton steps; nan beyond the fold of D."""
     x, y = u, v
     for _ in range(STEPS):
         at, (xx, xy, yx, yy) = distorted(c, x, y), slopes(c, x, y)
@@ -138,7 +138,7 @@ def undistorted(c: Array, u: float, v: float) -> tuple[float, float]:
 
 @compiled
 def unprojected(c: Array, x: float, y: float) -> tuple[float, float]:
-    """Direction X/Z, Y/Z of a projection by Newton; nan beyond the fold, or 90 degrees and more off the axis."""
+    """Return direction X/Z, Y/Z of a projection; nan beyond the fold, or 90 degrees or more off the axis."""
     y = c[CAMERA.sign] * y
     target = np.sqrt(x * x + y * y)
     if c[CAMERA.is_fisheye] == 0.0 or target == 0.0:
@@ -163,7 +163,7 @@ def unprojected(c: Array, x: float, y: float) -> tuple[float, float]:
 @few_in_python
 @compiled
 def pixels(c: Array, ground: Array) -> Array:
-    """Line, sample (px), inverse depth (1/m) of ground points (N, 3): (N, 3); nan where there is no image."""
+    """Return line, sample (px) and inverse depth (1/m) of ground points (N, 3): (N, 3); nan if there is no image."""
     out = np.empty((len(ground), 3))
     for i in range(len(ground)):
         x, y, inverse = direction(c, ground[i, 0], ground[i, 1], ground[i, 2])
@@ -183,7 +183,7 @@ def pixels(c: Array, ground: Array) -> Array:
 @few_in_python
 @compiled
 def directions(c: Array, line: Array, sample: Array) -> Array:
-    """Directions X/Z, Y/Z of N pixels: (N, 2); nan where the corrections cannot be inverted."""
+    """Return directions X/Z, Y/Z of N pixels: (N, 2); nan if the corrections cannot be inverted."""
     out = np.empty((len(line), 2))
     for i in range(len(line)):
         x, y = sample[i] - c[CAMERA.sample], line[i] - c[CAMERA.line]

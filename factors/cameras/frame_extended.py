@@ -1,4 +1,4 @@
-"""Collinearity of a frame image with all corrections in use: the observation equation.
+"""Collinearity of a frame image with all supported corrections: the observation equation.
 
 As ``factors.cameras.frame``, with the corrections, projections and directions of ``frame_corrections``::
 
@@ -8,8 +8,9 @@ As ``factors.cameras.frame``, with the corrections, projections and directions o
                    from measured to ideal coordinates: d = f (x, y) - unit D(E(observed pixel - p_0)/unit)
     4 whitening    r = W d Z^p,  W = (w_line  w_12; 0  w_sample)
 
-With p = 0 the unit of d is the pixel, with p = 1 (Ayhan 1996, eq. 76, condition F with the other sign) pixels times
-metres. Coefficients D are in the image's ``unit`` from measured to ideal, and in that of X/Z from ideal to measured.
+The unit of d is the pixel for p = 0, and pixels times metres for p = 1 (Ayhan 1996, eq. 76, condition F with the other
+sign). The coefficients of D refer to the image's ``unit`` from measured to ideal coordinates, and to the unit of X/Z
+from ideal to measured coordinates.
 """
 
 from __future__ import annotations
@@ -27,11 +28,11 @@ from factors.cameras.frame_corrections import CAMERA, CONSTANTS, FURTHER, affine
 from factors.geometry.rotations import Vector
 from factors.records import Record
 
-#: Record of ``frame``, then coefficients and constants of ``frame_corrections``; a_line and a_sample are the diagonal
-#: of W.
+#: Record: fields of ``frame``, then coefficients and constants of ``frame_corrections``; a_line and a_sample are the
+#: diagonal of W.
 RECORD: Final = Record(**frame.RECORD.fields, **FURTHER.fields, **CONSTANTS.fields, w12=1, power=1)
-#: Setup: codes and prior sigmas of the unknowns: those of ``frame``, those of a receiver on board, on which no pixel
-#: depends (``factors.conditions.navigation``), then the further coefficients.
+#: Setup: codes and prior sigmas of the unknowns. First the unknowns of ``frame``, then those of a receiver on board, on
+#: which no pixel depends (``factors.conditions.navigation``), then the further coefficients.
 UNKNOWN: Final = Record(**frame.UNKNOWN.fields, navigation=18, **FURTHER.fields)
 N_UNKNOWNS: Final = UNKNOWN.size
 COLUMN: Final = Record(**UNKNOWN.fields, ground="g1 g2 g3")
@@ -42,7 +43,7 @@ _N_CONSTANTS: Final = CONSTANTS.size
 
 @compiled
 def camera(record: Any, setup: Any, x: Any) -> Any:
-    """Map 1: camera, as ``frame_corrections.CAMERA``, of unknowns (k,) in prior sigmas."""
+    """Map 1: return the camera, as ``frame_corrections.CAMERA``, for unknowns (k,) in prior sigmas."""
     start, out = frame.camera(record, setup, x), np.empty(CAMERA.size, x.dtype)
     for k in range(len(start)):
         out[k] = start[k]
@@ -56,7 +57,7 @@ def camera(record: Any, setup: Any, x: Any) -> Any:
 
 @compiled
 def difference(c: Any, line: Any, sample: Any, x: Any, y: Any) -> Any:
-    """Map 3: adjusted minus observed line and sample (px) of a direction x, y."""
+    """Map 3: return adjusted minus observed line and sample (px) for a direction x, y."""
     x, y = projected(c, x, y)
     if c[CAMERA.unit] == 0.0:
         x, y = distorted(c, x, y)
@@ -69,7 +70,7 @@ def difference(c: Any, line: Any, sample: Any, x: Any, y: Any) -> Any:
 
 @compiled
 def residual(record: Any, setup: Any, x: Any, ground: Any) -> Any:
-    """Whitened residual (2,); accepts complex unknowns."""
+    """Return the whitened residual (2,); accepts complex unknowns."""
     c = camera(record, setup, x)
     u, v, inverse = direction(c, ground[0], ground[1], ground[2])
     line, sample = difference(c, record[RECORD.line], record[RECORD.sample], u, v)
@@ -82,9 +83,10 @@ def residual(record: Any, setup: Any, x: Any, ground: Any) -> Any:
 
 @compiled
 def derivatives(record: Array, c: Array, ray: Vector, value: Any, has_terms: bool, out: Array) -> None:
-    """Write the derivatives of line and sample, not whitened, into ``out`` (2, 76), columns ``COLUMN``.
+    """Write the unwhitened derivatives of line and sample into ``out`` (2, 76), columns ``COLUMN``.
 
-    ``value`` are line and sample. Columns of additional parameters and variants are written with ``has_terms`` only.
+    ``value`` contains line and sample. Columns of additional parameters and variants are written only if ``has_terms``
+    is True.
     """
     x, y, _ = ray
     factor, bend, ratio, square = lens(c, x, y)
@@ -124,7 +126,7 @@ def derivatives(record: Array, c: Array, ray: Vector, value: Any, has_terms: boo
 
 @compiled
 def _by_corrections(u: float, v: float, by_du: float, by_dv: float, out: Array, i: int) -> None:
-    """Write the derivatives of row i by the coefficients of Brown and of the affinity from those by D."""
+    """Write the derivatives of row i by the coefficients of Brown and of the affinity, from the derivatives by D."""
     r, uv, radial = u * u + v * v, 2.0 * u * v, by_du * u + by_dv * v
     for k in range(UNKNOWN.k1, UNKNOWN.k3 + 1):
         radial *= r
@@ -136,7 +138,7 @@ def _by_corrections(u: float, v: float, by_du: float, by_dv: float, out: Array, 
 
 @compiled
 def _by_place(c: Array, ray: Vector, view: Any, by_p: float, by_q: float, depth: float, out: Array, i: int) -> None:
-    """Write the derivatives of row i by rotation, centre and ground from those by the projection and by log Z."""
+    """Write the derivatives of row i by rotation, centre and ground, from derivatives by projection and log Z."""
     x, y, inverse = ray
     factor, bend = view
     by_y = c[CAMERA.sign] * by_q

@@ -5,8 +5,8 @@
     y' = y + y K + P2 (r^2 + 2 y^2) + 2 P1 x y + B y
 
 Brown 1966; Ayhan 1996, eqs. 48, 53 and 71-73, with a corrected misprint (eq. 71 repeats "x"). The direction is
-**measured to ideal**, the opposite of ``factors.cameras.frame_camera``. Coefficients (7,) are k1 k2 k3 P1 P2 A B, in
-the unit of the coordinates: mm^-2, mm^-4, mm^-6, mm^-1, mm^-1, 1, 1 for coordinates in mm.
+**measured to ideal**, opposite to ``factors.cameras.frame_camera``. The coefficients (7,) are k1 k2 k3 P1 P2 A B. Their
+units follow from the unit of the coordinates: mm^-2, mm^-4, mm^-6, mm^-1, mm^-1, 1, 1 for coordinates in mm.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ NAMES: Final = tuple(AT.fields)
 
 @inlined
 def ideal(c: Any, x: Any, y: Any) -> Any:
-    """Ideal coordinates (2 numbers) of measured coordinates."""
+    """Return the ideal coordinates (2 numbers) of measured coordinates."""
     xx, yy, xy = x * x, y * y, x * y
     r = xx + yy
     radial = 1.0 + r * (c[AT.k1] + r * (c[AT.k2] + r * c[AT.k3]))
@@ -37,7 +37,7 @@ def ideal(c: Any, x: Any, y: Any) -> Any:
 
 @compiled
 def terms(x: Any, y: Any) -> Any:
-    """Derivatives of x' and y' with respect to the coefficients: array (2, 7)."""
+    """Return the derivatives of x' and y' with respect to the coefficients: array (2, 7)."""
     r, xy, o = x * x + y * y, 2.0 * x * y, 0.0 * x
     return np.array([
         [x * r, x * (r * r), x * (r * r * r), r + 2.0 * x * x, xy, y, o],
@@ -46,5 +46,5 @@ def terms(x: Any, y: Any) -> Any:
 
 
 def ideal_points(c: Array, reduced: Array) -> Array:
-    """Ideal coordinates (N, 2) of N measured points (N, 2), both about the principal point."""
+    """Return the ideal coordinates (N, 2) of N measured points (N, 2), both about the principal point."""
     return np.stack(plain(ideal)(c, *reduced.T), axis=1)

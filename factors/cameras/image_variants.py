@@ -7,13 +7,13 @@
 
     R_3 = 3 u^3 - 2 u,  R_5 = 10 u^5 - 12 u^3 + 3 u,  R_7 = 35 u^7 - 60 u^5 + 30 u^3 - 4 u
 
-(Ayhan 1996, eqs. 44 to 46 and 49 to 52, which names no family of orthogonal polynomials; Born, Wolf 1999, section 9.2.)
-The displacements of R_3, R_5, R_7 and of a change of scale (R_1 = u) are orthogonal over the disk of radius R, and
-R_n(1) = 1: an ``orthogonal_i`` is the displacement at the rim. ``radial_1`` is a scale, as the principal distance is.
-``image_corrections`` has dx = affinity_a y and dy = affinity_b y.
+(Ayhan 1996, eqs. 44 to 46 and 49 to 52, without a name for the family of orthogonal polynomials; Born, Wolf 1999,
+section 9.2.) The displacements of R_3, R_5, R_7 and of a change of scale (R_1 = u) are orthogonal over the disk of
+radius R. Because R_n(1) = 1, ``orthogonal_i`` is the displacement at the rim. ``radial_1`` is a change of scale, like a
+change of the principal distance. ``image_corrections`` has dx = affinity_a y and dy = affinity_b y.
 
-x, y are reduced to the principal point and r^2 = x^2 + y^2; R is held. The unit of radial_j is that of the coordinates
-to the power 1 - j, of orthogonal_i that of the coordinates; film_xx and film_yx have no unit.
+x, y are relative to the principal point and r^2 = x^2 + y^2; R is constant. radial_j has the unit of the coordinates to
+the power 1 - j; orthogonal_i has the unit of the coordinates; film_xx and film_yx have no unit.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ NAMES: Final = tuple(AT.fields)
 
 @compiled
 def _factors(x: Any, y: Any, radius: float) -> Any:
-    """Factors dr/r (7,) of the radial terms."""
+    """Return the factors dr/r (7,) of the radial terms."""
     rr = x * x + y * y
     r, v = np.sqrt(rr), rr / radius**2
     return np.array([
@@ -45,7 +45,7 @@ def _factors(x: Any, y: Any, radius: float) -> Any:
 
 @compiled
 def terms(x: Any, y: Any, radius: float) -> Any:
-    """Derivatives of dx and dy with respect to the coefficients: array (2, 10)."""
+    """Return the derivatives of dx and dy with respect to the coefficients: array (2, 10)."""
     radial = _factors(x, y, radius)
     out = np.zeros((2, 10), radial.dtype)
     for j in range(7):
@@ -58,7 +58,7 @@ def terms(x: Any, y: Any, radius: float) -> Any:
 
 @compiled
 def slopes(c: Array, x: float, y: float, radius: float) -> tuple[float, float, float, float]:
-    """Derivatives dx_x, dx_y, dy_x, dy_y of the corrections with respect to the point."""
+    """Return the derivatives dx_x, dx_y, dy_x, dy_y of the corrections with respect to the point."""
     rr, own, slope = x * x + y * y, 0.0, 0.0
     r, v, radial = np.sqrt(rr), rr / radius**2, _factors(x, y, radius)
     for j in range(7):

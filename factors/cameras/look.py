@@ -1,8 +1,8 @@
-"""Look angles of a sample from a table or polynomials, and their viewing direction.
+"""Look angles of a sample, from a table or polynomials, and their viewing direction.
 
 The viewing direction is ``u1 = (-tan psi_y, tan psi_x, -1)`` in the body frame: x right of flight, y forward, z outward
-(docs/equations.md 2; the printed third component +1 points into space). Tangents, not angles, are linear between
-detectors.
+(docs/equations.md 2; the printed third component +1 points into space). Between detectors the tangents are linear, not
+the angles.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from factors._contract import Array
 
 
 def from_table(sample_grid: Array, tan_psi_x: Array, tan_psi_y: Array, sample: Array) -> tuple[Array, Array]:
-    """Look angles psi_x, psi_y (rad) at N samples; beyond the table the first and last segments are continued."""
+    """Return look angles psi_x, psi_y (rad) at N samples; the first and last segments continue beyond the table."""
     s = np.asarray(sample, float)
     k = np.clip(np.searchsorted(sample_grid, s, side="right") - 1, 0, len(sample_grid) - 2)
     f = (s - sample_grid[k]) / (sample_grid[k + 1] - sample_grid[k])
@@ -23,7 +23,7 @@ def from_table(sample_grid: Array, tan_psi_x: Array, tan_psi_y: Array, sample: A
 
 
 def from_polynomial(tan_psi_x: Array, tan_psi_y: Array, origin_sample: float, sample: Array) -> tuple[Array, Array]:
-    """Look angles psi_x, psi_y (rad) at N samples from polynomials of ``sample - origin_sample``."""
+    """Return look angles psi_x, psi_y (rad) at N samples from polynomials of ``sample - origin_sample``."""
     d = np.asarray(sample, float) - origin_sample
     return (
         np.arctan(np.polynomial.polynomial.polyval(d, tan_psi_x)),
@@ -32,5 +32,5 @@ def from_polynomial(tan_psi_x: Array, tan_psi_y: Array, origin_sample: float, sa
 
 
 def direction(psi_x_rad: Array, psi_y_rad: Array) -> Array:
-    """Viewing direction in the body frame, not normalised: (N,), (N,) -> (N, 3)."""
+    """Return the unnormalised viewing direction in the body frame: (N,), (N,) -> (N, 3)."""
     return np.stack([-np.tan(psi_y_rad), np.tan(psi_x_rad), -np.ones_like(psi_x_rad)], axis=1)

@@ -7,13 +7,13 @@
     parallel_projection  U as affine,  V = q/(1 + t q)
     line_scanner_dlt     U as affine,  V = q/(1 + c1 x + c2 y + c3 z)
 
-The source x, y, z is a plane, or the ground in a plane coordinate system; the target U, V is the other plane, or line
-and sample. A line scanner is central along its lines only: the line is affine in the ground coordinates. The residual
-is ``W (computed - given)`` with the upper triangle w11, w12, w22, the sign of İpbüker 1994. Coordinates should be
-centred and scaled to about 1: with the full metres of a map projection the normal equations of degree 2 and 3 have no
-correct digit left. All families except the polynomial keep their form under such a scaling.
+The source x, y, z is a plane, or the ground in a plane coordinate system; the target U, V is another plane, or line and
+sample. A line scanner is a central projection only along its lines: the line is affine in the ground coordinates. The
+residual is ``W (computed - given)`` with the upper triangle w11, w12, w22; its sign is that of İpbüker 1994.
+Coordinates should be centred and scaled to about 1: with unreduced map coordinates in metres, the normal equations of
+degrees 2 and 3 have no correct digit left. All families but the polynomial keep their form under such a scaling.
 
-The functions are plain numpy and take one record (8,) or many (N, 8): nothing is compiled.
+The functions are plain numpy and accept one record (8,) or many (N, 8); nothing is compiled.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ from factors._contract import Argument, Array, Equation, register
 from factors.records import Record
 
 RECORD: Final = Record(source="x y z", target="u v", w11=1, w12=1, w22=1)
-#: Highest degree of the polynomial: that of İpbüker 1994.
+#: Highest degree of the polynomial, as in İpbüker 1994.
 MAX_DEGREE = 5
-# Linear form: pairs of an unknown's place and its factor; the factor is a number or an array over points.
+# Linear form: pairs of an unknown's place and its factor, which is a number or an array over points.
 _Form = list[tuple[int, Any]]
-# Numerators of U and V, denominators minus 1 of U and V.
+# Numerators of U and V, then denominators of U and V minus 1.
 _Forms = tuple[_Form, _Form, _Form, _Form]
 
 
 def polynomial_setup(degree: int) -> Array:
-    """Exponents of x and y (2, p) in the order of İpbüker 1994, appendix EK 2: 1; y, x; y^2, xy, x^2; ..."""
+    """Return the exponents of x and y (2, p) in the order of İpbüker 1994, appendix EK 2: 1; y, x; y^2, xy, x^2; ..."""
     pairs = [(k, d - k) for d in range(degree + 1) for k in range(d + 1)]
     return np.ascontiguousarray(np.array(pairs, float).T)
 
 
 def _linear(first: int, *factors: Any) -> _Form:
-    """Form with unknowns from ``first`` on."""
+    """Return the form that starts with unknown ``first``."""
     return list(enumerate(factors, first))
 
 
@@ -54,7 +54,7 @@ def _power(base: Any, exponent: float) -> Any:
 
 
 def value_of(form: _Form, c: Any, first: float = 0.0) -> Any:
-    """``first`` plus the sum of unknowns times factors."""
+    """Return ``first`` plus the sum of unknowns times factors."""
     total: Any = first
     for k, factor in form:
         total = total + c[k] * factor
@@ -62,14 +62,14 @@ def value_of(form: _Form, c: Any, first: float = 0.0) -> Any:
 
 
 def whitened(record: Any, u: Any, v: Any) -> Any:
-    """``W (computed - given)`` (..., 2) of a computed target u, v."""
+    """Return ``W (computed - given)`` (..., 2) for a computed target u, v."""
     d_u, d_v = u - record[..., RECORD.u], v - record[..., RECORD.v]
     first = record[..., RECORD.w11] * d_u + record[..., RECORD.w12] * d_v
     return np.stack([first, record[..., RECORD.w22] * d_v], axis=-1)
 
 
 def whiten_rows(record: Array, rows: Array) -> Array:
-    """W times a Jacobian (..., 2, k), in place."""
+    """Multiply a Jacobian (..., 2, k) by W in place, and return it."""
     rows[..., 0, :] = record[..., [RECORD.w11]] * rows[..., 0, :] + record[..., [RECORD.w12]] * rows[..., 1, :]
     rows[..., 1, :] *= record[..., [RECORD.w22]]
     return rows
@@ -102,7 +102,7 @@ def _line_scanner_dlt(x: Any, y: Any, z: Any, setup: Array, c: Any) -> _Forms:
     return _linear(0, 1.0, x, y, z), _linear(4, 1.0, x, y, z), [], _linear(8, x, y, z)
 
 
-#: _Forms of each transformation, by the name of its equation.
+#: Forms of each transformation, by the name of its equation.
 _FORMS: Final[dict[str, Callable[..., _Forms]]] = {
     "plane_polynomial": _polynomial, "plane_helmert": _helmert, "plane_projective": _projective,
     "affine_projection": _affine, "parallel_projection": _parallel, "line_scanner_dlt": _line_scanner_dlt,
@@ -110,13 +110,13 @@ _FORMS: Final[dict[str, Callable[..., _Forms]]] = {
 
 
 def targets(name: str, source: Any, setup: Array, c: Any) -> tuple[Any, Any]:
-    """Target coordinates U, V (...,) of source coordinates (..., 3) by a transformation, named as its equation."""
+    """Return target coordinates U, V (...,) of source coordinates (..., 3), by the transformation ``name``."""
     u, v, below_u, below_v = _FORMS[name](*np.moveaxis(source, -1, 0), setup, c)
     return value_of(u, c) / value_of(below_u, c, 1.0), value_of(v, c) / value_of(below_v, c, 1.0)
 
 
 def _rows(name: str, source: Array, setup: Array, c: Array) -> Array:
-    """Derivatives (..., 2, k) of the targets with respect to the unknowns."""
+    """Return the derivatives (..., 2, k) of the targets by the unknowns."""
     u, v, below_u, below_v = _FORMS[name](*np.moveaxis(source, -1, 0), setup, c)
     out = np.zeros((*source.shape[:-1], 2, len(c)))
     for row, (numerator, denominator) in enumerate(((u, below_u), (v, below_v))):
@@ -132,7 +132,7 @@ def _rows(name: str, source: Array, setup: Array, c: Array) -> Array:
 
 
 def _register(name: str, source: str, unit: str) -> Equation:
-    """Register a transformation."""
+    """Register a transformation as an equation."""
 
     def residual(record: Any, setup: Any, c: Any) -> Any:
         return whitened(record, *targets(name, record[..., RECORD.source], setup, c))

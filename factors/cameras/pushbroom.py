@@ -15,8 +15,8 @@ attitude, M a constant mounting of the line; psi_x, psi_y are look angles plus `
 Angles (DIMAP v1): a = file + correction, M = I, R_OG follows the corrected P and V. Quaternions
 (DIMAP v2): a = correction, M = R_OG^T R_q with R_OG of the metadata: R_OG R_UY(a) R_OG^T R_q.
 
-A = -S^-1 J^-1, J = dF/d(line, sample), S the pixel sigmas: to first order r is adjusted minus observed pixel, in
-sigmas. V enters through V x P only: ``dF/dV . V = dF/dV . P = 0``; the rest is a yaw. Everything is formed as
+A = -S^-1 J^-1, with J = dF/d(line, sample) and the pixel sigmas S: to first order r is adjusted minus observed pixel,
+in sigmas. V enters through V x P only: ``dF/dV . V = dF/dV . P = 0``; the rest is a yaw. Everything is formed as
 reference (metadata) plus difference (``d_...``), so that rounding is relative to the correction and not to the orbit
 radius: 1e-13 instead of 1e-9 sigma.
 """
@@ -37,7 +37,7 @@ from factors.geometry.rotations import sine_cosine
 
 @inlined
 def _in_frame(observation: Any, changes: Any, ground: Any) -> Any:
-    """Map 1: ground point w in the orbital frame of the metadata, its difference; corrected frame and scales."""
+    """Map 1: return ground point w in the metadata's orbital frame, its difference, the corrected frame, and scales."""
     position, velocity, _, _, _, _, follows, reference, from_position = observation
     dp, dv, _, _ = changes
     frame, lengths = orbital.reference(position, velocity)
@@ -53,7 +53,7 @@ def _in_frame(observation: Any, changes: Any, ground: Any) -> Any:
 
 @inlined
 def _tangent(psi: Any, d_psi: Any) -> Any:
-    """Tangent of psi and exact difference tan(psi + d_psi) - tan(psi)."""
+    """Return the tangent of psi and the exact difference tan(psi + d_psi) - tan(psi)."""
     s, less = sine_cosine(psi)
     t = s / (1.0 + less)
     s, less = sine_cosine(d_psi)
@@ -62,22 +62,22 @@ def _tangent(psi: Any, d_psi: Any) -> Any:
 
 @inlined
 def collinearity(observation: Any, changes: Any, ground: Any, small: Any) -> Any:
-    """Whitened conditions of one observation; for a factor and for a batch.
+    """Return the whitened conditions of one observation, for a factor or a batch.
 
     Parameters
     ----------
     observation, changes : tuples
-        Constants and corrections, see ``factors.cameras.pushbroom_record``.
+        Constants and corrections; see ``factors.cameras.pushbroom_record``.
     ground : tuple of 3
         Ground point, m (local).
     small : bool
-        Whether the attitude has the small-angle form.
+        True if the attitude has the small-angle form.
 
     Returns
     -------
     value : tuple of 2
     maps : tuple
-        Values and derivatives of the maps 1 to 4, for :func:`derivatives`.
+        Values and derivatives of maps 1 to 4, for :func:`derivatives`.
     """
     _, _, angles, mounting, look, whitening, _, _, _ = observation
     _, _, d_angles, d_look = changes
@@ -100,14 +100,14 @@ def collinearity(observation: Any, changes: Any, ground: Any, small: Any) -> Any
 
 @inlined
 def derivatives(observation: Any, maps: Any) -> Any:
-    """Derivatives of both whitened conditions by P, V, angles, ground point (3 each) and look angles (2)."""
+    """Return the derivatives of both whitened conditions by P, V, angles, ground point (3 each) and look angles (2)."""
     _, _, _, mounting, _, (a11, a12, a21, a22), follows, _, _ = observation
     return _row(a11, a12, mounting, follows, maps), _row(a21, a22, mounting, follows, maps)
 
 
 @inlined
 def _row(a: Any, b: Any, mounting: Any, follows: Any, maps: Any) -> Any:
-    """Derivatives of ``r = a F_y + b F_x``: dr/df is carried back through the maps, from last to first."""
+    """Return the derivatives of ``r = a F_y + b F_x``; dr/df is carried back from the last map to the first."""
     w, frame, scales, attitude, by_angles, at, t_x, t_y = maps
     by_look = b * (1.0 + t_x * t_x), -a * (1.0 + t_y * t_y)
     f1, f2 = a * at[2], b * at[2]
@@ -120,8 +120,8 @@ def _row(a: Any, b: Any, mounting: Any, follows: Any, maps: Any) -> Any:
 
 @compiled
 def residual(record: Any, setup: Any, x: Any, ground: Any) -> Any:
-    """Whitened conditions A (F_y, F_x): (2,); accepts complex unknowns."""
-    i, n = np.int64(0), np.int64(1)  # typed, so that numba makes no variant for each literal
+    """Return the whitened conditions A (F_y, F_x): (2,); accepts complex unknowns."""
+    i, n = np.int64(0), np.int64(1)  # typed, so that numba does not compile each literal
     changes = correction(corrections(record, setup, x), i, n)
     return np.array(
         collinearity(observation(record, i, n), changes, three(ground, i, n), record[RECORD.small_angle] > 0.5)[0]

@@ -7,8 +7,8 @@ For an image point measured at (line, sample) of ground point G (Grodecki & Dial
     3 pixel       line = offset + scale l + compensation(l, s), sample alike  (``factors.cameras.rfm_project``)
     4 whitening   r = A (line - observed line, sample - observed sample)
 
-Unknown 1 is the compensation of the image in prior sigmas, unknown 2 the ground point (m, ECEF axes, local origin).
-Map 1 is formed as reference plus difference (``factors.cameras.rfm_ground``): residuals repeat to 1e-11 pixels.
+Unknown 1 is the compensation of the image in prior sigmas, unknown 2 the ground point (m, ECEF axes, local origin). Map
+1 is computed as reference plus difference (``factors.cameras.rfm_ground``): residuals are reproducible to 1e-11 pixels.
 """
 
 from __future__ import annotations
@@ -24,21 +24,22 @@ from factors.cameras.rfm_project import COMPENSATION as COMPENSATION
 from factors.cameras.rfm_project import compensated
 from factors.records import Record
 
-#: Observed pixel; A row-major, 1/px; offsets and scales of line and sample, px; of the reference point: normalised
-#: longitude, latitude, height, their scales rad and m, place minus local origin m, ``FRAME``; coefficients (4, 20).
+#: Observed pixel; A row-major, 1/px; offsets and scales of line and sample, px. Of the reference point: normalised
+#: longitude, latitude, height, their scales rad and m, position relative to the local origin m, ``FRAME``. Coefficients
+#: (4, 20).
 RECORD: Final = Record(
     line=1, sample=1, whitening="a11 a12 a21 a22", line_offset=1, sample_offset=1, line_scale=1, sample_scale=1,
     normalised="lon lat height", scales="lon_scale lat_scale height_scale", reference="x y z", frame=FRAME.size,
     coefficients=80,
 )  # fmt: skip
-#: Setup: codes of the unknowns, which are elements of :data:`factors.cameras.rfm_project.COMPENSATION`, and prior
-#: sigmas (px).
+#: Setup: codes of the unknowns, which number the elements of :data:`factors.cameras.rfm_project.COMPENSATION`, and
+#: prior sigmas (px).
 COMPENSATIONS: Final = {"shift": (0, 1), "drift": (0, 1, 2, 3), "affine": (0, 1, 2, 3, 4, 5)}
 
 
 @compiled
 def compensation(setup: Any, x: Any) -> Any:
-    """Compensation (6,) in pixels of unknowns in prior sigmas."""
+    """Return the compensation (6,), in pixels, for unknowns in prior sigmas."""
     out = np.zeros(COMPENSATION.size, x.dtype)
     for j in range(setup.shape[1]):
         out[int(setup[0, j])] += setup[1, j] * x[j]
@@ -47,14 +48,14 @@ def compensation(setup: Any, x: Any) -> Any:
 
 @compiled
 def _whitened(record: Any, line: Any, sample: Any) -> Any:
-    """Product A (line, sample): a pair."""
+    """Return the product A (line, sample): a pair."""
     whitened_line = record[RECORD.a11] * line + record[RECORD.a12] * sample
     return whitened_line, record[RECORD.a21] * line + record[RECORD.a22] * sample
 
 
 @compiled
 def rational_function(record: Any, b: Any, ground: Any) -> Any:
-    """Whitened residual (a pair) under a compensation (6,), and the values of maps 1 and 2 for :func:`derivatives`."""
+    """Return the whitened residual (a pair) with a compensation (6,), and the map values for :func:`derivatives`."""
     dx, dy, dz = ground[0] - record[RECORD.x], ground[1] - record[RECORD.y], ground[2] - record[RECORD.z]
     d = rfm_ground.differences(record[RECORD.frame], dx, dy, dz)
     x = record[RECORD.lon] + d[0] / record[RECORD.lon_scale]
@@ -69,7 +70,7 @@ def rational_function(record: Any, b: Any, ground: Any) -> Any:
 
 @compiled
 def derivatives(record: Array, setup: Array, b: Array, maps: Any, out: Array) -> None:
-    """Write the derivatives by compensation and ground point into columns 1.. of ``out`` (2, 1 + k + 3)."""
+    """Write the derivatives by compensation and ground point into columns 1 to k + 3 of ``out`` (2, 1 + k + 3)."""
     (d, (x, y, z), (l, s)), k = maps, setup.shape[1]  # noqa: E741
     for j in range(k):
         code = int(setup[0, j])
@@ -93,7 +94,7 @@ def derivatives(record: Array, setup: Array, b: Array, maps: Any, out: Array) ->
 
 @compiled
 def residual(record: Any, setup: Any, x: Any, ground: Any) -> Any:
-    """Whitened residual (2,); accepts complex unknowns."""
+    """Return the whitened residual (2,); accepts complex unknowns."""
     return np.array(rational_function(record, compensation(setup, x), ground)[0])
 
 

@@ -1,8 +1,8 @@
-"""Geodetic coordinates of a point near a reference, as exact differences, and their derivatives.
+"""Geodetic coordinates of a point near a reference point, as exact differences, and their derivatives.
 
-Longitude, latitude and height of an ECEF point have 16 digits, which is 1e-9 m to 1e-8 m; their differences to a
-reference point have 16 digits of the difference. ``frame`` holds sines and cosines of the reference's longitude and
-latitude and its height, ``FRAME``. Accepts complex differences (complex-step tests).
+Longitude, latitude and height of an ECEF point have 16 digits, a resolution of 1e-9 m to 1e-8 m. Their differences from
+a reference point have 16 digits of the difference. ``frame`` contains ``FRAME``: the height of the reference point, and
+sines and cosines of its longitude and latitude. The functions accept complex differences (complex-step tests).
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from factors.records import Record
 
 FRAME: Final = Record(sin_lon=1, cos_lon=1, sin_lat=1, cos_lat=1, height=1)
 
-#: Newton steps in the meridian plane: at 100 km from the reference the third step is exact.
+#: Number of Newton steps in the meridian plane: at 100 km from the reference the third step is exact.
 STEPS: Final = 4
 
 
 @compiled
 def differences(frame: Any, dx: Any, dy: Any, dz: Any) -> Any:
-    """Differences of longitude, latitude (rad) and height (m) for an ECEF difference (m).
+    """Return the differences of longitude, latitude (rad) and height (m) for an ECEF difference (m).
 
-    nan if the point lies beyond the Earth's axis as seen from the reference.
+    nan if the point lies beyond the Earth's axis, seen from the reference point.
     """
     s_lon, c_lon, s0, c0 = frame[FRAME.sin_lon], frame[FRAME.cos_lon], frame[FRAME.sin_lat], frame[FRAME.cos_lat]
     h0 = frame[FRAME.height]
@@ -56,7 +56,7 @@ def differences(frame: Any, dx: Any, dy: Any, dz: Any) -> Any:
 
 @compiled
 def derivatives(frame: Any, d_lon: float, d_lat: float, d_h: float) -> Any:
-    """Derivatives of longitude, latitude, height with respect to the ECEF coordinates: three triples."""
+    """Return the derivatives of longitude, latitude, height with respect to the ECEF coordinates: three triples."""
     a, b = np.sin(d_lon), np.cos(d_lon)
     s0, c0 = frame[FRAME.sin_lon], frame[FRAME.cos_lon]
     s_lon, c_lon = s0 * b + c0 * a, c0 * b - s0 * a

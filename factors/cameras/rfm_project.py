@@ -20,9 +20,9 @@ from factors.records import Record
 
 RANGE: Final = Record(image="line sample", ground="lon lat height")
 COMPENSATION: Final = Record(line=1, sample=1, line_l=1, sample_l=1, line_s=1, sample_s=1)
-#: Points of one block: its four polynomials remain in the cache, and each loop is vectorised.
+#: Number of points in one block: its four polynomials remain in the cache, and each loop is vectorised.
 BLOCK: Final = 256
-#: Newton's method ends below STEP_PX, or below LOCATE_PX if rounding prevents smaller misclosures.
+#: Newton's method ends below STEP_PX; or below LOCATE_PX, if rounding prevents smaller misclosures.
 STEP_PX: Final = 1e-11
 LOCATE_PX: Final = 1e-7
 MAX_STEPS: Final = 40
@@ -30,7 +30,7 @@ MAX_STEPS: Final = 40
 
 @compiled
 def compensated(b: Any, l: Any, s: Any) -> Any:  # noqa: E741
-    """Compensation of line and sample at a normalised pixel."""
+    """Return the compensation of line and sample at a normalised pixel."""
     return (
         b[COMPENSATION.line] + b[COMPENSATION.line_l] * l + b[COMPENSATION.line_s] * s,
         b[COMPENSATION.sample] + b[COMPENSATION.sample_l] * l + b[COMPENSATION.sample_s] * s,
@@ -41,7 +41,7 @@ def compensated(b: Any, l: Any, s: Any) -> Any:  # noqa: E741
 def project(
     c: Array, offsets: Array, scales: Array, compensation: Array, lon_deg: Array, lat_deg: Array, height_m: Array
 ) -> tuple[Array, Array]:
-    """Line and sample (pixels) of N points: three (N,) arrays -> two; nan at a pole.
+    """Return line and sample (pixels) of N points: three (N,) arrays -> two; nan at a pole.
 
     Longitudes may differ from the offset by a full turn.
     """
@@ -64,7 +64,7 @@ def project(
 
 @compiled
 def _block(c: Any, k: int, offsets: Any, scales: Any, lon: Any, lat: Any, h: Any, out: Any) -> None:
-    """Polynomial ``k`` at the first points; no branch in the loop."""
+    """Compute polynomial ``k`` at the first points, without a branch in the loop."""
     x0, y0, z0 = offsets[RANGE.lon], offsets[RANGE.lat], offsets[RANGE.height]
     x1, y1, z1 = scales[RANGE.lon], scales[RANGE.lat], scales[RANGE.height]
     for i in range(len(out)):
@@ -75,25 +75,25 @@ def _block(c: Any, k: int, offsets: Any, scales: Any, lon: Any, lat: Any, h: Any
 
 @compiled
 def locate(c: Array, scales: Array, image: Array, z: Array, start: Array) -> Array:
-    """Normalised longitude and latitude of N normalised pixels at normalised heights, by Newton.
+    """Return normalised longitude and latitude of N normalised pixels at normalised heights, by Newton steps.
 
-    A step is halved while it would enlarge the misclosure.
+    A step is halved as long as it would enlarge the misclosure.
 
     Parameters
     ----------
     c : (4, 20) array
     scales : (5,) array
-        Its line and sample scales convert misclosures to pixels.
+        Scales of the model; those of line and sample convert misclosures to pixels.
     image : (N, 2) array
         Normalised line and sample, without compensation.
     z : (N,) array
     start : (N, 2) array
-        First guess of normalised longitude and latitude.
+        Start values of normalised longitude and latitude.
 
     Returns
     -------
     (N, 2) array
-        nan where the misclosure does not fall below 1e-7 pixels.
+        nan if the misclosure does not fall below 1e-7 pixels.
     """
     out = np.empty((len(image), 2))
     for i in range(len(image)):
@@ -103,7 +103,7 @@ def locate(c: Array, scales: Array, image: Array, z: Array, start: Array) -> Arr
 
 @compiled
 def _misclosure(c: Any, scales: Any, l: float, s: float, x: float, y: float, z: float) -> Any:  # noqa: E741
-    """Normalised misclosures and the larger one in pixels."""
+    """Return the normalised misclosures, and the larger of them in pixels."""
     a, b = value(c, x, y, z)
     return l - a, s - b, max(abs((l - a) * scales[RANGE.line]), abs((s - b) * scales[RANGE.sample]))
 

@@ -1,4 +1,4 @@
-"""Points on circles and plumb lines, and two cameras with equal attitude; see ``constraints``."""
+"""Points on circles and plumb lines, and two cameras with equal attitude; ``constraints`` has the formulas."""
 
 from __future__ import annotations
 
@@ -11,29 +11,30 @@ from factors.cameras.frame_camera import CAMERA, turned
 from factors.conditions.constraints import FACTOR
 from factors.records import Record
 
-#: Factor s and the normal and axes of the circle's plane; s and rotations R_0 of both cameras, D, row-major.
+#: Record of a circle: factor s, normal and axes of its plane. Record of two cameras: s, their rotations R_0 and D,
+#: row-major.
 CIRCLE_RECORD: Final = Record(factor=1, normal=3, e_1=3, e_2=3)
 ATTITUDE_RECORD: Final = Record(factor=1, first=9, second=9, between=9)
 
 
 def residual_plumb_line(record: Any, setup: Any, x: Any, p: Any) -> Any:
-    """Residual (2,) of the plan position x (2,)."""
+    """Return the residual (2,) of the position in plan x (2,)."""
     return np.array([record[FACTOR.factor] * (p[0] - x[0]), record[FACTOR.factor] * (p[1] - x[1])])
 
 
 def jacobians_plumb_line(record: Array, setup: Array, value: Array, x: Array, p: Array) -> tuple[Array, Array]:
-    """Jacobians (2, 2) and (2, 3)."""
+    """Return the Jacobians (2, 2) and (2, 3)."""
     s = record[FACTOR.factor]
     return np.array([[-s, 0.0], [0.0, -s]]), np.array([[s, 0.0, 0.0], [0.0, s, 0.0]])
 
 
 def _normal(record: Any, x: Any) -> Any:
-    """Normal (3,) of the circle's plane."""
+    """Return the normal (3,) of the circle's plane."""
     return record[CIRCLE_RECORD.normal] + x[3] * record[CIRCLE_RECORD.e_1] + x[4] * record[CIRCLE_RECORD.e_2]
 
 
 def residual_circle(record: Any, setup: Any, x: Any, p: Any) -> Any:
-    """Residual (2,) of centre, tilts, radius x (6,): distance from the plane, then from the sphere."""
+    """Return the residual (2,) for centre, tilts, radius x (6,): distance from the plane, then from the sphere."""
     n = _normal(record, x)
     d = p - x[:3]
     off = (n[0] * d[0] + n[1] * d[1] + n[2] * d[2]) / np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
@@ -42,7 +43,7 @@ def residual_circle(record: Any, setup: Any, x: Any, p: Any) -> Any:
 
 
 def jacobians_circle(record: Array, setup: Array, value: Array, x: Array, p: Array) -> tuple[Array, Array]:
-    """Jacobians (2, 6) and (2, 3)."""
+    """Return the Jacobians (2, 6) and (2, 3)."""
     s = record[CIRCLE_RECORD.factor]
     n, d = _normal(record, x), p - x[:3]
     size, radius = np.sqrt(np.sum(n * n)), np.sqrt(np.sum(d * d))
@@ -56,13 +57,13 @@ def jacobians_circle(record: Array, setup: Array, value: Array, x: Array, p: Arr
 
 
 def residual_horizontal(record: Any, setup: Any, x: Any, p: Any) -> Any:
-    """Residual (2,) of centre and radius x (4,): height, then distance in plan."""
+    """Return the residual (2,) for centre and radius x (4,): height, then distance in plan."""
     s, dx, dy = record[FACTOR.factor], p[0] - x[0], p[1] - x[1]
     return np.array([s * (p[2] - x[2]), s * (np.sqrt(dx * dx + dy * dy) - x[3])])
 
 
 def jacobians_horizontal(record: Array, setup: Array, value: Array, x: Array, p: Array) -> tuple[Array, Array]:
-    """Jacobians (2, 4) and (2, 3)."""
+    """Return the Jacobians (2, 4) and (2, 3)."""
     s = record[FACTOR.factor]
     dx, dy = p[0] - x[0], p[1] - x[1]
     f = s / np.sqrt(dx * dx + dy * dy)
@@ -73,7 +74,7 @@ def jacobians_horizontal(record: Array, setup: Array, value: Array, x: Array, p:
 
 
 def _relative(record: Any, v: Any, w: Any) -> Any:
-    """Turns of both cameras; E = R_2 R_1^T D^T and R_2 R_1^T (3, 3)."""
+    """Return the turns of both cameras; E = R_2 R_1^T D^T and R_2 R_1^T (3, 3)."""
     first, second = np.empty(CAMERA.size, v.dtype), np.empty(CAMERA.size, w.dtype)
     turned(v, record[ATTITUDE_RECORD.first], first)
     turned(w, record[ATTITUDE_RECORD.second], second)
@@ -82,14 +83,14 @@ def _relative(record: Any, v: Any, w: Any) -> Any:
 
 
 def residual_attitude(record: Any, setup: Any, v: Any, w: Any) -> Any:
-    """Residual (3,): sine of the angle of E about its axis, rad times s."""
+    """Return the residual (3,): sine of the rotation angle of E times its axis, rad times s."""
     _, _, e, _ = _relative(record, v, w)
     f = 0.5 * record[ATTITUDE_RECORD.factor]
     return np.array([f * (e[2, 1] - e[1, 2]), f * (e[0, 2] - e[2, 0]), f * (e[1, 0] - e[0, 1])])
 
 
 def jacobians_attitude(record: Array, setup: Array, value: Array, v: Array, w: Array) -> tuple[Array, Array]:
-    """Jacobians (3, 3) by the rotation vectors of both cameras."""
+    """Return the Jacobians (3, 3) by the rotation vectors of both cameras."""
     first, second, e, between = _relative(record, v, w)
     # [a]x E - ([a]x E)^T is the cross-product matrix of (tr E I - E^T)^T a
     by_turn = 0.5 * record[ATTITUDE_RECORD.factor] * ((e[0, 0] + e[1, 1] + e[2, 2]) * np.eye(3) - e)

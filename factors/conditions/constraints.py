@@ -1,4 +1,4 @@
-"""Constraints between points, and between points and figures: zero if satisfied; soft with a sigma, or hard.
+"""Constraints between points, or between points and figures: zero if satisfied; hard, or soft with a sigma.
 
     distance          s (|q - p| - d)                                        eqs. 111 (base), 118
     parallel          s e_i . (q - p) x (t - r) / (|q - p| |t - r|)          i = 1, 2
@@ -11,11 +11,10 @@
     horizontal circle s (Z - x_2,  |(X, Y) - (x_0, x_1)| - x_3)              eq. 117
     observed element  s (x_j - value)                                        eqs. 81-89
 
-Equation numbers: Ayhan 1996. Residuals are metres times s (``parallel`` and
-``perpendicular``: radians times s), so with s = 1/sigma they are
-whitened. Spheres and spheroids: ``factors.conditions.surfaces``. The first vector of a figure's frame is normal to its
-plane, or along its line; the figure is close to this frame, so that its unknowns remain small. Plain Python: there are
-few constraints.
+Equation numbers: Ayhan 1996. Residuals are metres times s (for ``parallel`` and ``perpendicular`` radians times s):
+with s = 1/sigma they are whitened. ``factors.conditions.surfaces`` contains spheres and spheroids. The first vector of
+a figure's frame is the normal of its plane, or the direction of its line. The figure is close to this frame, so that
+its unknowns remain small. The kernels are plain Python, because there are few constraints.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from factors._contract import Argument, Array, register_condition
 from factors.geometry.rotations import Vector
 from factors.records import Record
 
-#: Records: of figures (n_0, e_1, e_2 orthonormal), of distances, parallels and observed elements.
+#: Records of figures (n_0, e_1, e_2 orthonormal), of distances, of parallels and of observed elements.
 FIGURE: Final = Record(factor=1, place=3, normal=3, e_1=3, e_2=3)
 LENGTH: Final = Record(factor=1, distance=1)
 FACTOR: Final = Record(factor=1)
@@ -45,20 +44,20 @@ def _cross(a: Vector, b: Vector) -> Any:
 
 
 def residual_distance(record: Any, setup: Any, p: Any, q: Any) -> Any:
-    """Residual (1,)."""
+    """Return the residual (1,)."""
     d = q - p
     return np.array([record[LENGTH.factor] * (np.sqrt(_dot(d, d)) - record[LENGTH.distance])])
 
 
 def jacobians_distance(record: Array, setup: Array, value: Array, p: Array, q: Array) -> tuple[Array, Array]:
-    """Jacobians (1, 3)."""
+    """Return the Jacobians (1, 3)."""
     d = q - p
     row = (record[LENGTH.factor] / np.sqrt(_dot(d, d)) * d).reshape((1, 3))
     return -row, row
 
 
 def residual_parallel(record: Any, setup: Any, p: Any, q: Any, r: Any, t: Any) -> Any:
-    """Residual (2,); e_1 and e_2 are perpendicular to the lines."""
+    """Return the residual (2,); e_1 and e_2 are perpendicular to the lines."""
     a, b = q - p, t - r
     c, size = _cross(a, b), np.sqrt(_dot(a, a) * _dot(b, b))
     s = record[DIRECTION.factor]
@@ -68,7 +67,7 @@ def residual_parallel(record: Any, setup: Any, p: Any, q: Any, r: Any, t: Any) -
 def jacobians_parallel(
     record: Array, setup: Array, value: Array, p: Array, q: Array, r: Array, t: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Jacobians (2, 3)."""
+    """Return the Jacobians (2, 3)."""
     a, b = q - p, t - r
     aa, bb = _dot(a, a), _dot(b, b)
     f = record[DIRECTION.factor] / np.sqrt(aa * bb)
@@ -80,7 +79,7 @@ def jacobians_parallel(
 
 
 def residual_perpendicular(record: Any, setup: Any, p: Any, q: Any, r: Any, t: Any) -> Any:
-    """Residual (1,); the record is the factor."""
+    """Return the residual (1,); the record is the factor."""
     a, b = q - p, t - r
     return np.array([record[FACTOR.factor] * _dot(a, b) / np.sqrt(_dot(a, a) * _dot(b, b))])
 
@@ -88,7 +87,7 @@ def residual_perpendicular(record: Any, setup: Any, p: Any, q: Any, r: Any, t: A
 def jacobians_perpendicular(
     record: Array, setup: Array, value: Array, p: Array, q: Array, r: Array, t: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Jacobians (1, 3)."""
+    """Return the Jacobians (1, 3)."""
     a, b = q - p, t - r
     aa, bb = _dot(a, a), _dot(b, b)
     f = record[FACTOR.factor] / np.sqrt(aa * bb)
@@ -97,7 +96,7 @@ def jacobians_perpendicular(
 
 
 def residual_equal(record: Any, setup: Any, p: Any, q: Any, r: Any, t: Any) -> Any:
-    """Residual (1,); the record is the factor."""
+    """Return the residual (1,); the record is the factor."""
     a, b = q - p, t - r
     return np.array([record[FACTOR.factor] * (np.sqrt(_dot(a, a)) - np.sqrt(_dot(b, b)))])
 
@@ -105,7 +104,7 @@ def residual_equal(record: Any, setup: Any, p: Any, q: Any, r: Any, t: Any) -> A
 def jacobians_equal(
     record: Array, setup: Array, value: Array, p: Array, q: Array, r: Array, t: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Jacobians (1, 3)."""
+    """Return the Jacobians (1, 3)."""
     by_a, by_b = (record[FACTOR.factor] / np.sqrt(_dot(d, d)) * d.reshape((1, 3)) for d in (q - p, t - r))
     return -by_a, by_a, by_b, -by_b
 
@@ -115,13 +114,13 @@ def _normal(record: Any, x: Any) -> Any:
 
 
 def residual_plane(record: Any, setup: Any, x: Any, p: Any) -> Any:
-    """Residual (1,) of tilts and distance x (3,)."""
+    """Return the residual (1,) for tilts and distance x (3,)."""
     n = _normal(record, x)
     return np.array([record[FIGURE.factor] * (_dot(n, p - record[FIGURE.place]) - x[2]) / np.sqrt(_dot(n, n))])
 
 
 def jacobians_plane(record: Array, setup: Array, value: Array, x: Array, p: Array) -> tuple[Array, Array]:
-    """Jacobians (1, 3)."""
+    """Return the Jacobians (1, 3)."""
     n, d = _normal(record, x), p - record[FIGURE.place]
     nn = _dot(n, n)
     f = record[FIGURE.factor] / np.sqrt(nn)
@@ -133,7 +132,7 @@ def jacobians_plane(record: Array, setup: Array, value: Array, x: Array, p: Arra
 
 
 def residual_line(record: Any, setup: Any, x: Any, p: Any) -> Any:
-    """Residual (2,) of foot point and slopes x (4,)."""
+    """Return the residual (2,) for foot point and slopes x (4,)."""
     d = p - record[FIGURE.place]
     along = _dot(record[FIGURE.normal], d)
     return np.array([
@@ -143,7 +142,7 @@ def residual_line(record: Any, setup: Any, x: Any, p: Any) -> Any:
 
 
 def jacobians_line(record: Array, setup: Array, value: Array, x: Array, p: Array) -> tuple[Array, Array]:
-    """Jacobians (2, 4) and (2, 3)."""
+    """Return the Jacobians (2, 4) and (2, 3)."""
     s, out, ground = record[FIGURE.factor], np.zeros((2, 4)), np.empty((2, 3))
     along = _dot(record[FIGURE.normal], p - record[FIGURE.place])
     for i, e in enumerate((record[FIGURE.e_1], record[FIGURE.e_2])):
@@ -153,12 +152,12 @@ def jacobians_line(record: Array, setup: Array, value: Array, x: Array, p: Array
 
 
 def residual_element(record: Any, setup: Any, x: Any) -> Any:
-    """Residual (1,) of an observed element of x."""
+    """Return the residual (1,) of an observed element of x."""
     return np.array([record[ELEMENT.factor] * (x[int(record[ELEMENT.number])] - record[ELEMENT.value])])
 
 
 def jacobians_element(record: Array, setup: Array, value: Array, x: Array) -> Array:
-    """Jacobian (1, k)."""
+    """Return the Jacobian (1, k)."""
     out = np.zeros((1, len(x)))
     out[0, int(record[ELEMENT.number])] = record[ELEMENT.factor]
     return out

@@ -1,15 +1,15 @@
-"""Observed ground points: control points and heights.
+"""Observations of ground points: control points and heights.
 
-``control_point``: residual ``W (G - G_0)`` of a ground point observed with covariance
-``C = (W^T W)^-1``, W upper triangular; sigmas in East, North, Up are rotated to the axes of
-the unknown by :func:`whitening` (docs/equations.md 7, stochastic weights).
+``control_point``: residual ``W (G - G_0)`` of a ground point observed with covariance ``C = (W^T W)^-1``, W upper
+triangular. :func:`whitening` rotates sigmas in East, North, Up to the axes of the unknown (docs/equations.md 7,
+stochastic weights).
 
 ``height_control``: height of a ground point observed in an elevation model, as a plane near the point::
 
     residual = n . (G - G_0) / sigma,   n = up - slope_east east - slope_north north
 
-G_0 is the point of the model above or below the place at which the model was read, so that the residual is the height
-of G above the plane. The planes are read again until the points have converged; the height then refers to the model.
+G_0 is the model's point above or below the place at which the model was read, so that the residual is the height of G
+above the plane. The planes are read again until the points have converged; the height then agrees with the model.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from factors.records import Record
 
 #: W row-major, G_0 m.
 POINT: Final = Record(whitening="w11 w12 w13 w21 w22 w23 w31 w32 w33", place="x y z")
-#: Record of an observed height: n / sigma, G_0 m.
+#: Record of an observed height: n / sigma; G_0, m.
 HEIGHT: Final = Record(normal="n1 n2 n3", place="x y z")
 
 
 def whitening(covariance: Array) -> Array:
-    """Upper triangular W with ``W^T W = C^-1`` of a (k, k) covariance.
+    """Return the upper triangular W with ``W^T W = C^-1`` for a covariance (k, k).
 
     Raises
     ------
@@ -46,7 +46,7 @@ def whitening(covariance: Array) -> Array:
 
 @compiled
 def whitened(record: Any, d: Any) -> Any:
-    """Product W d (3,)."""
+    """Return the product W d (3,)."""
     return np.array([
         record[POINT.w11] * d[0] + record[POINT.w12] * d[1] + record[POINT.w13] * d[2],
         record[POINT.w21] * d[0] + record[POINT.w22] * d[1] + record[POINT.w23] * d[2],
@@ -56,24 +56,24 @@ def whitened(record: Any, d: Any) -> Any:
 
 @compiled
 def residual_point(record: Any, setup: Any, ground: Any) -> Any:
-    """``W (G - G_0)``: (3,)."""
+    """Return ``W (G - G_0)``: (3,)."""
     return whitened(record, ground - record[POINT.place])
 
 
 def jacobian_point(record: Array, setup: Array, value: Array, ground: Array) -> Array:
-    """Jacobian (3, 3) of an observed ground point."""
+    """Return the Jacobian (3, 3) of an observed ground point."""
     return np.array(record[POINT.whitening]).reshape((3, 3))
 
 
 @compiled
 def residual_height(record: Any, setup: Any, ground: Any) -> Any:
-    """``n . (G - G_0) / sigma``: (1,)."""
+    """Return ``n . (G - G_0) / sigma``: (1,)."""
     d0, d1, d2 = ground[0] - record[HEIGHT.x], ground[1] - record[HEIGHT.y], ground[2] - record[HEIGHT.z]
     return np.array([record[HEIGHT.n1] * d0 + record[HEIGHT.n2] * d1 + record[HEIGHT.n3] * d2])
 
 
 def jacobian_height(record: Array, setup: Array, value: Array, ground: Array) -> Array:
-    """Jacobian (1, 3) of an observed height."""
+    """Return the Jacobian (1, 3) of an observed height."""
     return np.array(record[HEIGHT.normal]).reshape((1, 3))
 
 

@@ -1,10 +1,11 @@
-"""Coplanarity of two rays and the base: condition of relative orientation.
+"""Coplanarity of two rays and the base: the condition of relative orientation.
 
     r = s b . (d1 x R^T d2),   d_i = (x_i, y_i, 1)     (Ayhan 1996, eqs. 9-19; equivalent to the essential matrix)
 
-Camera axes X right, Y down, Z forward; x_i, y_i are tangents of the ideal directions. R = exp([w]x) R_0 rotates the
-first camera's axes to the second's, b = b_0 + y_1 n_1 + y_2 n_2 is the second projection centre relative to the first;
-its length is not determined. Unknowns (5,): w, y. The second argument (4,) is x_1 y_1 x_2 y_2, the observed point.
+Camera axes are X right, Y down, Z forward; x_i, y_i are tangents of the ideal directions. R = exp([w]x) R_0 rotates the
+first camera's axes to the second's. b = b_0 + y_1 n_1 + y_2 n_2 is the second projection centre relative to the first;
+its length is not determined. The unknowns (5,) are w and y. The second argument (4,) is the observed point x_1 y_1 x_2
+y_2.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ RECORD: Final = Record(factor=1, rotation=9, base=3, n_1=3, n_2=3)
 
 @compiled
 def turn_and_base(record: Any, x: Any) -> Any:
-    """Turn: R and J as in ``factors.cameras.frame_camera``; base (3,)."""
+    """Return the turn (R and J as in ``factors.cameras.frame_camera``) and the base (3,)."""
     turn = np.empty(CAMERA.size, x.dtype)
     turned(x[:3], record[RECORD.rotation], turn)
     return turn, record[RECORD.base] + x[3] * record[RECORD.n_1] + x[4] * record[RECORD.n_2]
@@ -32,7 +33,7 @@ def turn_and_base(record: Any, x: Any) -> Any:
 
 @compiled
 def residual(record: Any, setup: Any, x: Any, image: Any) -> Any:
-    """Residual (1,); accepts complex unknowns."""
+    """Return the residual (1,); accepts complex unknowns."""
     turn, b = turn_and_base(record, x)
     e, f, g = rotate_back(turn, (image[2], image[3], 1.0))
     u, v = image[0], image[1]
@@ -41,7 +42,7 @@ def residual(record: Any, setup: Any, x: Any, image: Any) -> Any:
 
 @compiled
 def kernel(record: Array, setup: Array, x: Array, image: Array, want: bool) -> tuple[Array, Array, Array]:
-    """Residual (1,), Jacobians with respect to the unknowns (1, 5) and the image points (1, 4)."""
+    """Return the residual (1,), and its Jacobians by the unknowns (1, 5) and the image points (1, 4)."""
     value = residual(record, setup, x, image)
     if not want:
         return value, np.empty((0, 0)), np.empty((0, 0))

@@ -1,17 +1,17 @@
-"""Ground point on a known line or spline in object space, as an observation: control by linear features.
+"""Observation of a ground point on a known line or spline in object space: control by linear features.
 
     r = (n_1 . (G - c(t)) / s_1,  n_2 . (G - c(t)) / s_2),   c'(t) . (G - c(t)) = 0
 
 c(t) is the foot point of G on the curve; n_1 = c' x a / |c' x a| and n_2 = n_1 x c' / |c'| are normals of the curve.
-With a = up, n_1 is horizontal. The image point on the feature is an ordinary image point of G, and the position of G
-along the curve is free, so each image point gives one condition. It is equivalent to the coplanarity of the ray with a
-straight line (Mulawa & Mikhail 1988; Habib et al. 2003).
+With a = up, n_1 is horizontal. The image point on the feature is an ordinary image point of G. The position of G along
+the curve is free, so each image point gives one condition. This condition is equivalent to the coplanarity of the ray
+with a straight line (Mulawa & Mikhail 1988; Habib et al. 2003).
 
-A curve is a sequence of cubic segments, each with t from 0 to 1. The setup (K, 12) holds the coefficients of t^0 to t^3
-of each segment, m. A straight line is one segment of degree 1. The first and the last segment continue beyond their
+A curve is a sequence of cubic segments, each with t from 0 to 1. The setup (K, 12) contains the coefficients of t^0 to
+t^3 of each segment, m. A straight line is one segment of degree 1. The first and the last segment continue beyond their
 ends.
 
-A block has some hundred such observations, so the kernels are plain numpy and need no compilation.
+A block has at most some hundred such observations, so the kernels are plain numpy without compilation.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from factors.records import Record
 
 #: Reference direction a, and the standard deviations s_1 and s_2, m.
 RECORD: Final = Record(axis=3, sigma=2)
-#: Parts of a segment at whose ends the search for the nearest point begins; steps of the search.
+#: Number of parts of a segment; the search for the nearest point begins at their ends. Largest number of its steps.
 _PARTS: Final = 4
 _STEPS: Final = 30
 #: Change of t at which the search ends. :func:`residual` makes one more step, whose error is the square of this.
@@ -33,13 +33,13 @@ _CLOSE: Final = 1e-9
 
 
 def curve(segment: Array, t: Any) -> tuple[Any, Any, Any]:
-    """Point c (3,) of a segment (12,), and its derivatives c' and c'' by t."""
+    """Return the point c (3,) of a segment (12,), and its derivatives c' and c'' by t."""
     a, b, c, d = segment.reshape(4, 3)
     return a + t * (b + t * (c + t * d)), b + t * (2.0 * c + 3.0 * t * d), 2.0 * c + 6.0 * t * d
 
 
 def foot(setup: Array, ground: Array) -> tuple[int, float]:
-    """Segment and t of the point of the curve (K, 12) nearest to a ground point (3,)."""
+    """Return the segment of a curve (K, 12), and its t, nearest to a ground point (3,)."""
     ends = np.linspace(0.0, 1.0, _PARTS + 1)
     samples = np.einsum("pj,kji->kpi", ends[:, None] ** np.arange(4), setup.reshape(-1, 4, 3)) - ground
     nearest = int(np.argmin(np.sum(samples**2, axis=2)))
@@ -47,7 +47,7 @@ def foot(setup: Array, ground: Array) -> tuple[int, float]:
     for _ in range(_STEPS):
         c, first, second = curve(setup[k], t)
         speed, bend = float(first @ first), float(second @ (c - ground))
-        # far from a strongly curved segment Newton's step leads away from the foot point
+        # far from a strongly curved segment Newton's step moves away from the foot point
         step = float(first @ (ground - c)) / (speed + bend if speed + bend > 0.1 * speed else speed)
         t += step if last == 0 else min(max(step, -0.5), 0.5)
         if t > 1.0 and k < last:
@@ -60,14 +60,14 @@ def foot(setup: Array, ground: Array) -> tuple[int, float]:
 
 
 def _normals(first: Any, axis: Array) -> tuple[Any, Any, Any, Any]:
-    """Normals n_1 and n_2, length of ``c' x a``, and tangent of length 1; accepts complex numbers."""
+    """Return normals n_1 and n_2, length of ``c' x a``, and unit tangent; accepts complex numbers."""
     across, speed = np.cross(first, axis), np.sqrt(first @ first)
     length = np.sqrt(across @ across)
     return across / length, np.cross(across / length, first / speed), length, first / speed
 
 
 def residual(record: Any, setup: Any, ground: Any) -> Any:
-    """Distances (2,) from the curve along both normals, in their sigmas; accepts a complex ground point."""
+    """Return the distances (2,) from the curve along both normals, in their sigmas; accepts a complex ground point."""
     k, t = foot(setup, np.real(ground))
     c, first, second = curve(setup[k], t)
     at = t + first @ (ground - c) / (first @ first + second @ (c - ground))
@@ -77,7 +77,7 @@ def residual(record: Any, setup: Any, ground: Any) -> Any:
 
 
 def jacobian(record: Array, setup: Array, value: Array, ground: Array) -> Array:
-    """Jacobian (2, 3): the normals, and their rotation as the foot point moves."""
+    """Return the Jacobian (2, 3): the normals, and their rotation as the foot point moves."""
     k, t = foot(setup, ground)
     c, first, second = curve(setup[k], t)
     axis, d = record[RECORD.axis], ground - c

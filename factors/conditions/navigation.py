@@ -1,14 +1,14 @@
-"""Position of a receiver and attitude of an inertial unit on board, as observations of a frame image's unknowns.
+"""Observations of a frame image's unknowns: position of a receiver and attitude of an inertial unit on board.
 
     position:  r = W (X_obs - X_0 - dX + R^T B (l_0 + l) - S (b_0 + tau b_1))
     attitude:  r = W (log(A_obs R^T B) - s_0 - tau s_1)
 
-R (camera from ground) and X are the rotation and projection centre of ``factors.cameras.frame``, B = exp([beta]x) B_0
-camera from body, l the lever arm from the receiver to the projection centre (body axes), S ground from the axes of the
-strip, A_obs body from ground. Shift and drift of the position are in the axes of the strip, shift and drift of the
-attitude are rotations about the axes of the body. tau is -1 to 1 over the strip.
+R (camera from ground) and X are the rotation and projection centre of ``factors.cameras.frame``. B = exp([beta]x) B_0
+is camera from body, l the lever arm from the receiver to the projection centre (body axes), S ground from the axes of
+the strip, and A_obs body from ground. Shift and drift of the position are in the axes of the strip; shift and drift of
+the attitude are rotations about the axes of the body. tau runs from -1 to 1 over the strip.
 
-An image has one observation of each, so the kernels are plain numpy and need no compilation.
+An image has one observation of each kind, so the kernels are plain numpy without compilation.
 """
 
 from __future__ import annotations
@@ -23,37 +23,37 @@ from factors.cameras.frame_camera import CAMERA, turned
 from factors.geometry.rotations import Vector
 from factors.records import Record
 
-#: W, R_0 and B_0 row-major; then X_obs - X_0 m, l_0 m and S row-major, or A_obs row-major.
+#: W, R_0 and B_0, row-major; followed by X_obs - X_0 m, l_0 m and S row-major, or by A_obs row-major.
 _BOTH: Final = Record(whitening=9, rotation=9, mounting=9, tau=1)
 POSITION: Final = Record(**_BOTH.fields, offset=3, arm=3, strip=9)
 ATTITUDE: Final = Record(**_BOTH.fields, observed=9)
 #: Codes of the unknowns, after the codes of the camera: shift and drift of position and of attitude, lever, boresight.
 UNKNOWN: Final = Record(**frame.UNKNOWN.fields, shift=3, drift=3, turn=3, turn_drift=3, lever=3, boresight=3)
-#: Squared sine of an angle below which angle / sine is a series.
+#: Squared sine of an angle below which angle / sine is computed by series.
 SMALL_SQUARED: Final = 1e-6
 
 
 def _corrections(setup: Array, x: Any) -> Any:
-    """Corrections (33,) in physical units; zero for elements that are not unknowns."""
+    """Return the corrections (33,) in physical units; zero for elements that are not unknowns."""
     d = np.zeros(UNKNOWN.size, x.dtype)
     np.add.at(d, setup[0].astype(np.intp), setup[1] * x)
     return d
 
 
 def _rotation(start: Array, w: Any) -> tuple[Any, Any]:
-    """``exp([w]x) start`` and its left Jacobian at w, both (3, 3)."""
+    """Return ``exp([w]x) start`` and its left Jacobian at w, both (3, 3)."""
     out = np.empty(CAMERA.size, w.dtype)
     turned(w, np.ascontiguousarray(start), out)
     return out[CAMERA.rotation].reshape(3, 3), out[CAMERA.jacobian].reshape(3, 3)
 
 
 def cross(v: Vector) -> Any:
-    """``[v]x`` (3, 3)."""
+    """Return ``[v]x`` (3, 3)."""
     return np.array([[0.0 * v[0], -v[2], v[1]], [v[2], 0.0 * v[0], -v[0]], [-v[1], v[0], 0.0 * v[0]]])
 
 
 def rotation_vector(m: Any) -> Any:
-    """Logarithm (3,) rad of a rotation (3, 3) by less than half a turn."""
+    """Return the logarithm (3,), rad, of a rotation (3, 3) by less than half a turn."""
     v = 0.5 * np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
     square, cosine = v @ v, 0.5 * (np.trace(m) - 1.0)
     if square.real < SMALL_SQUARED and cosine.real > 0.0:
@@ -63,7 +63,7 @@ def rotation_vector(m: Any) -> Any:
 
 
 def _inverse_right_jacobian(theta: Array) -> Array:
-    """Derivative of ``log(M exp([d]x))`` by d at M = exp([theta]x) (Chirikjian 2012, eq. 10.86, inverted)."""
+    """Return derivative of ``log(M exp([d]x))`` by d at M = exp([theta]x) (Chirikjian 2012, eq. 10.86, inverted)."""
     t, k = float(theta @ theta), cross(theta)
     if t < SMALL_SQUARED:
         c = 1.0 / 12.0 + t * (1.0 / 720.0 + t / 30240.0)
@@ -74,7 +74,7 @@ def _inverse_right_jacobian(theta: Array) -> Array:
 
 
 def position_residual(record: Any, setup: Any, x: Any) -> Any:
-    """Whitened residual (3,) of a receiver's position; accepts complex unknowns."""
+    """Return the whitened residual (3,) of a receiver's position; accepts complex unknowns."""
     d = _corrections(setup, x)
     rotation = _rotation(record[POSITION.rotation], d[UNKNOWN.rotation])[0]
     mounting = _rotation(record[POSITION.mounting], d[UNKNOWN.boresight])[0]
@@ -84,7 +84,7 @@ def position_residual(record: Any, setup: Any, x: Any) -> Any:
 
 
 def position_jacobian(record: Array, setup: Array, value: Array, x: Array) -> Array:
-    """Jacobian (3, k)."""
+    """Return the Jacobian (3, k)."""
     d, out = _corrections(setup, x), np.zeros((3, UNKNOWN.size))
     rotation, by_w = _rotation(record[POSITION.rotation], d[UNKNOWN.rotation])
     mounting, by_beta = _rotation(record[POSITION.mounting], d[UNKNOWN.boresight])
@@ -97,7 +97,7 @@ def position_jacobian(record: Array, setup: Array, value: Array, x: Array) -> Ar
 
 
 def attitude_residual(record: Any, setup: Any, x: Any) -> Any:
-    """Whitened residual (3,) of an inertial unit's attitude; accepts complex unknowns."""
+    """Return the whitened residual (3,) of an inertial unit's attitude; accepts complex unknowns."""
     d = _corrections(setup, x)
     rotation = _rotation(record[ATTITUDE.rotation], d[UNKNOWN.rotation])[0]
     mounting = _rotation(record[ATTITUDE.mounting], d[UNKNOWN.boresight])[0]
@@ -107,7 +107,7 @@ def attitude_residual(record: Any, setup: Any, x: Any) -> Any:
 
 
 def attitude_jacobian(record: Array, setup: Array, value: Array, x: Array) -> Array:
-    """Jacobian (3, k)."""
+    """Return the Jacobian (3, k)."""
     d, out = _corrections(setup, x), np.zeros((3, UNKNOWN.size))
     rotation, by_w = _rotation(record[ATTITUDE.rotation], d[UNKNOWN.rotation])
     mounting, by_beta = _rotation(record[ATTITUDE.mounting], d[UNKNOWN.boresight])
@@ -119,7 +119,7 @@ def attitude_jacobian(record: Array, setup: Array, value: Array, x: Array) -> Ar
 
 
 def _chosen(record: Array, setup: Array, out: Array) -> Array:
-    """Columns (3, k) of the image's unknowns, whitened, by prior sigmas."""
+    """Return the whitened columns (3, k) of the image's unknowns, in prior sigmas."""
     return np.ascontiguousarray(record[_BOTH.whitening].reshape(3, 3) @ out[:, setup[0].astype(np.intp)] * setup[1])
 
 

@@ -1,8 +1,9 @@
-"""Similarity transformation between two sets of points in space, seven unknowns: absolute orientation.
+"""Similarity transformation between two sets of points in space, with seven unknowns: absolute orientation.
 
     r = W (t_0 + t + e^m s_0 R x - X),   R = exp([w]x) R_0
 
-x is the point in the model, X on the ground; unknowns (7,): w (rad), m, t (unit of the ground coordinates).
+x is the point in the model, X the point on the ground; the unknowns (7,) are w (rad), m, t (unit of the ground
+coordinates).
 """
 
 from __future__ import annotations
@@ -17,19 +18,19 @@ from factors.conditions.control import POINT, whitened
 from factors.geometry.rotations import cross
 from factors.records import Record
 
-#: Record of the control point X (W row-major, X); x, R_0 row-major, s_0, t_0.
+#: Record: control point X (W row-major, X); x, R_0 row-major, s_0, t_0.
 RECORD: Final = Record(**POINT.fields, model=3, rotation=9, scale=1, shift=3)
 
 
 @compiled
 def _moved(record: Any, x: Any, turn: Any) -> Any:
-    """Point e^m s_0 R x (3,)."""
+    """Return the point e^m s_0 R x (3,)."""
     return np.exp(x[3]) * record[RECORD.scale] * np.array(rotate(turn, record[RECORD.model]))
 
 
 @compiled
 def residual(record: Any, setup: Any, x: Any) -> Any:
-    """Whitened residual (3,), computed minus given; accepts complex unknowns."""
+    """Return the whitened residual (3,): computed minus given; accepts complex unknowns."""
     turn = np.empty(CAMERA.size, x.dtype)
     turned(x[:3], record[RECORD.rotation], turn)
     d = _moved(record, x, turn) + record[RECORD.shift] + x[4:7] - record[RECORD.place]
@@ -38,7 +39,7 @@ def residual(record: Any, setup: Any, x: Any) -> Any:
 
 @compiled
 def kernel(record: Array, setup: Array, x: Array, want: bool) -> tuple[Array, Array]:
-    """Residual (3,) and Jacobian (3, 7)."""
+    """Return the residual (3,) and Jacobian (3, 7)."""
     value = residual(record, setup, x)
     if not want:
         return value, np.empty((0, 0))

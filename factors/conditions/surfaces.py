@@ -1,11 +1,11 @@
-"""Points on surfaces of the second degree: sphere, ellipsoid with selected unknowns, general quadric.
+"""Points on surfaces of the second degree: sphere, ellipsoid with selected unknowns, and general quadric.
 
     sphere     r = s (|p - c|^2 - a^2)                                       Ayhan 1996, eqs. 135 and 138
     ellipsoid  r = s (q1^2/a^2 + q2^2/b^2 + q3^2/c^2 - 1),  q = R (p - c)    Ayhan 1996, eq. 142 (R = I, a = c)
     quadric    r = s (A x^2 + B y^2 + C z^2 + 2 D xy + 2 E xz + 2 F yz + 2 G x + 2 H y + 2 I z + J)   eq. 125
 
 A spheroid is an ellipsoid with one unknown for two semi-axes. The rotation is ``exp([w]x) R_0``, as in
-``factors.cameras.frame``. The conditions connect unknowns and the observed point; they have Jacobians for both.
+``factors.cameras.frame``. Each condition connects unknowns with an observed point, and has Jacobians by both.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from factors._contract import Argument, Array, compiled, register_condition
 from factors.cameras.frame_camera import CAMERA, by_turn, rotate, rotate_back, turned
 from factors.records import Record
 
-#: Record of the ellipsoid, its rotation row-major; sphere and quadric have the factor s only.
+#: Record of the ellipsoid, with its rotation row-major; the records of sphere and quadric contain only the factor s.
 RECORD: Final = Record(factor=1, centre=3, rotation=9, semi_axes=3)
-#: Codes of the unknowns in the setup of the ellipsoid (codes; steps). ``others``: the two semi-axes other than the
-#: first, second, third. Unknowns are corrections to the record.
+#: Codes of the unknowns in the setup of the ellipsoid (codes; steps). ``others`` are the two semi-axes that are not the
+#: first, second or third. Unknowns are corrections to the record.
 UNKNOWN: Final = Record(centre=3, rotation=3, semi_axes=3, others=3)
 
 
 @compiled
 def shape(record: Any, setup: Any, x: Any) -> Any:
-    """Centre (3,), turn with R and J (``factors.cameras.frame_camera``), semi-axes (3,)."""
+    """Return the centre (3,), the turn with R and J (``factors.cameras.frame_camera``), and the semi-axes (3,)."""
     d, turn = np.zeros(UNKNOWN.size, x.dtype), np.empty(CAMERA.size, x.dtype)
     for j in range(setup.shape[1]):
         d[int(setup[0, j])] += setup[1, j] * x[j]
@@ -49,9 +49,9 @@ def _local(centre: Any, turn: Any, point: Any) -> Any:
 
 @compiled
 def residual_ellipsoid(record: Any, setup: Any, x: Any, point: Any) -> Any:
-    """Residual (1,); accepts complex unknowns."""
+    """Return the residual (1,); accepts complex unknowns."""
     centre, turn, semi = shape(record, setup, x)
-    # the same type for all: unknowns or point may be complex
+    # unknowns or point may be complex: same type for all
     q = _local(centre + 0.0 * point, turn + 0.0 * point[0], point + 0.0 * centre)
     size = (q[0] / semi[0]) ** 2 + (q[1] / semi[1]) ** 2 + (q[2] / semi[2]) ** 2
     return np.array([record[RECORD.factor] * (size - 1.0)])
@@ -59,7 +59,7 @@ def residual_ellipsoid(record: Any, setup: Any, x: Any, point: Any) -> Any:
 
 @compiled
 def jacobians_ellipsoid(record: Array, setup: Array, value: Array, x: Array, point: Array) -> tuple[Array, Array]:
-    """Jacobians with respect to the unknowns (1, k) and the point (1, 3)."""
+    """Return the Jacobians with respect to the unknowns (1, k) and the point (1, 3)."""
     centre, turn, semi = shape(record, setup, x)
     q = _local(centre, turn, point)
     d, g = np.zeros(UNKNOWN.size), 2.0 * record[RECORD.factor] * q / semi**2
@@ -74,19 +74,19 @@ def jacobians_ellipsoid(record: Array, setup: Array, value: Array, x: Array, poi
 
 
 def residual_sphere(record: Any, setup: Any, x: Any, point: Any) -> Any:
-    """Residual (1,) of the unknowns centre, radius (4,)."""
+    """Return the residual (1,) for the unknowns centre and radius (4,)."""
     d = point - x[:3]
     return np.array([record[RECORD.factor] * (d[0] * d[0] + d[1] * d[1] + d[2] * d[2] - x[3] * x[3])])
 
 
 def jacobians_sphere(record: Array, setup: Array, value: Array, x: Array, point: Array) -> tuple[Array, Array]:
-    """Jacobians (1, 4) and (1, 3)."""
+    """Return the Jacobians (1, 4) and (1, 3)."""
     d = 2.0 * record[RECORD.factor] * (point - x[:3])
     return np.array([[*-d, -2.0 * record[RECORD.factor] * x[3]]]), d.reshape((1, 3))
 
 
 def residual_quadric(record: Any, setup: Any, c: Any, p: Any) -> Any:
-    """Residual (1,) of the ten coefficients; only their ratios are determined."""
+    """Return the residual (1,) for the ten coefficients, of which only the ratios are determined."""
     square = c[0] * p[0] * p[0] + c[1] * p[1] * p[1] + c[2] * p[2] * p[2]
     mixed = c[3] * p[0] * p[1] + c[4] * p[0] * p[2] + c[5] * p[1] * p[2]
     linear = c[6] * p[0] + c[7] * p[1] + c[8] * p[2]
@@ -94,7 +94,7 @@ def residual_quadric(record: Any, setup: Any, c: Any, p: Any) -> Any:
 
 
 def jacobians_quadric(record: Array, setup: Array, value: Array, c: Array, p: Array) -> tuple[Array, Array]:
-    """Jacobians (1, 10) and (1, 3)."""
+    """Return the Jacobians (1, 10) and (1, 3)."""
     s, (x, y, z) = record[RECORD.factor], p
     terms = np.array([[x * x, y * y, z * z, 2.0 * x * y, 2.0 * x * z, 2.0 * y * z, 2.0 * x, 2.0 * y, 2.0 * z, 1.0]])
     slope = np.array([[

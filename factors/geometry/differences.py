@@ -1,9 +1,9 @@
-"""Attitudes applied to vectors, as reference plus exact difference.
+"""Attitudes applied to vectors, as a reference plus an exact difference.
 
-A vector of the orbital frame has 16 digits. Its rounding, 1e-16 of the orbit radius, is noise of 1e-9 sigma, which
-changes a sum of squares in its 8th digit. Therefore the attitude applied to ``v + dv`` under angles ``a + da`` is split
-into its value at the reference (a, v) and the exact difference, computed from small quantities only. The sum equals the
-plain product to rounding; the difference has its own 16 digits.
+A vector of the orbital frame has 16 digits. Its rounding error, 1e-16 of the orbit radius, is a noise of 1e-9 sigma,
+which changes a sum of squares in its 8th digit. Therefore the attitude applied to ``v + dv`` with angles ``a + da`` is
+split into its value at the reference (a, v) and the exact difference, which is computed from small quantities only. The
+sum equals the plain product up to rounding; the difference has its own 16 digits.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from factors.geometry.rotations import Matrix, Vector, sine_cosine
 
 @inlined
 def _sines(a: Any, da: Any) -> Any:
-    """Sine and cosine of ``a``, and their changes from ``a`` to ``a + da``."""
+    """Return sine and cosine of ``a``, and their changes from ``a`` to ``a + da``."""
     s, less = sine_cosine(a)
     ds, dc = sine_cosine(da)
     c = 1.0 + less
@@ -26,7 +26,7 @@ def _sines(a: Any, da: Any) -> Any:
 
 @inlined
 def _turn(sines: Any, u: Any, v: Any, du: Any, dv: Any) -> Any:
-    """Pair form of (c u + s v, -s u + c v) with c, s of a + da."""
+    """Return (c u + s v, -s u + c v), with c, s of a + da, as reference and difference."""
     s, c, ds, dc = sines
     s2, c2 = s + ds, c + dc
     return c * u + s * v, c * v - s * u, c2 * du + s2 * dv + (dc * u + ds * v), c2 * dv - s2 * du + (dc * v - ds * u)
@@ -34,14 +34,14 @@ def _turn(sines: Any, u: Any, v: Any, du: Any, dv: Any) -> Any:
 
 @inlined
 def body_from_orbital_pair(angles: Vector, d: Vector, w: Vector, dw: Vector) -> tuple[Vector, Vector, Matrix, Matrix]:
-    """Attitude ``f = R_UY(angles + d)^T (w + dw)`` in pair form, and its derivatives.
+    """Return the attitude ``f = R_UY(angles + d)^T (w + dw)`` as reference and difference, and its derivatives.
 
     Parameters
     ----------
     angles, d : tuples of 3
-        Roll, pitch, yaw (rad) and their corrections.
+        Roll, pitch, yaw (rad), and their corrections.
     w, dw : tuples of 3
-        Vector in the orbital frame, reference and difference.
+        Vector in the orbital frame: reference and difference.
 
     Returns
     -------
@@ -50,7 +50,7 @@ def body_from_orbital_pair(angles: Vector, d: Vector, w: Vector, dw: Vector) -> 
     turn : tuple of 9
         R_UY(angles + d), row-major.
     d_f : tuple of 9
-        Derivatives of f + df with respect to roll, pitch, yaw, one after the other.
+        Derivatives of f + df by roll, pitch and yaw, in this order.
     """
     roll, pitch, yaw = _sines(angles[0], d[0]), _sines(angles[1], d[1]), _sines(angles[2], d[2])
     sr, cr, sp, cp = roll[0] + roll[2], roll[1] + roll[3], pitch[0] + pitch[2], pitch[1] + pitch[3]
@@ -72,7 +72,7 @@ def body_from_orbital_pair(angles: Vector, d: Vector, w: Vector, dw: Vector) -> 
 def body_from_orbital_small_pair(
     angles: Vector, d: Vector, w: Vector, dw: Vector
 ) -> tuple[Vector, Vector, Matrix, Matrix]:
-    """As :func:`body_from_orbital_pair`, with the transposed small-angle matrix I + [a]x."""
+    """Return the same as :func:`body_from_orbital_pair`, for the transposed small-angle matrix I + [a]x."""
     r, p, y = angles
     r2, p2, y2 = r + d[0], p + d[1], y + d[2]
     reference = (w[0] + y * w[1] - r * w[2], w[1] - y * w[0] + p * w[2], w[2] + r * w[0] - p * w[1])

@@ -1,9 +1,9 @@
-"""Ray and ellipsoid: intersection at an ellipsoidal height, geodetic coordinates.
+"""Ray and ellipsoid: intersection at an ellipsoidal height, and geodetic coordinates.
 
-WGS84: a = 6378137 m, b = a (1 - 1/298.257223563); the sources print b to 0.1 mm, which would change geodetic
+WGS84: a = 6378137 m, b = a (1 - 1/298.257223563). The sources print b to 0.1 mm, which would change geodetic
 coordinates by 0.05 mm against PROJ. The surface of height h is approximated by the ellipsoid with semi-axes a + h, b +
-h (T 2.44-2.48 as corrected); it differs from the true surface by 2.5 mm at 1800 m, so :func:`intersect` repeats the
-intersection with the remaining height error until this is below 0.01 mm.
+h (T 2.44-2.48 as corrected). It differs from the true surface by 2.5 mm at 1800 m, so :func:`intersect` repeats the
+intersection with the remaining height error until that is below 0.01 mm.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ E2 = 1.0 - (B_M / A_M) ** 2
 
 @compiled
 def geodetic(x: float, y: float, z: float) -> tuple[float, float, float]:
-    """ECEF (m) to longitude, latitude (rad) and ellipsoidal height (m), by fixed-point iteration."""
+    """Convert ECEF (m) to longitude, latitude (rad) and ellipsoidal height (m), by fixed-point iteration."""
     p = math.sqrt(x * x + y * y)
     latitude = math.atan2(z, p * (1.0 - E2))
     for _ in range(12):
@@ -41,7 +41,10 @@ def geodetic(x: float, y: float, z: float) -> tuple[float, float, float]:
 
 @compiled
 def distance_to_height(p: Vector, u: Vector, h: float) -> float:
-    """Smallest positive s with ``p + s u`` on the ellipsoid (a + h, b + h); nan if the ray misses or p lies inside."""
+    """Return the smallest s > 0 with ``p + s u`` on the ellipsoid (a + h, b + h).
+
+    nan if the ray misses or p is inside.
+    """
     a2, b2 = (A_M + h) ** 2, (B_M + h) ** 2
     d1 = (u[0] * u[0] + u[1] * u[1]) / a2 + u[2] * u[2] / b2
     d2 = 2.0 * ((p[0] * u[0] + p[1] * u[1]) / a2 + p[2] * u[2] / b2)
@@ -63,9 +66,9 @@ def distance_to_height(p: Vector, u: Vector, h: float) -> float:
 @few_in_python
 @compiled
 def intersect(position_m: Array, direction: Array, height_m: Array) -> Array:
-    """Nearest points of N rays at ellipsoidal heights: (N, 3), (N, 3), (N,) -> (N, 3) ECEF m.
+    """Return the nearest points (N, 3), ECEF m, of N rays at ellipsoidal heights: positions, directions, heights (N,).
 
-    Rows are nan where the ray misses the ellipsoid or the surface is behind the sensor.
+    Rows are nan if the ray misses the ellipsoid or the surface is behind the sensor.
     """
     out = np.empty_like(position_m)
     for i in range(len(position_m)):
@@ -86,7 +89,7 @@ def intersect(position_m: Array, direction: Array, height_m: Array) -> Array:
 @few_in_python
 @compiled
 def geodetic_array(xyz_m: Array) -> Array:
-    """Longitude, latitude (rad), height (m) of N points: (N, 3) -> (N, 3)."""
+    """Return longitude, latitude (rad), height (m) of N points: (N, 3) -> (N, 3)."""
     out = np.empty_like(xyz_m)
     for i in range(len(xyz_m)):
         out[i, 0], out[i, 1], out[i, 2] = geodetic(xyz_m[i, 0], xyz_m[i, 1], xyz_m[i, 2])

@@ -1,6 +1,7 @@
-"""State at a time: ephemeris by Lagrange, linear angles, linear normalised quaternions, quaternion polynomials.
+"""State at a given time: Lagrange for the ephemeris, linear angles, linear normalised or polynomial quaternions.
 
-Source: Terlemezoğlu 2019, eq. 2.32 (t_e in the denominator, as corrected), 2.33 (interval as corrected), 2.37-2.40.
+Source: Terlemezoğlu 2019, eqs. 2.32 (with t_e in the denominator, as corrected), 2.33 (interval as corrected) and
+2.37-2.40.
 """
 
 from __future__ import annotations
@@ -10,20 +11,20 @@ import numpy as np
 from factors._contract import compiled
 from factors.arrays import Array, Index
 
-#: Samples interpolated by one Lagrange polynomial.
+#: Largest number of samples interpolated by one Lagrange polynomial.
 MAX_SAMPLES = 8
-#: Number of times above which a compiled loop takes a fifth of numpy's time, with the same bits.
+#: Number of times above which a compiled loop is used: it takes a fifth of numpy's time and gives the same bits.
 MANY = 1024
 
 
 def lagrange(sample_time_s: Array, samples: Array, time_s: Array) -> Array:
-    """Interpolate (n, c) samples of position and velocity at N times: -> (N, c); the nearest samples, up to eight.
+    """Interpolate position and velocity samples (n, c) at N times: -> (N, c); uses up to eight nearest samples.
 
-    Nothing is extrapolated: the caller checks the span. Exact for polynomials up to degree min(n, 8) - 1.
+    Nothing is extrapolated; the caller checks the span. The result is exact for polynomials up to degree min(n, 8) - 1.
     """
     use = min(len(sample_time_s), MAX_SAMPLES)
     window = np.arange(len(sample_time_s) - use + 1) + np.arange(use)[:, None]  # (use, W)
-    apart = sample_time_s[window][:, None] - sample_time_s[window][None]  # of sample d (axis 0) from sample e (axis 1)
+    apart = sample_time_s[window][:, None] - sample_time_s[window][None]  # from sample e (axis 1) to sample d (axis 0)
     apart[np.arange(use), np.arange(use)] = 1.0
     divisor = np.multiply.reduce(apart, axis=1)
     first = np.clip(np.searchsorted(sample_time_s, time_s) - use // 2, 0, len(sample_time_s) - use)
@@ -31,7 +32,7 @@ def lagrange(sample_time_s: Array, samples: Array, time_s: Array) -> Array:
         return _sums(sample_time_s, np.ascontiguousarray(samples), time_s, first, divisor)
     near = first + np.arange(use)[:, None]
     away = time_s - sample_time_s[near]  # (use, N)
-    before, after = np.ones_like(away), np.ones_like(away)  # products over the samples before and after sample d
+    before, after = np.ones_like(away), np.ones_like(away)  # products over the samples before and after d
     for d in range(1, use):
         np.multiply(before[d - 1], away[d - 1], out=before[d])
         np.multiply(after[use - d], away[use - d], out=after[use - d - 1])
@@ -41,7 +42,7 @@ def lagrange(sample_time_s: Array, samples: Array, time_s: Array) -> Array:
 
 @compiled
 def _sums(sample_time_s: Array, samples: Array, time_s: Array, first: Index, divisor: Array) -> Array:
-    """Weighted sums of the samples at N times, ``first`` (N,) of them each: the operations of :func:`lagrange`."""
+    """Return weighted sums of samples from ``first`` (N,) on, at N times, with the operations of :func:`lagrange`."""
     use = divisor.shape[0]
     away, before, after = np.empty(use), np.ones(use), np.ones(use)
     out = np.zeros((time_s.shape[0], samples.shape[1]))
@@ -81,14 +82,14 @@ def centred(sample_time_s: Array, samples: Array, time_s: Array) -> Array:
 
 
 def linear(sample_time_s: Array, samples: Array, time_s: Array) -> Array:
-    """Piecewise linear interpolation, constant beyond the ends: (n, c), (N,) -> (N, c)."""
+    """Return the piecewise linear interpolation, constant beyond the ends: (n, c), (N,) -> (N, c)."""
     return np.stack([np.interp(time_s, sample_time_s, column) for column in samples.T], axis=1)
 
 
 def sign_aligned(quaternion: Array) -> Array:
-    """Change signs so that neighbours have a positive product: (n, 4) -> (n, 4), normalised.
+    """Change signs so that neighbours have a positive product, and normalise: (n, 4) -> (n, 4).
 
-    q and -q are the same rotation; a jump between them must not be interpolated.
+    q and -q are the same rotation, so a jump between them must not be interpolated.
     """
     unit = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
     products = np.einsum("ij,ij->i", unit[1:], unit[:-1])
@@ -97,10 +98,10 @@ def sign_aligned(quaternion: Array) -> Array:
 
 
 def extended(sample_time_s: Array, samples: Array, before_s: float, after_s: float) -> tuple[Array, Array]:
-    """Samples (n, c) and a further sample ``before_s`` and ``after_s`` beyond the ends at the last rate (0: none).
+    """Return samples (n, c), extended by ``before_s`` and ``after_s`` beyond the ends at the last rate (0: no sample).
 
-    Quaternions (with aligned signs) are extended along the line through two neighbours: in seconds the attitude changes
-    by less than 0.1 rad, and the normalised line differs from the constant rate by the cube of that angle.
+    Quaternions (with aligned signs) are extended along the line through two neighbours. In a few seconds the attitude
+    changes by less than 0.1 rad; the normalised line differs from the constant rate by the cube of that angle.
     """
     times, rows = [sample_time_s], [samples]
     for end, neighbour, seconds, at in ((0, 1, -before_s, 0), (-1, -2, after_s, 2)):
@@ -112,7 +113,7 @@ def extended(sample_time_s: Array, samples: Array, before_s: float, after_s: flo
 
 
 def quaternion_linear(sample_time_s: Array, quaternion: Array, time_s: Array) -> Array:
-    """Normalised linear interpolation of sampled quaternions: (n, 4), (N,) -> (N, 4).
+    """Return the normalised linear interpolation of sampled quaternions: (n, 4), (N,) -> (N, 4).
 
     The samples must have the signs of :func:`sign_aligned`: values between q and a neighbour near -q are meaningless.
     """
@@ -121,7 +122,7 @@ def quaternion_linear(sample_time_s: Array, quaternion: Array, time_s: Array) ->
 
 
 def quaternion_polynomial(coefficients: Array, offset_s: float, scale_s: float, time_s: Array) -> Array:
-    """Polynomials of the scaled time, normalised: (4, k), (N,) -> (N, 4)."""
+    """Return the normalised polynomials of the scaled time: (4, k), (N,) -> (N, 4)."""
     scaled = (np.asarray(time_s, float) - offset_s) / scale_s
     q = (scaled[:, None] ** np.arange(coefficients.shape[1])) @ coefficients.T
     return np.asarray(q / np.linalg.norm(q, axis=1, keepdims=True))

@@ -1,11 +1,11 @@
-"""Effects on light between ground and sensor: aberration, Earth rotation during the light time, refraction.
+"""Effects on light between ground and sensor: aberration, Earth rotation during the light time, and refraction.
 
 Each map converts the directions of N lines of sight to the true directions of the ground points, in Earth-fixed axes at
-the time of exposure. Sizes on the ground from 700 km: aberration 18 m (v/c = 2.5e-5), light time 1.1 m cos(latitude),
-refraction 1.8 m at a zenith angle of 30 degrees.
+the time of exposure. Sizes on the ground from an altitude of 700 km: aberration 18 m (v/c = 2.5e-5), light time 1.1 m
+cos(latitude), refraction 1.8 m at a zenith angle of 30 degrees.
 
-Sources: classical addition of velocities (Greslou et al. 2008, appendix); refraction by the bent ray over a
-spherically layered atmosphere (Saastamoinen 1972; Noerdlinger 1999 for the direction of the shift).
+Sources: classical addition of velocities (Greslou et al. 2008, appendix); refraction of a bent ray over spherical
+atmospheric layers (Saastamoinen 1972; Noerdlinger 1999 for the direction of the shift).
 """
 
 from __future__ import annotations
@@ -19,37 +19,37 @@ from factors._contract import Array
 C_M_S: Final = 299_792_458.0
 #: Rate of the Earth's rotation, rad/s (WGS84).
 EARTH_RATE_RAD_S: Final = 7.2921151467e-5
-#: Refractivity n - 1 of visible light (0.6 um) in standard air of 15 C and 101 325 Pa; its integral over the height is
-#: this times the column of air, 101325 Pa / (1.225 kg/m3 x 9.80665 m/s2) = 8434 m.
+#: Refractivity n - 1 of visible light (0.6 um) in standard air of 15 C and 101 325 Pa. Its integral over the height is
+#: this number times the column of air, 101325 Pa / (1.225 kg/m3 x 9.80665 m/s2) = 8434 m.
 REFRACTIVITY: Final = 2.77e-4
 COLUMN_M: Final = 8434.5
-#: Mean height of the refracting air (standard atmosphere: integral of the pressure over the height, divided by the
-#: pressure) relative to the Earth's radius: layers are spheres.
+#: Mean height of the refracting air relative to the Earth's radius: layers are spheres. The height is the integral of
+#: the pressure over the height, divided by the pressure (standard atmosphere).
 MEAN_HEIGHT: Final = 7313.0 / 6_371_000.0
-#: Least cosine of the zenith angle: beyond it the first order in that ratio is not sufficient.
+#: Smallest cosine of the zenith angle: at larger angles the first order in that ratio is not sufficient.
 STEEPEST_COSINE: Final = 0.1
 
 
 def unit(vectors: Array) -> Array:
-    """Vectors (N, 3) of length 1."""
+    """Return the vectors (N, 3), scaled to length 1."""
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
 def without_aberration(direction: Array, velocity_m_s: Array) -> Array:
-    """Geometric directions of apparent directions.
+    """Return the geometric directions that belong to apparent directions.
 
     Parameters
     ----------
     direction : (N, 3) array
-        Unit vectors to the apparent place of the point.
+        Unit vectors to the apparent position of the point.
     velocity_m_s : (N, 3) array
         Inertial velocity of the sensor, in the same axes.
 
     Returns
     -------
     (N, 3) array
-        Unit vectors u with ``c u + v`` along ``direction``: classical addition of velocities. The relativistic sum
-        differs by (v/c)^2 only, 0.3 mm on the ground.
+        Unit vectors u for which ``c u + v`` is parallel to ``direction``: classical addition of velocities. The
+        relativistic sum differs only by (v/c)^2, 0.3 mm on the ground.
     """
     beta = velocity_m_s / C_M_S
     along = np.einsum("ni,ni->n", direction, beta)
@@ -58,9 +58,9 @@ def without_aberration(direction: Array, velocity_m_s: Array) -> Array:
 
 
 def earth_turn(ground_m: Array, distance_m: Array) -> Array:
-    """Displacement (N, 3) m of the ground by the Earth's rotation in the light time, from seen to true place.
+    """Return the ground's displacement (N, 3), m, by Earth rotation in the light time, from seen to true position.
 
-    ``ground_m`` is the place, in the axes of exposure, ``distance_m / c`` before the exposure.
+    ``ground_m`` is the position, in the axes at exposure, at ``distance_m / c`` before the exposure.
     """
     angle = EARTH_RATE_RAD_S * distance_m / C_M_S
     cosine, sine = -2.0 * np.sin(angle / 2.0) ** 2, np.sin(angle)  # cosine minus 1
@@ -69,22 +69,22 @@ def earth_turn(ground_m: Array, distance_m: Array) -> Array:
 
 
 def zenith_excess_m(height_m: Array) -> Array:
-    """Integral of n - 1 from a height to space, m: 2.34 m at sea level, by the pressure of the standard atmosphere."""
+    """Return the integral of n - 1 from a height to space, m, by standard atmospheric pressure: 2.34 m at sea level."""
     pressure = np.clip(1.0 - 2.25577e-5 * height_m, 0.0, None) ** 5.25588
     return np.asarray(REFRACTIVITY * COLUMN_M * pressure)
 
 
 def refraction_shift(direction: Array, up: Array, height_m: Array) -> Array:
-    """Shift (N, 3) m on the ground from the end of the straight line of sight to the end of the bent line.
+    """Return the ground shift (N, 3), m, from the end of the straight line of sight to the end of the bent line.
 
-    Horizontal and towards the point below the sensor: ``D tan z / cos^2 z (1 - m (3 / cos^2 z - 1))`` with D of
-    :func:`zenith_excess_m` and m = ``MEAN_HEIGHT``. It is the first order in n - 1 and in height / radius of
+    The shift is horizontal, towards the point below the sensor: ``D tan z / cos^2 z (1 - m (3 / cos^2 z - 1))`` with D
+    of :func:`zenith_excess_m` and m = ``MEAN_HEIGHT``. It is the first-order term, in n - 1 and in height / radius, of
     ``R^2 sin z int (n - 1) r / (r^2 - R^2 sin^2 z)^(3/2) dr`` over spherical layers of index n.
 
     Parameters
     ----------
     direction, up : (N, 3) arrays
-        Unit vectors of the lines of sight, downwards, and ellipsoid normals at their ends.
+        Unit vectors of the lines of sight, downwards, and of the ellipsoid normals at their ends.
     height_m : (N,) array
     """
     cosine = np.maximum(-np.einsum("ni,ni->n", direction, up), STEEPEST_COSINE)
@@ -94,7 +94,7 @@ def refraction_shift(direction: Array, up: Array, height_m: Array) -> Array:
 
 
 def turns(start: Array, end: Array) -> Array:
-    """Smallest rotations (N, 3, 3) from unit vectors (N, 3) to others nearby (Rodrigues)."""
+    """Return the smallest rotations (N, 3, 3) from unit vectors (N, 3) to other, close ones (Rodrigues)."""
     v = np.cross(start, end)
     skew = np.zeros((len(v), 3, 3))
     skew[:, 0, 1], skew[:, 0, 2], skew[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]

@@ -1,4 +1,4 @@
-"""Orbital frame under corrections: its exact difference, and derivatives of a ground point's coordinates in it.
+"""Exact difference of the orbital frame under corrections, and derivatives of a ground point's coordinates in it.
 
 With x, y, z the axes of convention B at position P and velocity V, w = (x, y, z)^T (G - P), v2 = V . y, v3 = V . z::
 
@@ -8,8 +8,8 @@ With x, y, z the axes of convention B at position P and velocity V, w = (x, y, z
 
 V acts only through x.dV, which is a pure yaw. Source: docs/equations.md 3.
 
-Frames of convention A by position and velocity and by Kepler angles: X forward, Y along the orbit normal (left of
-flight), Z outward. Convention B (X right, Y forward) is ``A K`` with :data:`B_FROM_A` transposed. Attitude of
+Frames of convention A come from position and velocity, or from Kepler angles: X forward, Y along the orbit normal (left
+of flight), Z outward. Convention B (X right, Y forward) is ``A K`` with :data:`B_FROM_A` transposed. Attitude of
 convention A: ``Rx(roll) Ry(pitch) Rz(yaw)``, active and right-handed. Source: Terlemezoğlu 2019, eqs. 2.7-2.21 as
 corrected: columns, four-quadrant angles, inertial velocity.
 """
@@ -26,7 +26,7 @@ from factors.geometry.rotations import Matrix, Vector, ecef_from_orbital
 
 @inlined
 def reference(position: Vector, velocity: Vector) -> tuple[Matrix, Vector]:
-    """Orbital frame of P and V; |P| (m), V . y and V . z (m/s)."""
+    """Return the orbital frame of P and V; and |P| (m), V . y and V . z (m/s)."""
     px, py, pz = position
     vx, vy, vz = velocity
     f = ecef_from_orbital(px, py, pz, vx, vy, vz)
@@ -36,22 +36,22 @@ def reference(position: Vector, velocity: Vector) -> tuple[Matrix, Vector]:
 
 @inlined
 def turned(lengths: Vector, dp: Vector, dv: Vector) -> tuple[Matrix, Vector]:
-    """Difference of the orbital frame when P and V change, in coordinates of the frame before the change.
+    """Return the difference of the orbital frame if P and V change, in coordinates of the frame before the change.
 
-    Exact, not linearised: in its own coordinates that frame is the unit matrix and V x z = (v2, 0, 0), so no digits
-    cancel.
+    The difference is exact, not linearised: in its own coordinates that frame is the unit matrix and V x z = (v2, 0,
+    0), so no digits cancel.
 
     Parameters
     ----------
     lengths : tuple
         |P|, v2, v3 before the change.
     dp, dv : tuples
-        Changes of P (m) and V (m/s), in coordinates of that frame.
+        Changes of P (m) and V (m/s), in coordinates of the frame before the change.
 
     Returns
     -------
     difference : tuple of 9
-        Columns: differences of the axes x, y, z.
+        Differences of the axes x, y, z, as columns.
     scales : tuple
         1/|P|, 1/v2 and v3 after the change.
     """
@@ -77,7 +77,7 @@ def turned(lengths: Vector, dp: Vector, dv: Vector) -> tuple[Matrix, Vector]:
 
 @inlined
 def row_derivatives(c: Vector, w: Vector, frame: Matrix, scales: Vector, follows: Any) -> tuple[Vector, Vector, Vector]:
-    """Derivatives of ``c . w`` with respect to P, V and G, c constant: three 3-tuples, ECEF.
+    """Return the derivatives of ``c . w`` by P, V and G for constant c: three 3-tuples, ECEF.
 
     ``frame`` and ``scales`` (see :func:`turned`) belong to w; ``follows`` is 1.0, or 0.0 if the frame is constant.
     """
@@ -100,9 +100,10 @@ B_FROM_A: Final = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 def kepler_angles(position_m: Array, velocity_m_s: Array) -> Array:
-    """Inclination, node and argument of latitude (N, 3) rad of N states; ``velocity_m_s`` inertial, in the same axes.
+    """Return inclination, node and argument of latitude (N, 3), rad, of N states.
 
-    Source: eqs. 2.11-2.16; node and argument of latitude by atan2, so that descending passes are correct.
+    ``velocity_m_s`` is inertial, in the axes of the position. Source: eqs. 2.11-2.16; node and argument of latitude use
+    atan2, so that descending passes are correct.
     """
     c = np.cross(position_m, velocity_m_s)
     inclination = np.arccos(c[:, 2] / np.linalg.norm(c, axis=1))
@@ -113,7 +114,7 @@ def kepler_angles(position_m: Array, velocity_m_s: Array) -> Array:
 
 
 def frames_from_kepler(angles_rad: Array) -> Array:
-    """Orbital frames (N, 3, 3) of inclination, node and argument of latitude (N, 3): eq. 2.18."""
+    """Return the orbital frames (N, 3, 3) for inclination, node and argument of latitude (N, 3): eq. 2.18."""
     ci, co, cw = np.cos(angles_rad).T
     si, so, sw = np.sin(angles_rad).T
     rows = [
@@ -125,10 +126,10 @@ def frames_from_kepler(angles_rad: Array) -> Array:
 
 
 def frames_from_state(position_m: Array, velocity_m_s: Array) -> Array:
-    """Orbital frames (N, 3, 3) of positions and velocities (N, 3): eqs. 2.19-2.21.
+    """Return the orbital frames (N, 3, 3) for positions and velocities (N, 3): eqs. 2.19-2.21.
 
-    With the Earth-fixed velocity the frame follows the ground track, with the inertial velocity the orbit: the two
-    frames differ by 3 degrees of yaw.
+    With the Earth-fixed velocity the frame follows the ground track, with the inertial velocity it follows the orbit:
+    the two frames differ by 3 degrees of yaw.
     """
     z = position_m / np.linalg.norm(position_m, axis=1, keepdims=True)
     y = np.cross(z, velocity_m_s)
@@ -137,7 +138,7 @@ def frames_from_state(position_m: Array, velocity_m_s: Array) -> Array:
 
 
 def attitude_matrices(angles_rad: Array) -> Array:
-    """Payload to orbital frame (N, 3, 3) of roll, pitch, yaw (N, 3) in convention A: eq. 2.9 as corrected."""
+    """Return the rotations (N, 3, 3) from payload to orbital frame for roll, pitch, yaw (N, 3) in convention A."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(angles_rad).T, np.sin(angles_rad).T
     rows = [
         [cp * cy, -cp * sy, sp],

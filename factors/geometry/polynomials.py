@@ -1,17 +1,17 @@
 """Polynomials in the normalised line tau and the normalised sample s, and curves over tau.
 
-``tau = (line - c)/c`` with ``c = (n_lines - 1)/2``, and ``s`` in the same way for samples: the first pixel is -1, the
-last +1. EOP corrections are ``c0 + c1 tau + c2 tau^2`` (T 2.34, T-Table 4.1, with tau instead of the line number for
-conditioning). The published per-line form ``q0 + q1 l + q2 l^2``, ``l = line - c``, follows by a diagonal
+``tau = (line - c)/c`` with ``c = (n_lines - 1)/2``: the first line is -1, the last +1. ``s`` is defined in the same way
+for samples. EOP corrections are ``c0 + c1 tau + c2 tau^2`` (T 2.34, T-Table 4.1, with tau instead of the line number
+for conditioning). The published per-line form ``q0 + q1 l + q2 l^2``, ``l = line - c``, follows by a diagonal
 transformation.
 
 Smooth curves over an image are uniform cubic B-splines with a prior on their third differences.
 
 A curve of tau in [-1, 1] is ``B(tau) W x``: B are the ``k + 3`` cubic B-splines over ``k`` equal intervals, x the ``k``
-unknowns, each N(0, 1). ``W`` is the pseudo-inverse of the third differences D of the coefficients, so that x are the
-third differences: independent x are the random walk of third order of penalised splines (Eilers & Marx 1996). The
-curves contain no quadratics: their third differences are zero, and they are covered by the degree-2 coefficients. W is
-scaled so that the prior standard deviation of a curve is 1 in the mean square over the image.
+unknowns, each N(0, 1). ``W`` is the pseudo-inverse of the third differences D of the coefficients, so that x are these
+third differences. Independent x are the random walk of third order of penalised splines (Eilers & Marx 1996). The
+curves contain no quadratics, whose third differences are zero; the degree-2 coefficients represent them. W is scaled so
+that the prior standard deviation of a curve is 1 in the mean square over the image.
 """
 
 from __future__ import annotations
@@ -23,26 +23,27 @@ import numpy as np
 
 from factors._contract import Array
 
-#: Degree of the pieces: number of coefficients minus number of intervals, and order of the differences.
+#: Degree of the pieces; it is also the number of coefficients minus the number of intervals, and the order of the
+#: differences.
 DEGREE: Final = 3
 #: Smallest and largest number of intervals of a curve.
 FEWEST, MOST = 2, 32
 
 
 def normalised(pixel: Array, count: int) -> Array:
-    """Map pixel coordinates 0 .. count - 1 to -1 .. 1."""
+    """Convert pixel coordinates 0 .. count - 1 to -1 .. 1."""
     centre = (count - 1) / 2.0
     return np.asarray((np.asarray(pixel, float) - centre) / centre)
 
 
 def evaluate(coefficients: Array, argument: Array) -> Array:
-    """``sum_k coefficients[..., k] argument^k``: (c, k), (N,) -> (N, c)."""
+    """Return ``sum_k coefficients[..., k] argument^k``: (c, k), (N,) -> (N, c)."""
     powers = np.asarray(argument, float)[:, None] ** np.arange(coefficients.shape[-1])
     return np.asarray(powers @ coefficients.T)
 
 
 def fit(argument: Array, values: Array, degree: int) -> tuple[Array, Array]:
-    """Least-squares polynomial through ``values`` (N, c).
+    """Fit a least-squares polynomial to ``values`` (N, c).
 
     Returns
     -------
@@ -55,17 +56,17 @@ def fit(argument: Array, values: Array, degree: int) -> tuple[Array, Array]:
 
 
 def per_line_from_tau(n_lines: int) -> Array:
-    """Diagonal of the transformation of c0, c1, c2 of tau to q0, q1, q2 per line about the same line.
+    """Return the diagonal transformation from c0, c1, c2 of tau to q0, q1, q2 per line, about the same line.
 
-    ``q_k = c_k / c^k`` with ``c = (n_lines - 1)/2``; this is also the Jacobian, so the
-    covariance is obtained by scaling rows and columns.
+    ``q_k = c_k / c^k`` with ``c = (n_lines - 1)/2``. This is also the Jacobian, so scaling rows and columns gives the
+    covariance.
     """
     centre = (n_lines - 1) / 2.0
     return np.asarray(centre ** -np.arange(3.0))
 
 
 def basis(tau: Array, n_intervals: int) -> Array:
-    """Values (N, n_intervals + 3) of the B-splines at N times; the outer pieces are continued beyond -1 and 1."""
+    """Return the values (N, n_intervals + 3) of the B-splines at N times; the outer pieces continue beyond -1 and 1."""
     u = 0.5 * n_intervals * (np.asarray(tau, float) + 1.0)
     piece = np.clip(np.floor(u).astype(int), 0, n_intervals - 1)
     f = u - piece
@@ -78,7 +79,7 @@ def basis(tau: Array, n_intervals: int) -> Array:
 
 @cache
 def _from_unknowns(n_intervals: int) -> Array:
-    """W: coefficients (n_intervals + 3) of independent unknowns (n_intervals)."""
+    """Return W, which converts independent unknowns (n_intervals) to coefficients (n_intervals + 3)."""
     w: Array = np.asarray(np.linalg.pinv(np.diff(np.eye(n_intervals + DEGREE), n=DEGREE, axis=0)), dtype=float)
     curve = basis(np.linspace(-1.0, 1.0, 40 * n_intervals + 1), n_intervals) @ w
     w = np.asarray(w / np.sqrt(np.mean(np.sum(curve**2, axis=1))))
@@ -87,5 +88,5 @@ def _from_unknowns(n_intervals: int) -> Array:
 
 
 def curves(tau: Array, n_intervals: int) -> Array:
-    """Values (N, n_intervals) of the curves of unit unknowns."""
+    """Return the values (N, n_intervals) of the curves that belong to unit unknowns."""
     return np.asarray(basis(tau, n_intervals) @ _from_unknowns(n_intervals))

@@ -1,15 +1,15 @@
-"""Rotations of the pushbroom chain, as scalar maps on 9-tuples in row-major order.
+"""Rotations of the pushbroom chain, as scalar maps of 9-tuples in row-major order.
 
 Frames: *body* (payload), *orbital* of convention B (X = V x Z right of flight, Y = Z x X forward, Z radial outward) and
-*ECEF*. Names read target_from_source. Active elementary rotations; roll turns about Y, pitch about X, yaw about Z of
-the orbital frame.
+*ECEF*. Names read target_from_source. Elementary rotations are active; roll is a rotation about Y, pitch about X, yaw
+about Z of the orbital frame.
 
 Source: Terlemezoğlu 2019, eqs. 2.23-2.27 as corrected in docs/equations.md 2 (columns, not rows; X = V x Z);
 quaternions: eq. 2.36.
 
-Sine and cosine have neither calls nor branches, so that loops over observations become vector instructions: the
-argument is reduced by multiples of pi/2 in two parts (Cody & Waite 1980, ch. 8) and the series end where the remainder
-is below rounding. The cosine is given as its difference to one, which keeps the digits of small corrections.
+Sine and cosine have neither calls nor branches, so that loops over observations become vector instructions. The
+argument is reduced by multiples of pi/2 in two parts (Cody & Waite 1980, ch. 8); the series end where the remainder is
+below rounding. The cosine is returned as its difference from one, which keeps the digits of small corrections.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import numpy as np
 from factors._contract import Array, inlined
 from factors._plain import on_arrays, plain
 
-#: Rows that fit into the second-level cache with all intermediate values.
+#: Number of rows that fit into the second-level cache together with all intermediate values.
 AT_ONCE: Final = 1024
 
 Matrix = Any  # a tuple of 9 scalars, real or complex
@@ -32,7 +32,7 @@ Vector = Any  # three scalars, a tuple or an array
 
 @inlined
 def multiply_transposed(a: Matrix, v: Vector) -> Vector:
-    """Transposed matrix times vector."""
+    """Return the transposed matrix times vector."""
     return (
         a[0] * v[0] + a[3] * v[1] + a[6] * v[2],
         a[1] * v[0] + a[4] * v[1] + a[7] * v[2],
@@ -42,7 +42,7 @@ def multiply_transposed(a: Matrix, v: Vector) -> Vector:
 
 @inlined
 def multiply(a: Matrix, v: Vector) -> Vector:
-    """Matrix times vector."""
+    """Return the matrix times vector."""
     return (
         a[0] * v[0] + a[1] * v[1] + a[2] * v[2],
         a[3] * v[0] + a[4] * v[1] + a[5] * v[2],
@@ -52,13 +52,13 @@ def multiply(a: Matrix, v: Vector) -> Vector:
 
 @inlined
 def cross(a: Vector, b: Vector) -> Vector:
-    """Vector product a x b."""
+    """Return the vector product a x b."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @inlined
 def ecef_from_orbital(px: Any, py: Any, pz: Any, vx: Any, vy: Any, vz: Any) -> Matrix:
-    """Orbital frame of convention B from position (m) and velocity (m/s) in ECEF."""
+    """Return the orbital frame of convention B from position (m) and velocity (m/s) in ECEF."""
     one = 1.0 / np.sqrt(px * px + py * py + pz * pz)
     zx, zy, zz = px * one, py * one, pz * one
     nx, ny, nz = vy * zz - vz * zy, vz * zx - vx * zz, vx * zy - vy * zx
@@ -70,7 +70,7 @@ def ecef_from_orbital(px: Any, py: Any, pz: Any, vx: Any, vy: Any, vz: Any) -> M
 
 @inlined
 def from_sines(sr: Any, cr: Any, sp: Any, cp: Any, sy: Any, cy: Any) -> Matrix:
-    """Attitude Rx(pitch) Ry(roll) Rz(yaw), full form (T 2.23), from sines and cosines of roll, pitch, yaw."""
+    """Return attitude Rx(pitch) Ry(roll) Rz(yaw), full form (T 2.23), from sines and cosines of roll, pitch, yaw."""
     return (
         cr * cy, -cr * sy, sr,
         cp * sy + sp * sr * cy, cp * cy - sp * sr * sy, -sp * cr,
@@ -80,21 +80,21 @@ def from_sines(sr: Any, cr: Any, sp: Any, cp: Any, sy: Any, cy: Any) -> Matrix:
 
 @inlined
 def orbital_from_body(roll: Any, pitch: Any, yaw: Any) -> Matrix:
-    """Attitude from roll, pitch, yaw (rad)."""
+    """Return the attitude from roll, pitch, yaw (rad)."""
     r, p, y = sine_cosine(roll), sine_cosine(pitch), sine_cosine(yaw)
     return from_sines(r[0], 1.0 + r[1], p[0], 1.0 + p[1], y[0], 1.0 + y[1])
 
 
 @inlined
 def orbital_from_body_small(roll: Any, pitch: Any, yaw: Any) -> Matrix:
-    """Small-angle attitude I + [a]x (T 2.24); its transpose is used as its inverse everywhere."""
+    """Return the small-angle attitude I + [a]x (T 2.24); everywhere its transpose is used as its inverse."""
     one = 1.0 + 0.0 * roll
     return (one, -yaw, roll, yaw, one, -pitch, -roll, pitch, one)
 
 
 @inlined
 def matrix_from_quaternion(q0: Any, q1: Any, q2: Any, q3: Any) -> Matrix:
-    """Rotation of a quaternion, scalar part first; normalised here (T 2.36)."""
+    """Return the rotation of a quaternion with the scalar part first; it is normalised here (T 2.36)."""
     n = np.sqrt(q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
     a, b, c, d = q0 / n, q1 / n, q2 / n, q3 / n
     return (
@@ -106,7 +106,7 @@ def matrix_from_quaternion(q0: Any, q1: Any, q2: Any, q3: Any) -> Matrix:
 
 @inlined
 def turned(a: Matrix, d: Matrix) -> Matrix:
-    """Product ``a (I + d)``."""
+    """Return the product ``a (I + d)``."""
     x = multiply(a, (1.0 + d[0], d[3], d[6]))
     y = multiply(a, (d[1], 1.0 + d[4], d[7]))
     z = multiply(a, (d[2], d[5], 1.0 + d[8]))
@@ -114,24 +114,24 @@ def turned(a: Matrix, d: Matrix) -> Matrix:
 
 
 def orbital_frames(position_m: Array, velocity_m_s: Array) -> Array:
-    """Orbital frames of N states: (N, 3), (N, 3) -> (N, 3, 3), ecef_from_orbital."""
+    """Return the orbital frames of N states: (N, 3), (N, 3) -> (N, 3, 3), ecef_from_orbital."""
     return _matrices(ecef_from_orbital, position_m, velocity_m_s)
 
 
 def attitude_matrices(angles_rad: Array, small: bool) -> Array:
-    """Attitudes of N angle triples roll, pitch, yaw: (N, 3) -> (N, 3, 3), orbital_from_body."""
+    """Return the attitudes of N angle triples roll, pitch, yaw: (N, 3) -> (N, 3, 3), orbital_from_body."""
     return _matrices(orbital_from_body_small if small else orbital_from_body, angles_rad)
 
 
 def quaternion_matrices(quaternion: Array) -> Array:
-    """Rotations of N quaternions: (N, 4) -> (N, 3, 3)."""
+    """Return the rotations of N quaternions: (N, 4) -> (N, 3, 3)."""
     return _matrices(matrix_from_quaternion, quaternion)
 
 
 def _matrices(rotation: Callable[..., Matrix], *arguments: Array) -> Array:
-    """Matrices (N, 3, 3) by one of the maps above, on columns of N rows."""
+    """Return the matrices (N, 3, 3) of one of the maps above, applied to columns of N rows."""
     out = np.empty((len(arguments[0]), 9))
-    with np.errstate(all="ignore"):  # as compiled code does
+    with np.errstate(all="ignore"):  # compiled code does not warn either
         for lo in range(0, len(out), AT_ONCE):
             part = slice(lo, lo + AT_ONCE)
             for k, entry in enumerate(plain(rotation)(*(column for a in arguments for column in a[part].T))):
@@ -139,7 +139,7 @@ def _matrices(rotation: Callable[..., Matrix], *arguments: Array) -> Array:
     return out.reshape(-1, 3, 3)
 
 
-#: pi/2 to 33 bits, so that its multiples up to 2^20 are exact, and the remainder.
+#: pi/2 rounded to 33 bits, so that its multiples up to 2^20 are exact; and the remainder.
 _HIGH: Final = int(0.5 * math.pi * 2.0**32) / 2.0**32
 _LOW: Final = (0.5 * math.pi - _HIGH) + 6.123233995736766e-17
 _S3, _S5, _S7, _S9, _S11, _S13, _S15, _S17 = ((-1) ** k / math.factorial(2 * k + 1) for k in range(1, 9))
@@ -149,15 +149,16 @@ _C2, _C4, _C6, _C8, _C10, _C12, _C14, _C16 = ((-1) ** k / math.factorial(2 * k) 
 @on_arrays(np.where)
 @inlined
 def _chosen(condition: Any, one: Any, other: Any) -> Any:
-    """``one`` where the condition is true, else ``other``."""
+    """Return ``one`` where the condition is true, else ``other``."""
     return one if condition else other
 
 
 @inlined
 def sine_cosine(x: Any) -> Any:
-    """Sine, and cosine minus one, of an angle (rad), real or complex near the real axis.
+    """Return the sine, and cosine minus one, of an angle (rad), real or complex near the real axis.
 
-    Absolute errors below 2.2e-16 up to 1e6 rad, below 1e-15 relative up to pi/4; beyond 1e15 rad no digit is correct.
+    The absolute error is below 2.2e-16 up to 1e6 rad, the relative error below 1e-15 up to pi/4; beyond 1e15 rad no
+    digit is correct.
     """
     k = np.floor(x.real * (2.0 / math.pi) + 0.5)
     half = np.floor(0.5 * k)

@@ -1,12 +1,12 @@
-"""Robust losses by name: built-in losses in ``standard``, others in files that are added to this package.
+"""Robust losses by name: ``standard`` contains the built-in losses, added files of this package contain others.
 
-A loss acts on the whitened norm t of one observation (2 numbers of an image point, 3 of a control point) through
-``u = t / c``. It is given by its weight w(u); the cost is the integral of the weight, ``rho(t) = c^2 cost(t / c)``,
-``cost(u) = int_0^u s w(s) ds``: half the square where the weight is 1. A file of this package that calls
+A loss depends on the whitened norm t of one observation (2 numbers of an image point, 3 of a control point) by
+``u = t / c``. It is defined by its weight w(u). The cost is the integral of the weight: ``rho(t) = c^2 cost(t / c)``,
+``cost(u) = int_0^u s w(s) ds``, which is half the square if the weight is 1. A file of this package that calls
 :func:`register` adds a loss. For a loss given by its weight only, :mod:`factors.losses.construct` computes cost and
 constants.
 
-The constant c gives the estimate an efficiency of 95 % at the normal distribution. For residuals of d independent
+The constant c gives the estimate an efficiency of 95 % for normally distributed errors. For residuals of d independent
 normal numbers the asymptotic efficiency is ``E[w t^2]^2 / (d E[w^2 t^2])`` (Huber 1981, ch. 6; the derivative of
 ``w r`` is replaced by Stein's identity), so c depends on d.
 """
@@ -25,21 +25,22 @@ Curve = Callable[[Array], Array]
 
 @dataclass(frozen=True)
 class Loss:
-    """A registered loss.
+    """Registered loss.
 
     Parameters
     ----------
     name : str
     weight, cost : callables
-        w and its integral over an array of ``u >= 0``.
+        Functions that return w, and the cost, for an array of ``u >= 0``.
     constants : (float, float, float)
         c for 95 % efficiency in 1, 2 and 3 dimensions.
     source : str
         Author year.
     corners : tuple of float
-        Places u where w or its slope jumps.
+        Values of u where w or its slope jumps.
     redescending : bool
-        The influence u w(u) decreases for large u, so there can be several minima: such a loss needs a robust start.
+        True if the influence u w(u) decreases for large u. There can then be several minima, so the loss needs a robust
+        start.
     """
 
     name: str
@@ -51,7 +52,7 @@ class Loss:
     redescending: bool = True
 
     def constant(self, dimension: int) -> float:
-        """Constant c of a residual of 1, 2 or 3 numbers."""
+        """Return the constant c for a residual of 1, 2 or 3 numbers."""
         return self.constants[dimension - 1]
 
 
@@ -61,7 +62,7 @@ ALIASES: dict[str, str] = {"beaton_tukey": "tukey", "biweight": "tukey", "lorent
 
 
 def register(loss: Loss) -> Loss:
-    """Add a loss.
+    """Add a loss to the registry.
 
     Raises
     ------
@@ -78,12 +79,12 @@ def register(loss: Loss) -> Loss:
 
 
 def find(name: str) -> Loss | None:
-    """Loss by its name or alias; None if it does not exist."""
+    """Return the loss with this name or alias; None if it does not exist."""
     return losses().get(ALIASES.get(name, name))
 
 
 def losses() -> dict[str, Loss]:
-    """All losses by name."""
+    """Return all losses by name."""
     for module in iter_modules(__path__):
         import_module(f"{__name__}.{module.name}")
     return dict(sorted(_REGISTRY.items()))

@@ -1,7 +1,7 @@
-"""Losses constructed from their weight: cost and constants by quadrature.
+"""Losses defined by their weight: cost and constants by quadrature.
 
-Gauss-Legendre rules of 12 nodes on panels that end at the corners of the weight, so that the cost is its integral to
-rounding. If the cost contradicted the weight, the loop could refuse good steps or stop early.
+Gauss-Legendre rules with 12 nodes are used on panels that end at the corners of the weight, so that the cost is its
+integral up to rounding. If the cost contradicted the weight, the loop could refuse good steps or stop early.
 """
 
 from __future__ import annotations
@@ -18,25 +18,26 @@ from factors.losses import Curve, Loss
 
 EFFICIENCY: Final = 0.95
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
-#: Panels of the cost: equal width up to ``_EVEN``, then each a twentieth wider; zero weight beyond the last panel.
+#: Panels of the cost: of equal width up to ``_EVEN``, then each a twentieth wider; beyond the last panel the weight is
+#: zero.
 _EVEN: Final = 16.0
 _WIDTH: Final = 0.05
 _LAST: Final = 1e7
-#: End of the integration over the normal distribution: 1e-30 of it is beyond.
+#: End of the integration over the normal distribution, of which 1e-30 is beyond.
 _FAR: Final = 12.0
 _BISECTIONS: Final = 80
 
 
 @dataclass(frozen=True, eq=False)
 class Integral:
-    """``int_0^u s w(s) ds`` as a function of u.
+    """The function ``int_0^u s w(s) ds`` of u.
 
     Parameters
     ----------
     weight : callable
-        w over arrays; a function of a module if it is sent to worker processes.
+        Function w of arrays; it must belong to a module if it is sent to worker processes.
     knots, values : (k,) arrays
-        Ends of the panels, and the integral up to them.
+        Ends of the panels, and the integral up to each.
     """
 
     weight: Curve
@@ -45,30 +46,30 @@ class Integral:
 
     @classmethod
     def of(cls, weight: Curve, corners: Sequence[float] = ()) -> Integral:
-        """Integrate once over all panels; ``corners``: places where the weight or its slope jumps."""
+        """Integrate once over all panels; ``corners`` are the places where the weight or its slope jumps."""
         growing = _EVEN * 1.05 ** np.arange(1, math.ceil(math.log(_LAST / _EVEN) / math.log(1.05)))
         knots = np.unique(np.concatenate([np.arange(0.0, _EVEN + 0.5 * _WIDTH, _WIDTH), growing, corners]))
         return cls(weight, knots, np.concatenate([[0.0], np.cumsum(_moment(weight, knots[:-1], knots[1:]))]))
 
     def __call__(self, u: Array) -> Array:
-        """Integral up to u, of the same shape."""
+        """Return the integral up to u, in the shape of u."""
         end = np.minimum(np.asarray(u, dtype=np.float64), self.knots[-1])
         panel = np.clip(np.searchsorted(self.knots, end, side="right") - 1, 0, len(self.knots) - 2)
         return np.asarray(self.values[panel] + _moment(self.weight, self.knots[panel], end))
 
 
 def _moment(weight: Curve, low: Array, high: Array) -> Array:
-    """``int s w(s) ds`` from low to high, elementwise."""
+    """Return ``int s w(s) ds`` from low to high, elementwise."""
     half = 0.5 * (np.asarray(high) - low)[..., None]
     s = np.asarray(low)[..., None] + half * (1.0 + _NODES)
     return np.asarray((half * _WEIGHTS * s * weight(s)).sum(axis=-1))
 
 
 def efficiency(weight: Curve, constant: float, dimension: int, corners: Sequence[float] = ()) -> float:
-    """Asymptotic efficiency at the normal distribution, of residuals of 1, 2 or 3 numbers.
+    """Return the asymptotic efficiency for normally distributed residuals of 1, 2 or 3 numbers.
 
-    ``E[w t^2]^2 / (d E[w^2 t^2])``, t the norm (Huber 1981, ch. 6; ``E[w t^2] / d`` is the mean derivative of the
-    influence by Stein's identity, which is also valid if the weight jumps).
+    The efficiency is ``E[w t^2]^2 / (d E[w^2 t^2])``, t the norm (Huber 1981, ch. 6). ``E[w t^2] / d`` is the mean
+    derivative of the influence by Stein's identity, which is also valid if the weight jumps.
     """
     ends = [constant * c for c in corners if constant * c < _FAR]
     knots = np.unique(np.concatenate([np.linspace(0.0, _FAR, 121), ends]))
@@ -82,7 +83,7 @@ def efficiency(weight: Curve, constant: float, dimension: int, corners: Sequence
 
 
 def constant_for(weight: Curve, dimension: int, corners: Sequence[float] = (), goal: float = EFFICIENCY) -> float:
-    """Largest constant c with an efficiency not above ``goal``.
+    """Return the largest constant c with an efficiency not above ``goal``.
 
     Raises
     ------
@@ -103,19 +104,19 @@ def constant_for(weight: Curve, dimension: int, corners: Sequence[float] = (), g
 def loss_from_weight(
     name: str, weight: Curve, *, corners: Sequence[float] = (), source: str = "", redescending: bool = True
 ) -> Loss:
-    """Make a loss from its weight; :func:`factors.losses.register` registers it.
+    """Return a loss made from its weight; :func:`factors.losses.register` registers it.
 
     Parameters
     ----------
     name : str
     weight : callable
-        w(u) over arrays of ``u >= 0``: 1 at 0, not increasing, not negative.
+        Function w(u) of arrays ``u >= 0``: 1 at 0, not increasing, not negative.
     corners : sequence of float
-        Places u where w or its slope jumps.
+        Values of u where w or its slope jumps.
     source : str
         Author year.
     redescending : bool
-        Whether the loss can have several minima; its adjustment then starts from the minimum of Huber's loss.
+        True if the loss can have several minima; its adjustment then starts from the minimum of Huber's loss.
 
     Raises
     ------

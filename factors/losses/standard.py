@@ -1,8 +1,8 @@
-"""Built-in losses: functions over arrays of ``u >= 0`` and a table.
+"""Built-in losses: functions of arrays of ``u >= 0``, and their table.
 
-The influence of Andrews' sine is an arch of the sine that ends at pi. Cauchy's (Lorentz's) loss grows with the
-logarithm. The Danish method is in its continuous form; the original form, whose exponent depends on the cycle, is
-an iteration (``fg_orient.adjustment.robust``). The weights of Geman and McClure and of Welsch never reach zero, but
+The influence of Andrews' sine is the arch of a sine that ends at pi. Cauchy's (Lorentz's) loss grows with the
+logarithm. The Danish method has its continuous form here; in its original form the exponent depends on the cycle, which
+is an iteration (``fg_orient.adjustment.robust``). The weights of Geman and McClure and of Welsch never reach zero, but
 their losses are bounded. Hampel's influence is constant from a to b = 2a and zero from c = 5a; its u is in units of a.
 Only Huber's loss is convex. Truncated least squares gives an observation the weight 1 or 0. Tukey's biweight has no
 influence beyond c.
@@ -17,7 +17,7 @@ import numpy as np
 from factors._contract import Array
 from factors.losses import Loss, register
 
-#: b and c of Hampel's loss in units of a: the proportions of 1.7, 3.4, 8.5 (Hampel 1974).
+#: Constants b and c of Hampel's loss in units of a, from the proportions of 1.7, 3.4, 8.5 (Hampel 1974).
 _B: Final = 2.0
 _C: Final = 5.0
 
