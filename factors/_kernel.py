@@ -171,7 +171,7 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
             return super().compile(signature)
 
     def open_cache(self) -> _Cache | None:
-        """Files of this kernel; None if no folder is writable.
+        """Open the files of this kernel; return None if no folder is writable.
 
         They are opened late, because numba tries each folder.
         """

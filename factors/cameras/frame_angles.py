@@ -36,7 +36,7 @@ N_UNKNOWNS: Final = UNKNOWN.size
 
 @inlined
 def inertial(record: Any) -> Any:
-    """Rotation T: nine numbers, row-major."""
+    """Return the rotation T: nine numbers, row-major."""
     return (
         record[RECORD.t11], record[RECORD.t12], record[RECORD.t13], record[RECORD.t21], record[RECORD.t22],
         record[RECORD.t23], record[RECORD.t31], record[RECORD.t32], record[RECORD.t33],
@@ -45,7 +45,7 @@ def inertial(record: Any) -> Any:
 
 @inlined
 def mounting(record: Any) -> Any:
-    """Rotation F: nine numbers, row-major."""
+    """Return the rotation F: nine numbers, row-major."""
     return (
         record[RECORD.f11], record[RECORD.f12], record[RECORD.f13], record[RECORD.f21], record[RECORD.f22],
         record[RECORD.f23], record[RECORD.f31], record[RECORD.f32], record[RECORD.f33],
@@ -54,7 +54,7 @@ def mounting(record: Any) -> Any:
 
 @compiled
 def unknowns(setup: Any, x: Any) -> Any:
-    """Corrections (6,) in physical units of unknowns (k,) in prior sigmas."""
+    """Return the corrections (6,), in physical units, for unknowns (k,) in prior sigmas."""
     d = np.zeros(N_UNKNOWNS, x.dtype)
     for j in range(setup.shape[1]):
         d[int(setup[0, j])] += setup[1, j] * x[j]
@@ -63,7 +63,7 @@ def unknowns(setup: Any, x: Any) -> Any:
 
 @compiled
 def turns(record: Any, d: Any) -> Any:
-    """Sine and cosine of the three rotations about the third, first, third axis: six numbers."""
+    """Return sine and cosine of the three rotations about the third, first, third axis: six numbers."""
     first = 0.5 * np.pi + record[RECORD.ra] + d[UNKNOWN.a1]
     second = 0.5 * np.pi - record[RECORD.dec] - d[UNKNOWN.a2]
     third = record[RECORD.twist] + d[UNKNOWN.a3]
@@ -72,14 +72,14 @@ def turns(record: Any, d: Any) -> Any:
 
 @compiled
 def seen(record: Any, d: Any, gx: Any, gy: Any, gz: Any) -> Any:
-    """Vector T (G - C_0) - dC (3) in inertial axes."""
+    """Return the vector T (G - C_0) - dC (3) in inertial axes."""
     x, y, z = multiply(inertial(record), (gx - record[RECORD.x], gy - record[RECORD.y], gz - record[RECORD.z]))
     return x - d[UNKNOWN.px], y - d[UNKNOWN.py], z - d[UNKNOWN.pz]
 
 
 @compiled
 def rotated(turn: Any, p: Any) -> Any:
-    """Vector after the rotation about the third axis, after the first one, and after all three: three vectors."""
+    """Return the vector after the rotation about the third axis, after the first two, and after all three."""
     s1, c1, s2, c2, s3, c3 = turn
     a = c1 * p[0] + s1 * p[1], -s1 * p[0] + c1 * p[1], p[2]
     b = a[0], c2 * a[1] + s2 * a[2], -s2 * a[1] + c2 * a[2]
@@ -88,7 +88,7 @@ def rotated(turn: Any, p: Any) -> Any:
 
 @compiled
 def whitened(record: Any, q: Any) -> Any:
-    """Maps 3 and 4 of a vector in camera axes: two numbers."""
+    """Return the result of maps 3 and 4 for a vector in camera axes: two numbers."""
     f = record[RECORD.focal] / q[2]
     u, v = f * q[0] - record[RECORD.u], f * q[1] - record[RECORD.v]
     return record[RECORD.w11] * u + record[RECORD.w12] * v, record[RECORD.w21] * u + record[RECORD.w22] * v
@@ -96,7 +96,7 @@ def whitened(record: Any, q: Any) -> Any:
 
 @compiled
 def residual(record: Any, setup: Any, x: Any, ground: Any) -> Any:
-    """Whitened residual (2,); accepts complex unknowns."""
+    """Return the whitened residual (2,); accepts complex unknowns."""
     d = unknowns(setup, x)
     p = seen(record, d, ground[0], ground[1], ground[2])
     line, sample = whitened(record, multiply(mounting(record), rotated(turns(record, d), p)[2]))

@@ -21,7 +21,7 @@ RECORD: Final = Record(origin="x y z", observed="lon lat radius", sigma="s1 s2 s
 
 @compiled
 def residual(record: Any, setup: Any, ground: Any) -> Any:
-    """Whitened residual (3,): east, north, up; accepts complex unknowns."""
+    """Return the whitened residual (3,): east, north, up; accepts complex unknowns."""
     x, y, z = ground[0] + record[RECORD.x], ground[1] + record[RECORD.y], ground[2] + record[RECORD.z]
     # angles from the observed place: small, so that no digit is lost and no angle jumps by a full turn
     sl, cl = np.sin(record[RECORD.lon]), np.cos(record[RECORD.lon])
@@ -39,12 +39,12 @@ def residual(record: Any, setup: Any, ground: Any) -> Any:
 
 @compiled
 def _angle(y: Any, x: Any) -> Any:
-    """Angle of a direction within a quarter turn of the x axis, rad."""
+    """Return the angle, rad, of a direction within a quarter turn of the x axis."""
     return np.arctan(y / x)
 
 
 def jacobian(record: Array, setup: Array, value: Array, ground: Array) -> Array:
-    """Jacobian (3, 3) of an observed point."""
+    """Return the Jacobian (3, 3) of an observed point."""
     x, y, z = ground + record[RECORD.origin]
     flat2 = x * x + y * y
     flat, radius2 = np.sqrt(flat2), x * x + y * y + z * z

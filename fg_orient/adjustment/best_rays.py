@@ -27,7 +27,7 @@ from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import DOWN, Weights
 from fg_orient.adjustment.rows import linearised, residuals, summed
 
-#: Least and largest number of rays of a point. With two rays the data do not show which one is wrong; of more than
+#: Smallest and largest number of rays of a point. With two rays the data do not show which one is wrong; of more than
 #: twelve most agree.
 FEWEST: Final = 3
 MOST: Final = 12

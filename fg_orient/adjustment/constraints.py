@@ -60,7 +60,7 @@ SLOW: Final = 0.5
 CONTRADICTION: Final = 1e-9
 #: Ratio of the distance of two points to their distance at the start below which constraints have merged them.
 MERGED: Final = 1e-2
-#: Least share of the largest misclosure for a constraint to be named.
+#: Smallest share of the largest misclosure for a constraint to be named.
 NAMED: Final = 0.1
 _FITS: Final = 100
 

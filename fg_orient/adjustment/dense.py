@@ -155,7 +155,7 @@ class DenseSystem:
         self.error = excess + 0.5 * float(residual @ residual)
 
     def solve(self, damping: float) -> Step:
-        """Solve; Breakdown if the solver fails.
+        """Solve the equations; raise Breakdown if the solver fails.
 
         ``damping`` is added to the diagonal of the images, ``Problem.point_damping`` to the diagonal of the points.
         """

@@ -220,7 +220,7 @@ class Elimination:
         return bool(np.isfinite(own).all()) and not same
 
     def state(self, free: Array, *, complete: bool = False) -> State:
-        """State with the points of the last evaluation; ``complete`` moves them by their last Newton step."""
+        """Return the state with the points of the last evaluation; ``complete`` adds their last Newton step."""
         image = self.problem.image_matrix(free)
         if not complete:
             return State(image, self._ground.copy())

@@ -236,7 +236,7 @@ class ImageElimination:
         return images.matrix, images.border_gradient
 
     def state(self, border: Array, *, complete: bool = False) -> State:
-        """State with the images of the last evaluation; ``complete`` moves them by their last Newton step."""
+        """Return the state with the images of the last evaluation; ``complete`` adds their last Newton step."""
         own = self._own
         if complete and self._now is not None:
             own = own + self._now.own_step

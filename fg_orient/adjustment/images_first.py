@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from scipy import sparse
 
 
-#: Least ratio of the predicted work of both eliminations (points over images), and least number of multiplications
+#: Smallest ratio of the predicted work of both eliminations (points over images), and least number of multiplications
 #: saved, for images to be eliminated first.
 GAIN: Final = 4.0
 SAVED: Final = 1e7

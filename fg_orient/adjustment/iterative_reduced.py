@@ -17,8 +17,8 @@ from fg_orient.kernels.batch_points import reduced_product
 if TYPE_CHECKING:
     from fg_orient.adjustment.schur import SchurSystem
 
-#: Least and largest error of a step of conjugate gradients, relative in the norm of the matrix; error in that norm that
-#: has no effect; maximum number of steps.
+#: Smallest and largest error of a step of conjugate gradients, relative in the norm of the matrix; error in that norm
+#: that has no effect; maximum number of steps.
 LEAST_ERROR: Final = 1e-10
 LARGEST_ERROR: Final = 6e-3
 NO_EFFECT: Final = 1e-10

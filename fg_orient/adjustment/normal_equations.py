@@ -44,7 +44,7 @@ class NormalEquations:
 
     @classmethod
     def of(cls, problem: Problem, state: State) -> NormalEquations:
-        """Linearise and eliminate; the priors of the problem are left out.
+        """Linearise and eliminate; leave out the priors of the problem.
 
         Singular: a ground point is not determined. InputError: extra observations name ground points; the system has
         neither a narrow band nor at most 15000 unknowns.

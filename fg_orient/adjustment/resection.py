@@ -45,8 +45,8 @@ METHODS: Final = ("lms", "lts")
 #: Probability of at least one subset without gross errors, and the share of wrong image points assumed.
 CERTAINTY: Final = 0.999
 SHARE: Final = 0.4
-#: Least and largest number of image points of a subset; within these limits half the number of determined unknowns is
-#: used.
+#: Smallest and largest number of image points of a subset; within these limits half the number of determined unknowns
+#: is used.
 SIZES: Final = (5, 9)
 #: Minimum number of points of an image that are not in a subset and test it.
 JUDGES: Final = 2

@@ -192,7 +192,8 @@ def weighted_problem(problem: Problem, weights: Weights) -> Problem:
     return replace(problem, observations=weighted, records=records, control_records=control)
 
 
-#: Least share of an error in the residual; directions below it are excluded from the scale, because it is approximate.
+#: Smallest share of an error in the residual; directions below it are excluded from the scale, because it is
+#: approximate.
 CHECKED: Final = 0.1
 #: Number of residuals below which the scale is 1.
 LEAST: Final = 10

@@ -414,7 +414,7 @@ def _run_explicit(job: _Job) -> Estimate:
 
 
 def _run_dense(job: _Job) -> Estimate:
-    """Optimise on full matrices, linearise at the end."""
+    """Optimise on full matrices, and linearise at the end."""
     from fg_orient.adjustment.dense import DEFAULT_SOLVER, DenseBackend
 
     backend = DenseBackend(job.problem, job.options.solver or DEFAULT_SOLVER)

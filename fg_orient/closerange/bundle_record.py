@@ -26,7 +26,7 @@ from fg_orient.result.summary import robust_record
 
 Known = Mapping[str, tuple[Array, Array]]
 
-#: Least correlation that is listed; maximum number of listed correlations and of weak directions.
+#: Smallest correlation that is listed; maximum number of listed correlations and of weak directions.
 HIGH: Final = 0.9
 LISTED: Final = 40
 #: Fields of an iteration.

@@ -29,7 +29,8 @@ from fg_orient.model.names import LARGEST, SMALLEST
 Rows = DenseRows
 
 MAX_ITERATIONS: Final = 100
-#: Least ratio of the smallest to the largest singular value (columns of unit length) for which there is a covariance.
+#: Smallest ratio of the smallest to the largest singular value (columns of unit length) for which there is a
+#: covariance.
 RANK_LIMIT: Final = 1e-12
 #: Ratio of a parameter's standard deviation to that of a point, above which the points do not determine the parameter.
 UNDETERMINED: Final = 1e3

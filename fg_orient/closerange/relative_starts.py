@@ -16,7 +16,7 @@ from fg_orient.rectification.transformation import Scaling
 
 Pair = tuple[Array, Array]
 
-#: Least number of points of the linear solution, which then has no redundancy.
+#: Minimum number of points of the linear solution, which then has no redundancy.
 LEAST_EIGHT_POINT: Final = 8
 #: Maximum number of sets of five points.
 MAX_SETS: Final = 21

@@ -55,8 +55,12 @@ class Surface:
     coefficients: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        for name, shape in (("centre", (3,)), ("semi_axes", (3,)), ("rotation", (3, 3)),
-                            ("coefficients", (10,) if self.kind == "quadric" else (0,))):  # fmt: skip
+        for name, shape in (
+            ("centre", (3,)),
+            ("semi_axes", (3,)),
+            ("rotation", (3, 3)),
+            ("coefficients", (10,) if self.kind == "quadric" else (0,)),
+        ):
             value = np.array(getattr(self, name), float)
             if value.shape != shape or not np.isfinite(value).all() or (name == "semi_axes" and (value <= 0.0).any()):
                 raise InputError.of("closerange.surface", place=name, value=value.tolist(), shape=shape)
@@ -113,10 +117,13 @@ class Surface:
     def as_dict(self) -> dict[str, Any]:
         """Return the content for files."""
         return {
-            "kind": self.kind, "centre_m": self.centre.tolist(), "semi_axes_m": self.semi_axes.tolist(),
-            "rotation": self.rotation.tolist(), "coefficients": self.coefficients.tolist() or None,
+            "kind": self.kind,
+            "centre_m": self.centre.tolist(),
+            "semi_axes_m": self.semi_axes.tolist(),
+            "rotation": self.rotation.tolist(),
+            "coefficients": self.coefficients.tolist() or None,
             "shape": shape_of(self.coefficients) if self.kind == "quadric" else self.kind,
-        }  # fmt: skip
+        }
 
 
 def map_points(points_m: npt.ArrayLike, target: Surface, radius_m: npt.ArrayLike | None = None) -> Array:

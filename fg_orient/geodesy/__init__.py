@@ -90,8 +90,10 @@ def crs_kind(crs: str) -> Kind:
         return "geocentric"
     source = spatial_crs(crs)
     tests: dict[Kind, bool] = {
-        "geocentric": source.is_geocentric, "projected": source.is_projected, "geographic": source.is_geographic,
-    }  # fmt: skip
+        "geocentric": source.is_geocentric,
+        "projected": source.is_projected,
+        "geographic": source.is_geographic,
+    }
     kind = next((name for name, fits in tests.items() if fits), None)
     if kind is None or len(source.axis_info) != 3:
         raise InputError.of("geodesy.not_spatial", place="crs", value=f"{crs}, {source.name}")
@@ -384,9 +386,12 @@ def operation_to_ecef(crs: str, source: CRS, lonlat: Array) -> tuple[Transformer
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # Operation records that the best operation is not available
         group = TransformerGroup(
-            source, proj.CRS.from_user_input(ECEF), always_xy=True, allow_ballpark=False,
+            source,
+            proj.CRS.from_user_input(ECEF),
+            always_xy=True,
+            allow_ballpark=False,
             area_of_interest=AreaOfInterest(low[0], low[1], high[0], high[1]),
-        )  # fmt: skip
+        )
     if not group.transformers:
         needed = sorted({g.short_name for o in group.unavailable_operations for g in o.grids})
         raise InputError.of(
@@ -405,10 +410,14 @@ def require_finite(crs: str, values: Array, given: Array, labels: Sequence[str] 
     """Refuse points whose ``values`` are not finite; messages show ``given`` and ``labels``."""
     bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
     if len(bad):
-        raise InputError(*(
-            finding(
-                "geodesy.outside", place=labels[i] if labels else f"point {i}",
-                value=" ".join(f"{v:.10g}" for v in given[i]), crs=crs,
+        raise InputError(
+            *(
+                finding(
+                    "geodesy.outside",
+                    place=labels[i] if labels else f"point {i}",
+                    value=" ".join(f"{v:.10g}" for v in given[i]),
+                    crs=crs,
+                )
+                for i in bad[:20]
             )
-            for i in bad[:20]
-        ))  # fmt: skip
+        )

@@ -55,16 +55,16 @@ class Body:
         return sum(self.radii_m) / 3.0
 
     def same(self, other: Body) -> bool:
-        """Whether two bodies have the same shape."""
+        """Return whether two bodies have the same shape."""
         return bool(np.allclose(self.radii_m, other.radii_m, rtol=EQUAL, atol=0.0))
 
     def radius_m(self, direction: Array) -> Array:
-        """Radii (n,) of the ellipsoid in directions (n, 3) of any length."""
+        """Return the radii (n,) of the ellipsoid in directions (n, 3) of any length."""
         length = np.linalg.norm(direction, axis=1)
         return np.asarray(length / np.linalg.norm(direction / np.array(self.radii_m), axis=1))
 
     def coordinates(self, xyz_m: Array) -> Array:
-        """Longitude, latitude (degrees) and height (m) of body-fixed points (n, 3): (n, 3)."""
+        """Return longitude, latitude (degrees) and height (m) of body-fixed points (n, 3): (n, 3)."""
         x, y, z = xyz_m.T
         lon, lat = np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(z, np.hypot(x, y)))
         return np.stack([lon, lat, np.linalg.norm(xyz_m, axis=1) - self.radius_m(xyz_m)], axis=1)
@@ -76,19 +76,19 @@ class Body:
         return np.asarray(direction * (self.radius_m(direction) + lon_lat_height[:, 2])[:, None])
 
     def axes(self, xyz_m: Array) -> Array:
-        """Rotations (n, 3, 3) to East, North, Up at body-fixed points (n, 3)."""
+        """Return the rotations (n, 3, 3) to East, North, Up at body-fixed points (n, 3)."""
         lon, lat, _ = self.coordinates(xyz_m).T
         return enu_from_ecef(lon, lat)
 
     def nearest(self, position_m: Array, direction: Array) -> Array:
-        """Points (n, 3) of rays on the surface; on the limb, below the nearest point of the ray, if it misses it."""
+        """Return the points (n, 3) where rays meet the surface; a ray that misses it gives a point on the limb."""
         out = self.intersect(position_m, direction, np.zeros(len(position_m)))
         foot = position_m - np.sum(position_m * direction, axis=1)[:, None] * direction
         limb = foot * (self.radius_m(foot) / np.linalg.norm(foot, axis=1))[:, None]
         return np.where(np.isfinite(out), out, limb)
 
     def intersect(self, position_m: Array, direction: Array, height_m: Array) -> Array:
-        """Nearest points (n, 3) of rays (n, 3), (n, 3) at heights (n,); nan where a ray misses the surface."""
+        """Return the nearest points (n, 3) of rays at heights (n,); nan if a ray misses the surface."""
         out, aim = np.full_like(position_m, np.nan), np.array(height_m, float)
         for _ in range(_STEPS):
             semi = np.array(self.radii_m) + aim[:, None]
@@ -130,7 +130,7 @@ def known_bodies() -> dict[str, str]:
 
 
 def body_named(name: str) -> Body:
-    """Body by its name, or by the code of a CRS on it such as ``IAU_2015:30100``.
+    """Return a body by its name, or by the code of a CRS on it such as ``IAU_2015:30100``.
 
     Raises
     ------

@@ -110,7 +110,7 @@ def vertical_code(text: str) -> str:
 
 
 def crs_names(authority: str) -> list[tuple[str, str]]:
-    """Names and codes of all CRS of an authority in PROJ's database."""
+    """Return the names and codes of all CRS of an authority in PROJ's database."""
     from pyproj.database import query_crs_info
 
     offline_pyproj()

@@ -156,8 +156,12 @@ class GeoidFile:
     def _refuse(self, code: str, rows: npt.NDArray[np.bool_], lon: Array, lat: Array) -> None:
         if rows.any():
             k = int(np.argmax(rows))
-            raise InputError.of(code, file=self.path, place=f"longitude {lon[k]:.6f}, latitude {lat[k]:.6f}",
-                                value=f"{int(rows.sum())} of {len(rows)} points")  # fmt: skip
+            raise InputError.of(
+                code,
+                file=self.path,
+                place=f"longitude {lon[k]:.6f}, latitude {lat[k]:.6f}",
+                value=f"{int(rows.sum())} of {len(rows)} points",
+            )
 
     def _interpolated(self, row: Array, column: Array) -> Array:
         """Return the values between the centres of cells; nan if a cell with a weight has no value."""
@@ -172,8 +176,10 @@ class GeoidFile:
             values = cells.astype(float).filled(np.nan) * source.scales[0] + source.offsets[0]
         out = np.zeros(len(row))
         for i, j, weight in (
-            (r, c, (1.0 - (row - r)) * (1.0 - (column - c))), (r, right, (1.0 - (row - r)) * (column - c)),
-            (below, c, (row - r) * (1.0 - (column - c))), (below, right, (row - r) * (column - c)),
-        ):  # fmt: skip
+            (r, c, (1.0 - (row - r)) * (1.0 - (column - c))),
+            (r, right, (1.0 - (row - r)) * (column - c)),
+            (below, c, (row - r) * (1.0 - (column - c))),
+            (below, right, (row - r) * (column - c)),
+        ):
             out += np.where(weight > 0.0, values[i - top, j - left] * weight, 0.0)
         return out

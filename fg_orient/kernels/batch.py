@@ -96,9 +96,17 @@ def any_small(first: int, size: int, members: Index, records: Array, row: Index)
 
 @exact
 def gather(
-    first: int, size: int, members: Index, records: Array, row: Index, point: Index, ground: Array, constants: Array,
-    place: Array, own: Index,
-) -> None:  # fmt: skip
+    first: int,
+    size: int,
+    members: Index,
+    records: Array,
+    row: Index,
+    point: Index,
+    ground: Array,
+    constants: Array,
+    place: Array,
+    own: Index,
+) -> None:
     """Copy records and ground points of a block."""
     whole = size - size % SIDE
     for i in range(0, whole, SIDE):
@@ -119,9 +127,19 @@ def gather(
 
 @exact
 def correct(
-    first: int, size: int, members: Index, image: Index, slot: Index, n_basis: int, basis: Array, wide: Array,
-    d: Array, nine: bool, lines: Index, space: Array,
-) -> None:  # fmt: skip
+    first: int,
+    size: int,
+    members: Index,
+    image: Index,
+    slot: Index,
+    n_basis: int,
+    basis: Array,
+    wide: Array,
+    d: Array,
+    nine: bool,
+    lines: Index,
+    space: Array,
+) -> None:
     """Compute the corrections of a block."""
     c, whole = len(slot), 0
     if nine and n_basis == 3:
@@ -145,9 +163,18 @@ def correct(
 
 @exact
 def scatter(
-    first: int, size: int, members: Index, column: Index, out: Array, value: Array, d_image: Array, d_ground: Array,
-    want: bool, nine: bool, own: Index,
-) -> int:  # fmt: skip
+    first: int,
+    size: int,
+    members: Index,
+    column: Index,
+    out: Array,
+    value: Array,
+    d_image: Array,
+    d_ground: Array,
+    want: bool,
+    nine: bool,
+    own: Index,
+) -> int:
     """Copy the results of a block to the observations' arrays; return the first that is not finite, or -1."""
     bad, c, whole = -1, len(column), 0
     if want and nine and d_image.shape[2] == N_COMPONENTS:
@@ -198,9 +225,24 @@ def _evaluate(constants: Array, d: Array, place: Array, size: int, small: Any, w
 
 @exact
 def rows_of_form(
-    small: Any, lo: int, hi: int, members: Index, records: Array, row: Index, image: Index, point: Index, setup: Array,
-    n_basis: int, basis: Array, wide: Array, ground: Array, value: Array, d_image: Array, d_ground: Array, want: bool,
-) -> int:  # fmt: skip
+    small: Any,
+    lo: int,
+    hi: int,
+    members: Index,
+    records: Array,
+    row: Index,
+    image: Index,
+    point: Index,
+    setup: Array,
+    n_basis: int,
+    basis: Array,
+    wide: Array,
+    ground: Array,
+    value: Array,
+    d_image: Array,
+    d_ground: Array,
+    want: bool,
+) -> int:
     """Evaluate the look-angle collinearity of members lo to hi.
 
     Parameters
@@ -333,8 +375,12 @@ def _plain_columns(setup: Array) -> Columns:
     """Return columns with one component per unknown."""
     k = setup.shape[1]
     return Columns(
-        np.ascontiguousarray(setup), np.arange(k), np.zeros(k, np.int64), np.ones(k), _ones,
-    )  # fmt: skip
+        np.ascontiguousarray(setup),
+        np.arange(k),
+        np.zeros(k, np.int64),
+        np.ones(k),
+        _ones,
+    )
 
 
 #: Rows and columns of equations with their own loop; all other equations use :func:`rows_of`.

@@ -34,10 +34,24 @@ from fg_orient.kernels.batch_rows import Index
 
 @threaded
 def ray_cofactors(
-    lo: int, hi: int, first: Index, image: Index, size: Index, free: Index, d_image: Array, d_ground: Array,
-    inverse: Array, block: Index, q: Array, turned: Array, roots: Any, out: Array, fitted: Any, response: Any,
+    lo: int,
+    hi: int,
+    first: Index,
+    image: Index,
+    size: Index,
+    free: Index,
+    d_image: Array,
+    d_ground: Array,
+    inverse: Array,
+    block: Index,
+    q: Array,
+    turned: Array,
+    roots: Any,
+    out: Array,
+    fitted: Any,
+    response: Any,
     effect: Any,
-) -> None:  # fmt: skip
+) -> None:
     """Write cofactors (P, 3, 3) of points lo to hi; for their rays F_a (n, 2, 2), R_a (n, 3, 2) and ``L_i^-1 U_a``.
 
     Parameters

@@ -43,9 +43,17 @@ def own_sums(
 
 @threaded
 def border_sums(
-    first: Index, own: Index, border: Index, place: Index, value: Array, d_image: Array, d_ground: Array,
-    across: Array, matrix: Array, gradient: Array,
-) -> None:  # fmt: skip
+    first: Index,
+    own: Index,
+    border: Index,
+    place: Index,
+    value: Array,
+    d_image: Array,
+    d_ground: Array,
+    across: Array,
+    matrix: Array,
+    gradient: Array,
+) -> None:
     """Add the products of border and own unknowns (M, b, k), the border's lower triangle (b, b) and its gradient.
 
     Products with shared unknowns lie in the lower triangle, because points come last.

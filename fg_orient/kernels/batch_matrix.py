@@ -19,7 +19,7 @@ from fg_orient.kernels.vectors import LINE, SIDE, contiguous, data_of, load, spl
 
 def _write_lines(
     typing: Any, out: Any, to: Any, given: Any, at: Any, scale: Any, begin: Any, sums: Any, factor: Any, lines: Any
-) -> Any:  # fmt: skip
+) -> Any:
     """Write numbers times ``scale``, from ``begin`` times ``factor``, eight per line; add absolute values to ``sums``.
 
     Return the sum of the absolute values.
@@ -55,9 +55,17 @@ write_lines: Callable[..., float] = intrinsic(_write_lines)
 
 @threaded
 def fill_lower(
-    row: Index, column: Index, place: Index, size: Index, blocks: Array, diagonal: float, banded: bool, out: Array,
-    scale: Array, sums: Array,
-) -> bool:  # fmt: skip
+    row: Index,
+    column: Index,
+    place: Index,
+    size: Index,
+    blocks: Array,
+    diagonal: float,
+    banded: bool,
+    out: Array,
+    scale: Array,
+    sums: Array,
+) -> bool:
     """Write the scaled lower triangle by columns: element (r, c) to ``out[c, r]``, banded to ``out[c, r - c]``.
 
     Return False, and write nothing, if a diagonal element is not positive.
@@ -105,9 +113,18 @@ def fill_lower(
 
 @threaded
 def _fill_row(
-    b: int, p: int, lo: int, hi: int, blocks: Array, r: int, c: int, scale: Array, banded: bool, out: Array,
+    b: int,
+    p: int,
+    lo: int,
+    hi: int,
+    blocks: Array,
+    r: int,
+    c: int,
+    scale: Array,
+    banded: bool,
+    out: Array,
     sums: Array,
-) -> None:  # fmt: skip
+) -> None:
     """Write elements lo to hi of row p of a block to rows r + lo ... of column c of the matrix."""
     here, shift, lines = scale[c], c if banded else 0, (hi - lo) // SIDE
     to, at = c * out.shape[1] + r + lo - shift, (b * blocks.shape[1] + p) * blocks.shape[2] + lo
@@ -123,7 +140,7 @@ def _fill_row(
 @threaded
 def _fill_column(
     b: int, p: int, hi: int, blocks: Array, r: int, c: int, scale: Array, banded: bool, out: Array, sums: Array
-) -> None:  # fmt: skip
+) -> None:
     """Write column p of a block, up to element hi, to rows r ... of column c of the matrix."""
     here, shift, total = scale[c], c if banded else 0, 0.0
     for q in range(hi):
@@ -135,9 +152,7 @@ def _fill_column(
 
 
 @threaded
-def add_shared(
-    row: Index, column: Index, first: Index, of: Index, size: Index, blocks: Array, out: Array
-) -> None:  # fmt: skip
+def add_shared(row: Index, column: Index, first: Index, of: Index, size: Index, blocks: Array, out: Array) -> None:
     """Add blocks (B, k, k) of images, and their transposes, to the matrix (z, z) of the free unknowns.
 
     Parameters

@@ -34,9 +34,21 @@ SINGULAR = 1e-14
 
 @threaded
 def point_blocks(
-    lo: int, hi: int, first: Small, number: Small, free: Flags, control: Array, ground: Array, damping: float,
-    base: int, value: Array, d_ground: Array, root: Array, gradient: Array, scaled: Array,
-) -> int:  # fmt: skip
+    lo: int,
+    hi: int,
+    first: Small,
+    number: Small,
+    free: Flags,
+    control: Array,
+    ground: Array,
+    damping: float,
+    base: int,
+    value: Array,
+    d_ground: Array,
+    root: Array,
+    gradient: Array,
+    scaled: Array,
+) -> int:
     """Write R (P, 6) as ``ROOT`` and the gradient (P, 3); for each ray Z = G R^T and reduced residuals, ``SCALED``.
 
     Parameters
@@ -153,10 +165,24 @@ def _along(
 
 @threaded
 def back_substitute(
-    lo: int, hi: int, places: Small, first: Small, image: Small, n_basis: Index, n_components: Index, basis: Array,
-    wide: Array, base: int, value: Array, d_image: Array, d_ground: Array, root: Array, gradient: Array, step: Array,
+    lo: int,
+    hi: int,
+    places: Small,
+    first: Small,
+    image: Small,
+    n_basis: Index,
+    n_components: Index,
+    basis: Array,
+    wide: Array,
+    base: int,
+    value: Array,
+    d_image: Array,
+    d_ground: Array,
+    root: Array,
+    gradient: Array,
+    step: Array,
     squares: Array,
-) -> None:  # fmt: skip
+) -> None:
     """Write the steps (P, 3) of the points of chunks lo to hi, and the sums of squared linear residuals.
 
     ``places`` (N + 1,) gives the first point of each chunk; ``squares`` is (N,). For the other parameters see
@@ -189,9 +215,20 @@ def back_substitute(
 
 @threaded
 def reduced_product(
-    lo: int, hi: int, cuts: Index, first: Small, image: Small, n_basis: Index, n_components: Index, basis: Array,
-    wide: Array, d_image: Array, d_ground: Array, root: Array, out: Array,
-) -> None:  # fmt: skip
+    lo: int,
+    hi: int,
+    cuts: Index,
+    first: Small,
+    image: Small,
+    n_basis: Index,
+    n_components: Index,
+    basis: Array,
+    wide: Array,
+    d_image: Array,
+    d_ground: Array,
+    root: Array,
+    out: Array,
+) -> None:
     """Write the products of the reduced matrix, from shares lo to hi of the points, with unknowns of the images.
 
     The product ``J^T (J x - G H^-1 sum G^T J x)`` is computed without forming the matrix. The whole product is the sum
@@ -242,10 +279,24 @@ def _newton(root: Array, p: int, t0: float, t1: float, t2: float) -> Gradient:
 
 @threaded
 def product(
-    lo: int, hi: int, places: Small, first: Small, free: Flags, image: Small, n_basis: Index, n_components: Index,
-    basis: Array, wide: Array, base: int, share: float, value: Array, d_image: Array, d_ground: Array, step: Array,
+    lo: int,
+    hi: int,
+    places: Small,
+    first: Small,
+    free: Flags,
+    image: Small,
+    n_basis: Index,
+    n_components: Index,
+    basis: Array,
+    wide: Array,
+    base: int,
+    share: float,
+    value: Array,
+    d_image: Array,
+    d_ground: Array,
+    step: Array,
     squares: Array,
-) -> None:  # fmt: skip
+) -> None:
     """Sum by chunk the squares of ``share`` times the residuals plus the Jacobian times a given step.
 
     ``wide`` is the step of the images, ``step`` (P, 3) the step of the points. For the other parameters see

@@ -35,9 +35,23 @@ kernel: Any = None
 
 
 def _rows(
-    lo: int, hi: int, members: Index, records: Array, row: Index, image: Index, point: Index, setup: Array,
-    n_basis: int, basis: Array, wide: Array, ground: Array, value: Array, d_image: Array, d_ground: Array, want: bool,
-) -> int:  # fmt: skip
+    lo: int,
+    hi: int,
+    members: Index,
+    records: Array,
+    row: Index,
+    image: Index,
+    point: Index,
+    setup: Array,
+    n_basis: int,
+    basis: Array,
+    wide: Array,
+    ground: Array,
+    value: Array,
+    d_image: Array,
+    d_ground: Array,
+    want: bool,
+) -> int:
     """Evaluate the rows of members lo to hi; see :func:`fg_orient.kernels.batch.rows_of_form`.
 
     Record (1, d) and ground point (3,) are copied. A view of a shared array would count references in one place for all
@@ -102,9 +116,23 @@ def rows_of(equation: Equation) -> Callable[..., int]:
 
 @threaded
 def frame_rows(
-    lo: int, hi: int, members: Index, records: Array, row: Index, image: Index, point: Index, setup: Array,
-    n_basis: int, basis: Array, wide: Array, ground: Array, value: Array, d_image: Array, d_ground: Array, want: bool,
-) -> int:  # fmt: skip
+    lo: int,
+    hi: int,
+    members: Index,
+    records: Array,
+    row: Index,
+    image: Index,
+    point: Index,
+    setup: Array,
+    n_basis: int,
+    basis: Array,
+    wide: Array,
+    ground: Array,
+    value: Array,
+    d_image: Array,
+    d_ground: Array,
+    want: bool,
+) -> int:
     """Evaluate the frame collinearity of members lo to hi; see :func:`fg_orient.kernels.batch.rows_of_form`."""
     c, bad, d = setup.shape[1], -1, np.zeros((2, frame.COLUMN.size))
     table, known = np.empty((len(wide), CAMERA.size)), np.zeros(len(wide), np.bool_)
@@ -116,8 +144,11 @@ def frame_rows(
             known[i] = True
             table[i] = frame.camera(records[k], setup, wide[i, :c])
         observed = (
-            records[k, RECORD.line], records[k, RECORD.sample], records[k, RECORD.a_line], records[k, RECORD.a_sample]
-        )  # fmt: skip
+            records[k, RECORD.line],
+            records[k, RECORD.sample],
+            records[k, RECORD.a_line],
+            records[k, RECORD.a_sample],
+        )
         place = ground[p, 0], ground[p, 1], ground[p, 2]
         value[a, 0], value[a, 1], zero = frame.evaluated(table[i], observed, place, d, want)
         if want:

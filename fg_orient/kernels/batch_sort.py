@@ -32,8 +32,9 @@ def sort_by(key: Index, order: Small, counts: Index, out: Small) -> None:
 
 @few_in_python
 @threaded
-def signatures(order: Small, point: Index, image: Index, constant: Flags, n_images: int, key: Index, code: Index,
-               start: Small) -> int:  # fmt: skip
+def signatures(
+    order: Small, point: Index, image: Index, constant: Flags, n_images: int, key: Index, code: Index, start: Small
+) -> int:
     """Describe the images of each ground point of a sorted list, and return the number of points.
 
     The results for each point are ``key`` (first and last image, number of rays, constant or not), ``code`` (hash of
@@ -58,9 +59,16 @@ def signatures(order: Small, point: Index, image: Index, constant: Flags, n_imag
 @few_in_python
 @threaded
 def arrange(
-    points: Index, start: Small, order: Small, image_of: Index, point_of: Index, row: Small, image: Small,
-    point: Small, first: Small,
-) -> None:  # fmt: skip
+    points: Index,
+    start: Small,
+    order: Small,
+    image_of: Index,
+    point_of: Index,
+    row: Small,
+    image: Small,
+    point: Small,
+    first: Small,
+) -> None:
     """Write the image points in the order of ``points`` (places of :func:`signatures`), and each point's first row."""
     n = 0
     for p in range(len(points)):
@@ -75,7 +83,7 @@ def arrange(
 @threaded
 def cut_pieces(
     first: Small, image: Small, free: Flags, fences: Flags, limit: int, pieces: Index, chunks: Index
-) -> tuple[int, int]:  # fmt: skip
+) -> tuple[int, int]:
     """Write the pieces (P, 5) and the first piece of each chunk (P + 1,); return both numbers.
 
     A chunk begins at each point with a fence (P,), and at each point whose first image point reaches a multiple of
@@ -107,7 +115,7 @@ def cut_pieces(
 @threaded
 def list_entries(
     pieces: Index, chunks: Index, image: Small, free: Flags, n_images: int, block: Index, kind: Index
-) -> None:  # fmt: skip
+) -> None:
     """Write the block (row times number of images plus column) and kind of each pair of rays of each piece.
 
     The kind is twice the chunk, plus 1 for a ray with itself. It is -1 for two rays of a constant point, which have no

@@ -24,15 +24,25 @@ from factors._contract import Array, compiled, inlined
 from factors.records import Record
 
 #: Result for a window: place in the second image, its covariance (px^2), matrix A, and correlation of the grey values.
-FIT = Record(place="line sample", covariance="line_line line_sample sample_sample",
-             affine="a_11 a_12 a_21 a_22", correlation=1, noise=1, gain=1)  # fmt: skip
+FIT = Record(
+    place="line sample",
+    covariance="line_line line_sample sample_sample",
+    affine="a_11 a_12 a_21 a_22",
+    correlation=1,
+    noise=1,
+    gain=1,
+)
 #: Approximate place and matrix A of a window.
 START = Record(place="line sample", affine="a_11 a_12 a_21 a_22")
 #: Unknowns of a window with slope and curvature along the epipolar line, and of a window with the whole matrix A.
 UNKNOWN = Record(
-    line=1, sample=1, offset=1, gain=1, slope="slope_line slope_sample",
+    line=1,
+    sample=1,
+    offset=1,
+    gain=1,
+    slope="slope_line slope_sample",
     curvature="line_line line_sample sample_sample",
-)  # fmt: skip
+)
 OF_AFFINE = Record(line=1, sample=1, offset=1, gain=1, affine="a_11 a_12 a_21 a_22")
 #: Kinds of windows, by number of unknowns: only the centre; with slope; with matrix A; with slope and curvature.
 SHIFT, SLOPE, AFFINE, CURVED = 4, 6, OF_AFFINE.size, UNKNOWN.size
@@ -53,9 +63,18 @@ def _weights(x: float, w: Any, d: Any) -> None:
 
 @compiled
 def fit_window(
-    template: Any, spline: Any, centre: Array, start: Array, direction: Array, kind: int, half: int, spread: float,
-    most: int, reach: float, out: Array,
-) -> bool:  # fmt: skip
+    template: Any,
+    spline: Any,
+    centre: Array,
+    start: Array,
+    direction: Array,
+    kind: int,
+    half: int,
+    spread: float,
+    most: int,
+    reach: float,
+    out: Array,
+) -> bool:
     """Match one window; return False if it leaves an image, meets nodata, moves beyond ``reach`` or does not converge.
 
     Parameters
@@ -233,9 +252,19 @@ def _solve(normal: Any, right: Any, x: Any) -> bool:
 
 @compiled
 def fit_windows(
-    template: Any, spline: Any, centre: Array, start: Array, direction: Array, kind: int, half: int, spread: float,
-    most: int, reach: float, out: Array, done: Any,
-) -> None:  # fmt: skip
+    template: Any,
+    spline: Any,
+    centre: Array,
+    start: Array,
+    direction: Array,
+    kind: int,
+    half: int,
+    spread: float,
+    most: int,
+    reach: float,
+    out: Array,
+    done: Any,
+) -> None:
     """Match N windows by :func:`fit_window`.
 
     Each array has N rows, and ``done`` (N,) contains the results True or False.

@@ -92,8 +92,9 @@ def _meet(k: Array, heights: Array, scaling: Array, out: Array) -> None:
 
 
 @compiled
-def corners(first_line: int, first_sample: int, step: Array, knots: Array, heights: Array, scaling: Array,
-            out: Array) -> None:  # fmt: skip
+def corners(
+    first_line: int, first_sample: int, step: Array, knots: Array, heights: Array, scaling: Array, out: Array
+) -> None:
     """Fill ``out`` with DEM row and column where the rays of pixel corners meet the surface.
 
     Parameters

@@ -39,9 +39,17 @@ def surface_height(heights: Any, row: float, column: float) -> Any:
 
 @compiled
 def pixel_positions(
-    first_row: int, first_column: int, step: int, knots: Array, heights: Array, part: Array, scaling: Array,
-    limits: Array, line: Array, sample: Array,
-) -> tuple[int, int, int]:  # fmt: skip
+    first_row: int,
+    first_column: int,
+    step: int,
+    knots: Array,
+    heights: Array,
+    part: Array,
+    scaling: Array,
+    limits: Array,
+    line: Array,
+    sample: Array,
+) -> tuple[int, int, int]:
     """Fill line and sample (R, C) of the map pixels of a window; nan if there is no height or no image.
 
     Parameters
@@ -121,8 +129,9 @@ def _weights(kind: int, a: float, x: float, w: Any) -> int:
 
 
 @compiled
-def resample(image: Array, first_line: int, first_sample: int, line: Array, sample: Array, kind: int, a: float,
-             out: Array) -> int:  # fmt: skip
+def resample(
+    image: Array, first_line: int, first_sample: int, line: Array, sample: Array, kind: int, a: float, out: Array
+) -> int:
     """Fill grey values (R, C) at the places; nan if the place is nan, or a pixel with a nonzero weight is nan.
 
     Parameters

@@ -219,9 +219,7 @@ def _listed(builder: Any, base: Any, places: Any, shift: Any) -> list[Any]:
 
 def _spaced(builder: Any, base: Any, at: Any, apart: Any) -> list[Any]:
     """Return the addresses ``at + k apart``."""
-    return [
-        builder.gep(base, [builder.add(at, builder.mul(ir.Constant(at.type, k), apart))]) for k in range(SIDE)
-    ]  # fmt: skip
+    return [builder.gep(base, [builder.add(at, builder.mul(ir.Constant(at.type, k), apart))]) for k in range(SIDE)]
 
 
 def _turner(gathers: bool) -> Callable[..., None]:

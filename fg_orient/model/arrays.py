@@ -27,9 +27,13 @@ _SIGMAS: Final = f"standard deviations from {SMALLEST:g} to {LARGEST:g}"
 def wrong(place: str, value: object, expected: str) -> InputError:
     """Return the error for an argument."""
     return InputError(
-        finding("argument.value (failure): the value of this argument is not allowed -> give {expected}",
-                place=place, value=value, expected=expected)
-    )  # fmt: skip
+        finding(
+            "argument.value (failure): the value of this argument is not allowed -> give {expected}",
+            place=place,
+            value=value,
+            expected=expected,
+        )
+    )
 
 
 def array(

@@ -140,8 +140,12 @@ class GroundPoints:
         arrays.require_size(known.ecef_m, f"{place}.known.ecef_m", missing=missing)
         arrays.require_sigmas(known.sigma_enu_m, f"{place}.known.sigma_enu_m", missing=True)
         arrays.refuse(missing & control, f"{place}.known.ecef_m", known.ecef_m, "coordinates of each control point")
-        arrays.refuse(np.isnan(known.sigma_enu_m).any(axis=1) & control & ~known.fixed, f"{place}.known.sigma_enu_m",
-                      known.sigma_enu_m, "standard deviations of each control point that is not fixed")  # fmt: skip
+        arrays.refuse(
+            np.isnan(known.sigma_enu_m).any(axis=1) & control & ~known.fixed,
+            f"{place}.known.sigma_enu_m",
+            known.sigma_enu_m,
+            "standard deviations of each control point that is not fixed",
+        )
 
     def where(self, role: Role) -> Index:
         """Return the indices of the points with this role."""
@@ -236,9 +240,13 @@ class ImagePoints:
     def take(self, rows: Mask | Index | slice) -> ImagePoints:
         """Return the image points of the selected rows."""
         return ImagePoints(
-            self.image[rows], self.point[rows], self.line[rows],
-            self.sample[rows], self.sigma_line_px[rows], self.sigma_sample_px[rows],
-        )  # fmt: skip
+            self.image[rows],
+            self.point[rows],
+            self.line[rows],
+            self.sample[rows],
+            self.sigma_line_px[rows],
+            self.sigma_sample_px[rows],
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -366,8 +374,12 @@ class Block:
     ground: GroundSystem = GroundSystem()
 
     def __post_init__(self) -> None:
-        for place, kind in (("points", GroundPoints), ("observations", ImagePoints), ("options", Options),
-                            ("withheld", WithheldCoordinates)):  # fmt: skip
+        for place, kind in (
+            ("points", GroundPoints),
+            ("observations", ImagePoints),
+            ("options", Options),
+            ("withheld", WithheldCoordinates),
+        ):
             if not isinstance(getattr(self, place), kind):
                 raise arrays.wrong(place, type(getattr(self, place)).__name__, kind.__name__)
         _set(self, images=arrays.sequence(self.images, "images"), extra=arrays.sequence(self.extra, "extra"))

@@ -142,6 +142,9 @@ def foreign_members(
     for k, c in enumerate(constraints):
         known = images if c.kind in OF_PHOTOS else points
         place = f"{place_of(k)}.members" if file else c.label
-        out += [finding("closerange.member", file=file, place=place, value=name, known=", ".join([*known][:10]))
-                for name in c.members if name not in known]  # fmt: skip
+        out += [
+            finding("closerange.member", file=file, place=place, value=name, known=", ".join([*known][:10]))
+            for name in c.members
+            if name not in known
+        ]
     return out

@@ -131,11 +131,17 @@ class Option:
         bounds = "above zero" + (f" and below {self.below:g}" if self.below < math.inf else "")
         if within is not None:
             bounds = f"from {within[0]:g} to {within[1]:g}" if within[1] < math.inf else f"from {within[0]:g}"
-        text = " or ".join(f'"{word}"' for word in self.words) or {
-            bool: "true or false", int: f"a whole number {bounds}{unit}", float: f"a number {bounds}{unit}",
-            Three: f"three numbers {bounds}{unit}", Names: f"names in brackets, each once{example}",
-            str: f"a name in quotes{example}",
-        }[self.kind]  # fmt: skip
+        text = (
+            " or ".join(f'"{word}"' for word in self.words)
+            or {
+                bool: "true or false",
+                int: f"a whole number {bounds}{unit}",
+                float: f"a number {bounds}{unit}",
+                Three: f"three numbers {bounds}{unit}",
+                Names: f"names in brackets, each once{example}",
+                str: f"a name in quotes{example}",
+            }[self.kind]
+        )
         text += f", or 0 for {self.zero}" if self.zero else ""
         return text + (f"; leave it out for {self.left_out}" if self.left_out else "")
 
@@ -194,9 +200,11 @@ def require_allowed(record: Any) -> None:
     wrong = [one for name, one in declared(type(record)).items() if not one.allows(getattr(record, name))]
     if wrong:
         raise InputError(
-            *(finding("options.value", option=one.name, value=repr(getattr(record, one.name)), expected=one.expected)
-              for one in wrong)
-        )  # fmt: skip
+            *(
+                finding("options.value", option=one.name, value=repr(getattr(record, one.name)), expected=one.expected)
+                for one in wrong
+            )
+        )
 
 
 class Checked:

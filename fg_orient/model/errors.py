@@ -174,7 +174,7 @@ def finding(
 
 
 def _shown(text: str) -> str:
-    """Text with escapes in place of what a terminal cannot show or obeys: control characters, lone surrogates."""
+    """Return the text with escapes for control characters and lone surrogates, which a terminal cannot show."""
     return _UNSHOWN.sub(lambda found: found[0].encode("unicode_escape", "surrogatepass").decode(), text)
 
 
@@ -283,9 +283,12 @@ class RankDeficientError(NoSolutionError):
     """
 
     def __init__(
-        self, *problems: Finding, rank_defect: Mapping[str, int] | None = None,
-        counts: Mapping[str, int] | None = None, evidence: object = None,
-    ) -> None:  # fmt: skip
+        self,
+        *problems: Finding,
+        rank_defect: Mapping[str, int] | None = None,
+        counts: Mapping[str, int] | None = None,
+        evidence: object = None,
+    ) -> None:
         super().__init__(*problems)
         self.rank_defect = dict(rank_defect or {})
         self.counts = dict(counts or {})

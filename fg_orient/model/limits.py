@@ -1,7 +1,7 @@
 """Limits of inputs: sizes, depths and memory above which a file is refused before its content is used.
 
-Real files are far below all of them. ``FG_ORIENT_LIMITS`` of the environment changes them, for files that the user
-trusts: ``FG_ORIENT_LIMITS="xml_bytes=500e6 memory_factor=100"``. Each message names the limit that it met.
+Real files are far below all limits. ``FG_ORIENT_LIMITS`` of the environment changes them, for files that the user
+trusts: ``FG_ORIENT_LIMITS="xml_bytes=500e6 memory_factor=100"``. Each message names the limit that was exceeded.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ LIMITS: Final = {
 
 @cache
 def _given(text: str) -> dict[str, float]:
-    """Limits of the environment variable; InputError for an unknown name or a value that is not positive."""
+    """Return the limits in the environment variable; raise InputError for an unknown name or a value <= 0."""
     found = {}
     for word in re.split(r"[\s,]+", text.strip()):
         name, _, number = word.partition("=")
@@ -62,7 +62,7 @@ def _given(text: str) -> dict[str, float]:
 
 
 def limit(name: str) -> float:
-    """Value of a limit: given in the environment, or :data:`LIMITS`."""
+    """Return the value of a limit, from the environment or from :data:`LIMITS`."""
     return _given(os.environ.get(VARIABLE, "")).get(name, LIMITS[name])
 
 
@@ -74,14 +74,14 @@ def within(name: str, value: float, *, file: object = "", place: object = "", un
 
 
 def exceeded(name: str, value: object, *, file: object = "", place: object = "", unit: str = "bytes") -> InputError:
-    """Error of a value that exceeds a limit."""
+    """Return the error for a value that exceeds a limit."""
     return InputError.of(
         "limits.exceeded", file=file, place=place, value=value, limit=f"{limit(name):.0f} {unit}", name=name
     )
 
 
 def memory_for(size: float) -> float:
-    """Memory that reading a file of this size may need, bytes."""
+    """Return the memory, bytes, that reading a file of this size may use."""
     return limit("memory_factor") * size + limit("memory_bytes")
 
 
@@ -90,6 +90,11 @@ def within_memory(need: float, size: float, *, file: object, place: object = "")
     allowed = memory_for(size)
     if need > allowed:
         raise InputError.of(
-            "limits.memory", file=file, place=place, value=in_gb(need), allowed=in_gb(allowed),
-            factor=limit("memory_factor"), more=in_gb(limit("memory_bytes")),
-        )  # fmt: skip
+            "limits.memory",
+            file=file,
+            place=place,
+            value=in_gb(need),
+            allowed=in_gb(allowed),
+            factor=limit("memory_factor"),
+            more=in_gb(limit("memory_bytes")),
+        )

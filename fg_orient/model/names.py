@@ -102,8 +102,13 @@ class CellKey(NamedTuple):
 
     def __str__(self) -> str:
         words = (
-            self.point_set, self.eop_set and f"set {self.eop_set}", self.stage,
-            self.pre_adjustment_type and f"type {self.pre_adjustment_type}", self.point_role, self.quantity,
-            self.parameter, self.method,
-        )  # fmt: skip
+            self.point_set,
+            self.eop_set and f"set {self.eop_set}",
+            self.stage,
+            self.pre_adjustment_type and f"type {self.pre_adjustment_type}",
+            self.point_role,
+            self.quantity,
+            self.parameter,
+            self.method,
+        )
         return ", ".join(filter(None, words))

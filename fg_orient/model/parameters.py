@@ -197,9 +197,12 @@ def require_unknowns(options: Options, codes: tuple[int, ...], file: str, known:
     """Refuse an image if ``image_unknowns`` contains none of its unknowns."""
     if not codes:
         raise InputError.of(
-            "parameters.unknowns", file=file, place="image_unknowns", value=", ".join(options.image_unknowns),
+            "parameters.unknowns",
+            file=file,
+            place="image_unknowns",
+            value=", ".join(options.image_unknowns),
             known=", ".join(known),
-        )  # fmt: skip
+        )
 
 
 def orientation_parameters(options: Options, file: str = "", camera: str = "") -> ImageParameters:
@@ -217,9 +220,13 @@ def orientation_parameters(options: Options, file: str = "", camera: str = "") -
     units = tuple("rad" if N_EOP <= code < CURVE else UNITS[_component(code)] for code in codes)
     shared = tuple(f"look angles of {camera}" if N_EOP <= c < CURVE else "" for c in codes)
     return ImageParameters(
-        codes, sigma, tuple(map(parameter_name, codes)), units, tuple(map(parameter_words, codes)),
+        codes,
+        sigma,
+        tuple(map(parameter_name, codes)),
+        units,
+        tuple(map(parameter_words, codes)),
         shared if options.look_shared and any(shared) else (),
-    )  # fmt: skip
+    )
 
 
 def _component(code: int) -> int:

@@ -39,7 +39,7 @@ MAX_ROUNDS: Final = 100
 FIRST_ROUNDS: Final = 2
 #: Number of rounds with a negative variance after which the component is refused.
 NEGATIVE_ROUNDS: Final = 8
-#: Least and largest factor of sigmas; outside this range a component diverges.
+#: Smallest and largest factor of sigmas; outside this range a component diverges.
 RANGE: Final = (1e-3, 1e4)
 
 

@@ -38,7 +38,7 @@ from fg_orient.result.joint import LIMIT, JointCofactors, joint_cofactors_of, po
 from fg_orient.result.record import COVARIANCE_FILE, Result, read_result
 from fg_orient.sensors import initial
 
-#: Least share of the earlier observations in the information of a direction; below it the prior has no row for this
+#: Smallest share of the earlier observations in the information of a direction; below it the prior has no row for this
 #: direction.
 LEAST_SHARE: Final = 1e-9
 _ARGUMENTS: Final = {"image": Argument("image", "prior sigma"), "point": Argument("point", "m", True)}

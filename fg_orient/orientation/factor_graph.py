@@ -151,9 +151,9 @@ class FactorGraph:
         converged = gradient <= REMAINING
         end = finding("loop.given" if converged else "loop.gradient_left", step=step, gradient=gradient)
         chi2 = 2.0 * error - penalty_squares(self.prepared.problem, state)
-        return self.prepared.conclude(Estimate(
-            state, chi2, converged, end, (), 0, "graph", "", linear, 0.0, working_clock() - begin
-        ))  # fmt: skip
+        return self.prepared.conclude(
+            Estimate(state, chi2, converged, end, (), 0, "graph", "", linear, 0.0, working_clock() - begin)
+        )
 
     def gradient(self, values: gtsam.Values) -> float:
         """Return whitened gradient ``sqrt(g^T N^-1 g)``: length of next Gauss-Newton step in standard deviations."""

@@ -52,16 +52,18 @@ def without_rejected(block: Block, multiplier: float) -> tuple[Block, tuple[str,
 
 
 def rejection_finding(names: tuple[str, ...], total: int) -> Finding:
-    """Warning that names rejected image points, of ``total`` ones."""
+    """Return a warning that names the rejected image points; ``total`` counts all image points."""
     return finding(
         "search.median (warning): the median rule of jigsaw rejected {n} of {total} image points: {names:5}"
         " -> compare with <snoop>, whose tests have a level of significance",
-        n=len(names), total=total, names=names,
-    )  # fmt: skip
+        n=len(names),
+        total=total,
+        names=names,
+    )
 
 
 def _rejected(problem: Problem, multiplier: float) -> Mask:
-    """Rejected image points (n,) of a problem."""
+    """Return True for the rejected image points (n,) of a problem."""
     backend: Any = (NamedBackend if problem.named_points() else SchurBackend)(problem)
     order = slice(None) if isinstance(backend, NamedBackend) else backend.structure.row
     state, out, before = problem.start, np.zeros(len(problem.observations), bool), np.inf
@@ -79,9 +81,9 @@ def _rejected(problem: Problem, multiplier: float) -> Mask:
 
 
 def _along_sphere(problem: Problem, before: State, after: State) -> State:
-    """State whose points moved by the same steps of longitude, latitude and radius, as those of jigsaw do.
+    """Return the state after moving points by the same steps of longitude, latitude and radius, as jigsaw does.
 
-    On the Earth the points move along straight lines. The minimum is the same, but the rule depends on the way to it.
+    On the Earth the points move along straight lines. The minimum is the same, but the rejection depends on the path.
     """
     if problem.block.body is None:
         return after
@@ -97,12 +99,12 @@ def _along_sphere(problem: Problem, before: State, after: State) -> State:
 
 
 def _sigma0(problem: Problem, backend: Any, state: State, out: Mask) -> float:
-    """Standard deviation of unit weight without the rejected image points."""
+    """Return the standard deviation of unit weight without the rejected image points."""
     return float(np.sqrt(2.0 * backend.error(state) / max(problem.redundancy - 2 * int(out.sum()), 1)))
 
 
 def flagged(problem: Problem, residuals_px: Array, out: Mask, multiplier: float) -> Mask:
-    """Rejected image points (n,) after an iteration with the rejected ones ``out``; residuals (n, 2) px."""
+    """Return the rejected image points (n,) after an iteration in which ``out`` were rejected; residuals in px."""
     size, point = np.hypot(*residuals_px.T), problem.observations.point
     middle = np.median(size[~out])
     limit = middle + multiplier * MAD * np.median(np.abs(size[~out] - middle))

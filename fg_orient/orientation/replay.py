@@ -154,7 +154,7 @@ def replay(
         dem_control=None if surface is None else (surface, dem["sigma_m"]),
         start=None if start is None else path.parent / start["folder"],
         start_prior=start is not None and start["prior"],
-    )  # fmt: skip
+    )
     n, differences = compare_records(old, read_record(out) if new["out"] else new)
     return Replay(
         new["out"],

@@ -183,7 +183,7 @@ def checkpoint_path(out: str | Path) -> Path:
 def _adjust(
     block: Block, how: dict[str, Any], dem_control: tuple[HeightSurface, float] | None
 ) -> tuple[Solution, dict[str, Any]]:
-    """Adjust; return the solution, and further entries of the record for heights of a DEM."""
+    """Adjust the block; return the solution, and further entries of the record for heights of a DEM."""
     if dem_control is None:
         return adjust(block, **how), {}
     from fg_orient.orientation.dem_control import adjust_with_dem

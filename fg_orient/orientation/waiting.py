@@ -16,7 +16,7 @@ from fg_orient.sensors import initial
 
 #: Relative eigenvalue of a scaled normal matrix below which a direction is undetermined.
 UNDETERMINED: Final = 1e-11
-#: Least component of an unknown in such directions, of unit length, that is more than rounding.
+#: Smallest component of an unknown in such directions, of unit length, that is more than rounding.
 COMPONENT: Final = 1e-4
 
 ONE_RAY: Final = (

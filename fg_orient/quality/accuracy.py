@@ -54,13 +54,13 @@ BEYOND: Final = math.erfc(RATIO_LIMIT / math.sqrt(2.0))
 CHANCE: Final = 0.001
 #: Maximum number of check points in tests with the joint covariance; from more points an even selection is made.
 MAX_JOINT: Final = 60
-#: Least eigenvalue of the correlations of check coordinates for tests with their joint covariance.
+#: Smallest eigenvalue of the correlations of check coordinates for tests with their joint covariance.
 POSITIVE: Final = 1e-12
 #: Minimum number of check points of ASPRS edition 2 (2023).
 ASPRS_MINIMUM = 30
 #: Factors from the RMSE of one axis to the radius or half-length of 90 or 95 % of normal errors (NSSDA, appendix 3-A).
 CIRCULAR_90, CIRCULAR_95, LINEAR_90, LINEAR_95 = 2.1460, 2.4477, 1.6449, 1.9600
-#: Least ratio of East and North RMSE for which the circular factors are valid (NSSDA, appendix 3-A).
+#: Smallest ratio of East and North RMSE for which the circular factors are valid (NSSDA, appendix 3-A).
 CIRCULAR_RATIO = 0.6
 
 

@@ -37,7 +37,7 @@ BUDGET: Final = {
 }  # fmt: skip
 #: Level of Baarda's test of one observation; at a larger probability the given sigmas allow its error.
 ALPHA: Final = 0.001
-#: Least factor by which the sigma of a group must be wrong: smaller factors change little.
+#: Smallest factor by which the sigma of a group must be wrong: smaller factors change little.
 MATTERS: Final = 1.25
 #: Number of points whose accuracy is computed together.
 _CHUNK: Final = 100_000

@@ -37,7 +37,7 @@ from fg_orient.model.options import MultipleTesting, OutlierTest
 
 #: Names of the statistic for one degree of freedom, and for more.
 SYMBOLS: Final[dict[str, tuple[str, str]]] = {"baarda": ("w", "T"), "pope": ("tau", "T/m0^2"), "t": ("t", "F")}
-#: Least share of a free observation in a direction that the other observations check.
+#: Smallest share of a free observation in a direction that the other observations check.
 CHECKED: Final = 1e-6
 _TINY: Final = float(np.finfo(float).tiny)
 #: Relative precision of the v^T v that remains: it is not zero, even if one suspect explains all residuals.

@@ -42,9 +42,20 @@ def large_regularisation(problem: Problem) -> Regularisation:
     solve = NormalEquations.of(problem, problem.start).factor(choice.kappa + float(options.priors))
     determined = choice.kappa * float(np.mean(np.sum(probes * solve(probes), axis=0)))  # trace of R Q R^T
     return Regularisation(
-        "tikhonov", choice.kappa, choice.rule, choice if choice.rule else None, np.zeros(0), z, np.inf, np.ones(z),
-        sparse.eye_array(z, format="csr") * np.sqrt(choice.kappa), np.zeros((z, 0)), None, np.nan, determined,
-    )  # fmt: skip
+        "tikhonov",
+        choice.kappa,
+        choice.rule,
+        choice if choice.rule else None,
+        np.zeros(0),
+        z,
+        np.inf,
+        np.ones(z),
+        sparse.eye_array(z, format="csr") * np.sqrt(choice.kappa),
+        np.zeros((z, 0)),
+        None,
+        np.nan,
+        determined,
+    )
 
 
 def _choice(problem: Problem) -> KappaChoice:

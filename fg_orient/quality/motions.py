@@ -30,9 +30,9 @@ Effect = Callable[[Array, Array], Array]
 
 #: Largest share of the effect of a motion on the image coordinates that remains when the images follow it.
 FOLLOWED: Final = 0.1
-#: Least share of the length of a named motion in the space of free motions; then the motion is free.
+#: Smallest share of the length of a named motion in the space of free motions; then the motion is free.
 MATCH: Final = 0.9
-#: Least share of a named motion that is independent of the motions named before it.
+#: Smallest share of a named motion that is independent of the motions named before it.
 NEW: Final = 0.1
 #: Size of a motion in sentences, in metres: half of the points move by this distance or more.
 SHIFT_M: Final = 10.0
@@ -285,7 +285,7 @@ def _remedy(
 
 # --- navigation unknowns --------------------------------------------------------------------------
 
-#: Least share of an unknown in the directions held by the priors; two strips that shift together have one half each.
+#: Smallest share of an unknown in the directions held by the priors; two strips that shift together have one half each.
 HELD: Final = 0.4
 #: Texts by the beginning of the names of unknowns of one kind: term, reason, remedy.
 _KINDS: Final = (

@@ -39,9 +39,9 @@ from fg_orient.quality.weakest import Weakest, weakest
 from fg_orient.sensors.base import ImageModel
 from fg_orient.sensors.latitudinal import observed_by_angles
 
-#: Least singular value of directions that the observations determine better than the prior does.
+#: Smallest singular value of directions that the observations determine better than the prior does.
 DETERMINED: Final = 1.0
-#: Least share of the length of a candidate in the null space; then it explains an unobservable direction.
+#: Smallest share of the length of a candidate in the null space; then it explains an unobservable direction.
 MATCH: Final = 0.9
 #: Condition number of a Jacobian above which its normal equations, with the squared condition number, have no correct
 #: digit.

@@ -44,7 +44,7 @@ from fg_orient.quality.penalties import penalty_rows
 HELD: Final = 1e-10
 #: Largest weight of held directions as a multiple of the largest singular value: the condition number grows with it.
 STIFFEST: Final = 1e3
-#: Least ratio of the singular values on both sides of the cut for a clear rank.
+#: Smallest ratio of the singular values on both sides of the cut for a clear rank.
 GAP: Final = 100.0
 SOURCE: Final = "Tikhonov 1963; Hansen 1998"
 
@@ -135,18 +135,29 @@ def _chosen(problem: Problem, system: LinearSystem) -> Regularisation:
     else:
         condition, determined = _with_all_rows(design, rows, priors=options.priors)
     return Regularisation(
-        options.regularisation, kappa, "" if choice is None else choice.rule, choice, s, rank, gap, units, rows,
-        vt[held].T, standard, condition, determined,
-    )  # fmt: skip
+        options.regularisation,
+        kappa,
+        "" if choice is None else choice.rule,
+        choice,
+        s,
+        rank,
+        gap,
+        units,
+        rows,
+        vt[held].T,
+        standard,
+        condition,
+        determined,
+    )
 
 
 def _ratio(values: Array) -> float:
-    """Largest over least value; inf for a least value of zero."""
+    """Return the ratio of the largest to the smallest value; inf if the smallest is zero."""
     return float(values.max() / values.min()) if values.min() > 0.0 else np.inf
 
 
 def _with_all_rows(design: Array, rows: Array, *, priors: bool) -> tuple[float, float]:
-    """Condition of design, rows R and priors together, with ``Q^-1 = B^T B``, and the trace of ``R Q R^T``."""
+    """Return the condition of B (design, rows R, priors), and the trace of ``R Q R^T`` with ``Q^-1 = B^T B``."""
     z = design.shape[1]
     _, s, vt = np.linalg.svd(triangle(np.vstack([design, rows, np.eye(z) if priors else np.zeros((0, z))])))
     condition = _ratio(s)
@@ -258,7 +269,7 @@ def findings(problem: Problem) -> list[Finding]:
 
 
 def share_of_penalty(problem: Problem, state: State, chi2: float) -> float | None:
-    """Share of the penalty in the minimised sum of squares, chi2 and the penalty; None without a regularisation."""
+    """Return the penalty's share in the minimised sum of chi2 and penalty; None without a regularisation."""
     if problem.regularisation is None:
         return None
     penalty = penalty_squares(problem, state)

@@ -33,7 +33,7 @@ class ExpectedErrors(NamedTuple):
 
 
 def expected_errors(problem: Problem, state: State, points: Index) -> ExpectedErrors | None:
-    """Expected products of the errors of adjusted points for true deviations of one prior sigma.
+    """Return expected products of the errors of adjusted points, for true deviations of one prior sigma.
 
     Parameters
     ----------
@@ -62,13 +62,13 @@ def expected_errors(problem: Problem, state: State, points: Index) -> ExpectedEr
 
 
 def _bias(found: Resolution) -> Array:
-    """Expected products (z, z) of the bias of the image unknowns, prior sigmas."""
+    """Return the expected products (z, z) of the biases of the image unknowns, in prior sigmas."""
     missing = found.matrix - np.eye(len(found.matrix))
     return np.asarray(missing @ missing.T)
 
 
 def _of_point(problem: Problem, rows: Rows, point: int) -> tuple[Array, Array]:
-    """Movement (3, z) of a point by one unit of each free image unknown, and its cofactors (3, 3) with images held."""
+    """Return a point's movement (3, z) per unit of each free image unknown, and its cofactors with fixed images."""
     own = np.flatnonzero(problem.observations.point == point)
     columns = image_columns(problem, problem.observations.image[own])
     design = np.zeros((len(own), 2, problem.n_free_unknowns))

@@ -30,8 +30,8 @@ from fg_orient.quality.residuals import ResidualCofactors, by_parts, parts_of_ro
 
 #: Baarda's usual choice of the probabilities of a false alarm, and of detecting the minimal detectable bias.
 ALPHA, POWER = 0.001, 0.80
-#: Least redundancy number of a checkable observation; below it the minimal detectable bias exceeds 41 sigmas (Förstner
-#: 1985 calls 0.01 the limit of local redundancy).
+#: Smallest redundancy number of a checkable observation; below it the minimal detectable bias exceeds 41 sigmas
+#: (Förstner 1985 calls 0.01 the limit of local redundancy).
 CHECKABLE: Final = 0.01
 #: Smaller redundancy numbers are rounding errors of zero; quantities derived from them are not given.
 ROUNDING: Final = 1e-6

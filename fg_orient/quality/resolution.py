@@ -37,7 +37,8 @@ from fg_orient.quality.regularisation import given_inputs
 #: Number of draws of the simulation, and its seed: the standard error of a root mean square error is 2 %.
 DRAWS: Final = 1000
 SEED: Final = 0
-#: Least resolution of an unknown determined by the observations, and largest of an unknown determined by the metadata.
+#: Smallest resolution of an unknown determined by the observations, and largest of an unknown determined by the
+#: metadata.
 DETERMINED, HELD = 0.9, 0.1
 #: Record of the curve of a large system, whose kappas are not recorded.
 _NO_CURVE: Final[dict[str, Any]] = {
@@ -106,8 +107,11 @@ def of_rows(design: Array, prior: Array, chosen: Regularisation, x: Array) -> Re
         np.asarray(np.linalg.svd(observed, compute_uv=False) ** 2),
         np.linalg.norm(inverse, axis=1),
         np.hypot(np.linalg.norm(gain, axis=1), np.linalg.norm(inverse @ of_prior.T, axis=1)),
-        -pull @ x, np.linalg.norm(pull @ null, axis=1), np.sqrt(np.mean(error**2, axis=1)), gain,
-    )  # fmt: skip
+        -pull @ x,
+        np.linalg.norm(pull @ null, axis=1),
+        np.sqrt(np.mean(error**2, axis=1)),
+        gain,
+    )
 
 
 def record_of(problem: Problem, state: State, cofactors: PointCofactors | None) -> dict[str, Any] | None:

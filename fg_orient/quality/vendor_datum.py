@@ -43,7 +43,7 @@ from fg_orient.model.parameters import chosen_datum, with_options
 from fg_orient.quality.cofactors import CommonCofactors, PointCofactors
 from fg_orient.quality.free_network import without_priors
 
-#: Least share mu of a free movement (see above); below it, a y-parallax moves an image by 5 times its own size.
+#: Smallest share mu of a free movement (see above); below it, a y-parallax moves an image by 5 times its own size.
 SEEN: Final = 0.04
 #: RMS movement of the image points, in their sigmas, that a held direction still allows.
 HELD: Final = 1e-3

@@ -164,7 +164,7 @@ def _of_weights(problem: Problem, weights: Weights) -> Finding:
 
 
 def sigma0_interval(redundancy: float) -> tuple[float, float]:
-    """Two-sided 99.9 % interval of sigma0: ``sqrt(chi2_p(f) / f)``."""
+    """Return the two-sided 99.9 % interval of sigma0: ``sqrt(chi2_p(f) / f)``."""
     low, high = chi_square_interval(redundancy, 1.0 - SIGMA0_LEVEL)
     return float(np.sqrt(low / redundancy)), float(np.sqrt(high / redundancy))
 

@@ -30,8 +30,9 @@ from fg_orient.rectification.arguments import finite, numbers
 from fg_orient.rectification.transformation import Scaling, Transformation, TransformationModel
 
 MAX_ITERATIONS: Final = 100
-#: Least ratio of the smallest to the largest singular value of the design (columns of unit length) for which points
-#: determine a transformation. Coordinates on 10 km of a straight line, rounded to 1 mm, have 1e-7.
+#: Smallest ratio of the smallest to the largest singular value of the design (columns of unit length) for which points
+#: determine a transformation. A straight line of 10 km, with coordinates
+#: rounded to 1 mm, has a ratio of 1e-7.
 RANK_LIMIT: Final = 1e-6
 #: Largest ratio of sigmas; larger ratios of weights exceed the precision of a double in an adjustment.
 SIGMA_SPAN: Final = 1e8

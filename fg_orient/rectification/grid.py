@@ -139,7 +139,7 @@ class LevelSurface:
         self.path = f"height {height_m:g} m"
 
     def window(self, row: int, column: int, rows: int, columns: int) -> Array:
-        """Heights (rows, columns)."""
+        """Return heights (rows, columns)."""
         return np.full((rows, columns), self.range_m[0])
 
 
@@ -169,7 +169,7 @@ class Lattice:
     error_px: float
 
     def extent(self, axis: int, first: tuple[int, int], shape: tuple[int, int]) -> tuple[float, float]:
-        """Lowest and highest value of a component of the knots around a window of the map; nan without values."""
+        """Return the lowest and highest value of a knots' component around a map window; nan if there are none."""
         (i, m), (j, n) = (
             (at // self.step, (at + size - 1) // self.step + 2) for at, size in zip(first, shape, strict=True)
         )
@@ -177,7 +177,7 @@ class Lattice:
         return float(np.fmin.reduce(values, axis=None)), float(np.fmax.reduce(values, axis=None))
 
     def density(self) -> tuple[float, float]:
-        """Largest number of DEM cells, and of image pixels, along an axis for a map pixel along an axis."""
+        """Return the largest number of DEM cells, and of image pixels, per map pixel along an axis."""
         found = []
         for axes in ((KNOT.row, KNOT.column), (KNOT.line_0, KNOT.sample_0)):
             sides = [
@@ -191,7 +191,7 @@ class Lattice:
 def height_range(
     surface: Surface, crs: str, bounds: Bounds | None, outline: Callable[[float], tuple[Array, Array]], start_m: float
 ) -> tuple[float, float]:
-    """Lowest and highest height of a surface on a map; nan without heights.
+    """Return the lowest and highest height of a surface on a map; nan if there are no heights.
 
     Parameters
     ----------
@@ -215,7 +215,7 @@ def height_range(
 def lattice(
     grid: MapGrid, model: MapModel, surface: Surface, limits: Array, heights_m: tuple[float, float]
 ) -> Lattice | None:
-    """Knots whose interpolation error is at most ``ERROR_PX``.
+    """Return knots whose interpolation error is at most ``ERROR_PX``.
 
     Parameters
     ----------

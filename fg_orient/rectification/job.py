@@ -118,7 +118,7 @@ def _of_folder(path: Path) -> tuple[Array, str]:
 
 
 def study_points(path: Path, counts: Sequence[int], degrees: Sequence[int], options: StudyOptions) -> tuple[Cell, ...]:
-    """Study designs over the control points of a table, compared at its check points.
+    """Compare designs of the control points of a table at its check points.
 
     Raises
     ------

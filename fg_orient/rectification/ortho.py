@@ -211,7 +211,7 @@ def _grid(
     model: MapModel, surface: Surface, size: tuple[int, int], crs: str, resolution: float | None,
     bounds: Bounds | None, heights_m: tuple[float, float],
 ) -> MapGrid:  # fmt: skip
-    """Grid over the common ground of image and surface, or over the bounds."""
+    """Return the grid over the common ground of image and surface, or over the bounds."""
     if resolution is not None and bounds is not None:
         return MapGrid.over(bounds, resolution, crs)
     x, y = model.outline(size, heights_m)
@@ -281,13 +281,13 @@ def fill(
 
 
 def window_edge(wanted: int, knots: Lattice) -> int:
-    """Edge of the windows, map pixels: the wanted one, or less if a window needs too many cells or pixels."""
+    """Return the edge length of windows, map pixels: as wanted, or less if windows need too many cells."""
     most = max(1, int(math.sqrt(WINDOW_CELLS) / max(1.0, *knots.density())))
     return min(wanted, most if most < TILE else most // TILE * TILE)
 
 
 def _heights(surface: Surface, knots: Lattice, first: tuple[int, int], shape: tuple[int, int]) -> tuple[Array, Array]:
-    """Heights of the surface that a window of the map needs, and their first row and column."""
+    """Return the surface heights that a window of the map needs, and their first row and column."""
     box = []
     for axis, n in zip((KNOT.row, KNOT.column), surface.shape, strict=True):
         low, high = knots.extent(axis, first, shape)
@@ -430,7 +430,7 @@ def rectify_image(
 
 
 def _top(surface: Surface, sensor: Sensor, crs: str, bounds: Bounds | None) -> float:
-    """Highest height of the map; 0 if there is none."""
+    """Return the largest height of the map; 0 if there is none."""
 
     def outline(height_m: float) -> tuple[Array, Array]:
         lon, lat, _ = ecef_to_geodetic(sensor.locate(*sensor.corners(), height_m=height_m))

@@ -32,9 +32,9 @@ NMAS_SHARE: Final = 0.1
 CMAS_FACTOR: Final = 2.1460
 NSSDA_FACTOR: Final = 2.4477
 ASPRS_1990_M: Final = 0.25e-3
-#: Least ratio of the axes' RMSEs for which NSSDA's formula for a circle is valid.
+#: Smallest ratio of the axes' RMSEs for which NSSDA's formula for a circle is valid.
 CIRCULAR_RATIO: Final = 0.6
-#: Least numbers of check points.
+#: Minimum numbers of check points.
 NSSDA_POINTS: Final = 20
 ASPRS_2023_POINTS: Final = 30
 #: Compared quantity of each standard in words.

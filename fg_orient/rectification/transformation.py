@@ -170,7 +170,10 @@ class Scaling:
 
     @classmethod
     def of(cls, values: Array, *, shared: bool = False) -> Scaling:
-        """Centre on the mean and scale the largest distance, per axis or shared, to 1 (an axis without extent: 1)."""
+        """Return the scaling to the mean as origin and to a largest distance of 1, per axis or shared.
+
+        An axis without extent has the scale 1.
+        """
         offset = values.mean(axis=0)
         scale = np.abs(values - offset).max(axis=0)
         if shared:

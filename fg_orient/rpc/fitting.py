@@ -106,7 +106,7 @@ def fit_points(
 
 
 def _validation(control: ControlPoints, options: FitOptions, progress: Progress | None) -> CrossValidation | None:
-    """Cross-validate with every choice repeated in each fold; None if a fold has too few points."""
+    """Cross-validate, with every choice repeated in each fold; return None if a fold has too few points."""
     folds = options.folds or min(FOLDS, len(control))
     try:
         every = None if folds == len(control) else folds

@@ -122,9 +122,9 @@ SWEEPS: Final = 10_000
 CONVERGED: Final = 1e-8
 #: Kappas of :func:`press`: from a nearly free model to a model that is practically affine.
 KAPPAS: Final = np.geomspace(1e-6, 1e4, 61)
-#: Least redundancy that must remain.
+#: Smallest redundancy that must remain.
 LEAST_FREEDOM: Final = 10
-#: Least length of the orthogonal part of a column of length 1 that stepwise regression may use.
+#: Smallest length of the orthogonal part of a column of length 1 that stepwise regression may use.
 INDEPENDENT: Final = 1e-4
 
 
@@ -312,7 +312,7 @@ def lasso_solution(design: Array, observed: Array, penalty: float, start: Array 
 
 @compiled
 def _descend(gram: Array, gradient: Array, x: Array, penalty: float) -> None:
-    """Coordinate descent in place; ``gradient`` is A^T (l - A x)."""
+    """Minimise by coordinate descent, in place; ``gradient`` is A^T (l - A x)."""
     for _ in range(SWEEPS):
         largest, size = 0.0, 0.0
         for j in range(len(x)):

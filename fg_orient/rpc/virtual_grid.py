@@ -29,7 +29,7 @@ from fg_orient.sensors.rpc_sensor import RpcSensor
 
 #: Numbers of lines, samples and height layers.
 SHAPE: Final = (20, 20, 5)
-#: Least number of nodes per axis: four for a cubic, and one more to check it.
+#: Minimum number of nodes per axis: four for a cubic, and one more to check it.
 LEAST: Final = 5
 #: Penalty of the coefficients except the affine part, because the normal equations of degree 3 are singular in
 #: practice. It changes residuals by less than 1e-4 px.

@@ -70,7 +70,7 @@ CENTRE_LON_LAT_DEG = (31.85, 41.3)
 #: Image id, mirror angle (degrees), day, half minutes of the day.
 IMAGES = (("left", -18.0, "2004-07-05", 1041), ("right", 20.0, "2004-07-06", 1003))
 HEIGHT_RANGE_M = (0.0, 1800.0)
-#: Least distance of the points from the border of both images, so that noise and distortion do not move them out.
+#: Smallest distance of the points from the border of both images, so that noise and distortion do not move them out.
 MARGIN_PX = 300.0
 #: Box of the overlap in which points are drawn, degrees around the centre.
 _BOX_DEG = (0.55, 0.40)

@@ -189,7 +189,7 @@ def _conditions(run: TwoStage, table: str) -> Cells:
 def _solved(
     run: TwoStage, number: int, method: str, stages: Sequence[str]
 ) -> Iterator[tuple[str, LinearSystem, Array, Array]]:
-    """Stage, system, dP and residuals of pre-adjustments and of the bundle."""
+    """Yield stage, system, dP and residuals of the pre-adjustments and of the bundle."""
     for stage in stages:
         if stage == "bundle":
             bundle = run.bundle(number, 1, method)

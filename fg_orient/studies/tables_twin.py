@@ -25,7 +25,7 @@ Cells = dict[CellKey, float | list[float]]
 #: Function called after each run with runs done and number of runs.
 Progress = Callable[[int, int], None]
 
-#: Least squares of both sources: an inverse is formed with pivoting, then multiplied with b.
+#: Smallest squares of both sources: an inverse is formed with pivoting, then multiplied with b.
 LEAST_SQUARES = "pivot_inverse"
 AXES = ("x", "y", "z")
 #: The nine EOPs as named in the tables; ar, ap, ay are roll, pitch, yaw.
@@ -33,7 +33,7 @@ PUBLISHED_COMPONENTS = ("X", "Y", "Z", "VX", "VY", "VZ", "ar", "ap", "ay")
 
 
 def twin(seed: int, point_set: str = "H-10", *, as_run: bool | Switches = False) -> TwoStage:
-    """Procedure on the synthetic block of a seed; with switches the block has radial velocity and attitude."""
+    """Return the procedure on a seed's synthetic block, which has radial velocity and attitude with switches."""
     return Study(seed, switches_of(as_run)).procedure(point_set=point_set)
 
 

@@ -224,7 +224,8 @@ def scaled(system: LinearSystem) -> tuple[LinearSystem, Array]:
     return LinearSystem(normal, system.rhs / lengths, limit=system.limit), lengths
 
 
-#: Limits of the publication. A system is unstable if the first two numbers are above, or the third is below, its limit.
+#: Limits of the condition numbers in the publication. A system is unstable if one of the first two numbers is above
+#: its limit, or the third is below its limit.
 NORM_LIMIT: Final = 1e16
 SPECTRAL_LIMIT: Final = 1e3
 HADAMARD_LIMIT: Final = 1e-2

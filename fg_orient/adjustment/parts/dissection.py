@@ -19,7 +19,7 @@ from fg_orient.adjustment.reduced_choice import Choice, choose, narrowest, patte
 
 #: Largest size in bytes of the whole reduced system that one process solves; statistics form its inverse up to 0.29 GB.
 HELD: Final = 0.3e9
-#: Least factor by which the largest front must be smaller than the whole reduced system: its elimination takes up to
+#: Smallest factor by which the largest front must be smaller than the whole reduced system: its elimination takes up to
 #: three times its memory.
 SMALLER: Final = 4.0
 

@@ -85,7 +85,7 @@ class Cluster(Pool):
         return sorted(self.client.nthreads())
 
     def _submit(self, task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> list[Any]:
-        """Futures; an argument goes to the same worker each time, as long as this worker runs."""
+        """Return futures; each argument is sent to the same worker as before, as long as that worker runs."""
         workers: list[str | None] = [*self.workers()] or [None]
         homes = [workers[k * len(workers) // len(arguments)] for k in range(len(arguments))]
         return [

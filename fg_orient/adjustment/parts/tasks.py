@@ -141,7 +141,7 @@ def squares(part: _Part, at: At) -> Sums:
 
 @_task
 def eliminate(part: _Part, at: At, damping: float) -> Partial:
-    """Linearise a part and eliminate its ground points, damped; Singular if a point is not determined."""
+    """Linearise a part and eliminate its damped ground points; raise Singular if a point is not determined."""
     return _partial(part, at, damping)
 
 

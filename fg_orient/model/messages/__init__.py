@@ -16,9 +16,18 @@ from fg_orient.model.messages.entry import Entry
 
 #: Modules that each contain a table of entries.
 MODULES: Final = (
-    "adjustment", "closerange", "exchange", "files", "match", "office", "planetary", "program", "rectify", "sensors",
+    "adjustment",
+    "closerange",
+    "exchange",
+    "files",
+    "match",
+    "office",
+    "planetary",
+    "program",
+    "rectify",
+    "sensors",
     "studies",
-)  # fmt: skip
+)
 CATALOGUE: Final[dict[str, Entry]] = {
     code: entry for name in MODULES for code, entry in import_module(f"{__name__}.{name}").WORDS.items()
 }

@@ -401,7 +401,7 @@ absent.nothing_adjusted (warning): not given: {figures!w}; nothing was adjusted
 record.sentence (warning): {text}
 """)
 
-#: Figures of a record in words; the others are their keys with spaces.
+#: Descriptions of a record's figures; any other figure is described by its key, with spaces.
 figures_in_words: Final = {
     "sigma0_interval_99_9": "the interval of sigma0", "global_test": "the global test",
     "outlier_tests": "tests of single observations", "suspicious_observations": "suspicious observations",

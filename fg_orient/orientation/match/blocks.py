@@ -33,7 +33,7 @@ WIDER: Final = 2.0**0.5
 RELIEF_PX: Final = 2.0
 #: Number of features of a that are compared for each feature that may be matched by least squares.
 SPARE: Final = 3
-#: Least ratio of the response of a feature of b to the weakest response of a; below it both are different features.
+#: Smallest ratio of the response of a feature of b to the weakest response of a; below it both are different features.
 WEAKEST: Final = 0.3
 #: Border of windows, px: features near a border have no descriptor.
 BORDER: Final = 16
@@ -380,7 +380,7 @@ class Ways(NamedTuple):
         return self._replace(half=round(WIDER * self.half))
 
     def forward(self, centre: Array, start: Array, direction: Array) -> tuple[Array, Mask]:
-        """Match windows of the first image about pixels (n, 2): results (n, FIT.size), and whether they converged."""
+        """Match windows of the first image about pixels (n, 2); return results (n, FIT.size) and convergence flags."""
         out, done = np.zeros((len(centre), FIT.size)), np.zeros(len(centre), bool)
         fit_windows(
             self.grey,

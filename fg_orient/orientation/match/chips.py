@@ -36,7 +36,7 @@ LEAST_HALF: Final = 7
 #: Prior standard deviations of the search, and its largest radius, px.
 PRIOR_SIGMAS: Final = 3.0
 REACH_PX: Final = 300.0
-#: Least correlation of the search; largest correlation of another position relative to it, and distance of this
+#: Smallest correlation of the search; largest correlation of another position relative to it, and distance of this
 #: position, chip pixels.
 CORRELATION: Final = 0.5
 SECOND: Final = 0.9
@@ -47,7 +47,7 @@ SCALE: Final = 2.5
 #: least robust standard deviation, px.
 LIMIT: Final = 4.0
 LEAST_PX: Final = 1.0
-#: Least number of control points of an image for which the scatter of displacements is used.
+#: Minimum number of control points of an image for which the scatter of displacements is used.
 FEWEST: Final = 8
 
 

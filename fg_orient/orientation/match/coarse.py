@@ -27,7 +27,7 @@ RELIEF_PX: Final = 3.0
 SCALE: Final = 2.5
 #: Limit of the ratio test without a narrow band.
 RATIO: Final = 0.8
-#: Least half width of the band at full resolution, px.
+#: Smallest half width of the band at full resolution, px.
 WIDTH_PX: Final = 6.0
 #: Margin about the parallaxes of the coarse level, reduced pixels, and least margin, px.
 MARGIN: Final = 6.0

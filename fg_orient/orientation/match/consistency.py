@@ -20,7 +20,7 @@ NEIGHBOURS: Final = 10
 LOCAL_LIMIT: Final = 4.0
 #: Factor from median absolute deviation to standard deviation of a Gaussian.
 MAD: Final = 1.4826
-#: Rounds and limit of the robust polynomial of the y-parallax.
+#: Number of rounds, and limit, of the robust fit of the y-parallax polynomial.
 ROUNDS: Final = 8
 LIMIT: Final = 4.0
 

@@ -21,8 +21,8 @@ from fg_orient.sensors.rpc_sensor import RpcSensor
 BELOW_M, ABOVE_M = 1000.0, 3000.0
 #: Distance of pixels for numerical derivatives.
 STEP_PX: Final = 8.0
-#: Least length of a curve with a defined direction, pixels: on shorter curves the images see the ground from the same
-#: side.
+#: Smallest length of a curve with a defined direction, pixels: on shorter curves the images see the ground from the
+#: same side.
 LEAST_CURVE_PX: Final = 1e-3
 
 

@@ -34,7 +34,7 @@ from fg_orient.sensors.dem import RasterDem, range_below
 
 #: Contents of the folder of the report.
 CONTENTS: Final = Contents("match.json", ("match.json", "report.html"))
-#: Least common part of the first image of a pair.
+#: Smallest share of the first image of a pair that the second image must show.
 OVERLAP: Final = 0.01
 #: Number of points along each side of an image that are searched in another image.
 SIDE: Final = 9

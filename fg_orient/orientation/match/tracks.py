@@ -16,11 +16,11 @@ from fg_orient.orientation.match.options import MatchOptions
 
 #: Limit of a y-parallax, in its calibrated standard deviations.
 LIMIT: Final = 4.0
-#: Least standard deviation of an image coordinate, px: no measurement in images is more accurate.
+#: Smallest standard deviation of an image coordinate, px: no measurement in images is more accurate.
 LEAST_SIGMA_PX: Final = 0.01
 #: Relief between neighbours after least-squares matching, px along the curve.
 RELIEF_PX: Final = 1.0
-#: Least number of matches of a pair.
+#: Minimum number of matches of a pair.
 FEWEST: Final = 20
 
 

@@ -262,7 +262,7 @@ def pair(
 
 
 def _of_runs(key: CellKey, computed: Mapping[CellKey, Array]) -> Judge:
-    """Function that judges a cell by its runs on synthetic blocks."""
+    """Return a function that judges a cell by its runs on synthetic blocks."""
     order = float(computed.get(key._replace(quantity="matrix_order"), np.array([math.nan]))[0])
     return partial(assess_runs, runs=computed.get(key), order=None if math.isnan(order) else order)
 
