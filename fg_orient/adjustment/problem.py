@@ -50,10 +50,7 @@ FREE_POINT_DAMPING: Final = 1e-12
 
 @dataclass(frozen=True)
 class State:
-    """Unknowns: ``image`` (M, k) in prior sigmas, ``ground`` (N, 3) m in the local frame.
-
-    k is the largest number of unknowns of an image; rows of other images end with zeros.
-    """
+    """Unknowns: ``image`` (M, k) in prior sigmas, short rows end with zeros; ``ground`` (N, 3) m in the local frame."""
 
     image: Array
     ground: Array
@@ -266,7 +263,7 @@ class Problem:
 
     @property
     def redundancy(self) -> float:
-        """Observations minus unknowns, whole; with a penalty minus the trace of the hat matrix of the observations."""
+        """Observations minus unknowns; with a penalty, observations minus the trace of their hat matrix."""
         whole, penalty = self.n_observations - self.n_unknowns, 0.0
         if self.regularisation is not None:
             penalty = self.regularisation.redundancy
@@ -329,10 +326,7 @@ class Problem:
         return [model.correction(self.unknowns(state, k)) for k, model in enumerate(self.models)]
 
     def pixel_residuals(self, state: State, whitened: Array | None = None) -> Array:
-        """Return residuals v = adjusted - observed (n, 2): line, sample in pixels.
-
-        ``whitened``: whitened ones if known.
-        """
+        """Return residuals adjusted - observed (n, 2): line, sample, px; from ``whitened`` residuals if given."""
         o, v = self.observations, residuals(self, state) if whitened is None else whitened
         return v * np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)
 
@@ -349,9 +343,8 @@ def compile_problem(block: Block, like: Problem | None = None) -> Problem:
     Raises
     ------
     InputError
-        There is no control point (unless priors or an image without unknowns fix the datum, or it is free); a sensor
-        has no image model; images have different coordinate systems; there are no unknowns; points cannot be
-        intersected.
+        There is no control point (unless priors or an image without unknowns fix the datum, or it is free) or no
+        unknown; a sensor has no image model; coordinate systems differ; points cannot be intersected.
     """
     options = block.options
     control_rows = block.points.where(Role.CONTROL)

@@ -173,13 +173,8 @@ def _require_fitting(source: Any, model: MapModel, image: str | Path) -> None:
     if any(np.dtype(name).kind not in "iuf" for name in source.dtypes):
         raise InputError.of("ortho.kind", file=image, value=", ".join(source.dtypes))
     if model.size is not None and model.size != (source.height, source.width):
-        raise InputError.of(
-            "ortho.size",
-            file=image,
-            value=f"{source.height} x {source.width}",
-            lines=model.size[0],
-            samples=model.size[1],
-        )
+        raise InputError.of("ortho.size", file=image, value=f"{source.height} x {source.width}",
+                            lines=model.size[0], samples=model.size[1])  # fmt: skip
 
 
 def _nodata(source: Any, wanted: float | None, image: str | Path) -> float:
@@ -187,13 +182,8 @@ def _nodata(source: Any, wanted: float | None, image: str | Path) -> float:
     kind = np.dtype(source.dtypes[0])
     if wanted is not None and not _holds(kind, wanted):
         limits = np.iinfo(kind) if kind.kind in "iu" else np.finfo(kind)
-        raise InputError.of(
-            "options.value",
-            file=image,
-            place="nodata",
-            value=wanted,
-            expected=f"a value of {kind}, {limits.min} to {limits.max}",
-        )
+        raise InputError.of("options.value", file=image, place="nodata", value=wanted,
+                            expected=f"a value of {kind}, {limits.min} to {limits.max}")  # fmt: skip
     for value in (wanted, source.nodata):
         if value is not None and _holds(kind, value):
             return float(value)
@@ -331,12 +321,8 @@ def _read(rasterio: Any, source: Any, band: int, part: Any) -> Array:
     try:
         grey = source.read(band, window=part).astype(float)
     except rasterio.RasterioIOError as error:  # as an OSError it would be reported as an error of the output
-        raise InputError.of(
-            "ortho.image",
-            file=source.name,
-            place=f"band {band}, from line {part.row_off}",
-            value=error.__cause__ or error,
-        ) from error
+        raise InputError.of("ortho.image", file=source.name, place=f"band {band}, from line {part.row_off}",
+                            value=error.__cause__ or error) from error  # fmt: skip
     nodata = source.nodatavals[band - 1]
     if nodata is not None and not math.isnan(nodata):
         grey[grey == nodata] = np.nan
