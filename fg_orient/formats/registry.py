@@ -289,11 +289,11 @@ def read_bytes(path: str | os.PathLike[str], size: int, code: str = "rpc.unreada
         It does not exist or cannot be read.
     """
     file = os.fspath(path)
-    if not Path(path).exists():
-        raise InputError.of("xml.missing_file", file=file, base=Path.cwd())
-    if not Path(path).is_file():
-        raise InputError.of("xml.not_a_file", file=file)
     try:
+        if not Path(path).exists():
+            raise InputError.of("xml.missing_file", file=file, base=Path.cwd())
+        if not Path(path).is_file():
+            raise InputError.of("xml.not_a_file", file=file)
         with Path(path).open("rb") as stream:
             return stream.read(size)
     except OSError as error:

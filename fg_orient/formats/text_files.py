@@ -7,6 +7,11 @@ import hashlib
 from pathlib import Path
 
 from fg_orient.formats.faults import Faults
+from fg_orient.model.errors import InputError
+from fg_orient.model.limits import within_memory
+
+#: Memory of a line and its cells, bytes.
+LINE_BYTES = 250
 
 
 def read_data(path: Path, faults: Faults, size: int = -1) -> bytes | None:
@@ -36,11 +41,21 @@ def read_text(path: Path, faults: Faults) -> str | None:
         faults.add("table.nul", place=f"line {data[: data.index(0)].count(10) + 1}")
         return None
     try:
-        return data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+        text = data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+        require_lines(text, faults.file)
+        return text
+    except InputError as error:
+        faults.take(*error.problems)
+        return None
     except UnicodeDecodeError as error:
         line = data[: error.start].count(b"\n") + 1
         faults.add("table.not_utf8", place=f"line {line}", value=f"byte 0x{data[error.start]:02x}")
         return None
+
+
+def require_lines(text: str, file: object) -> None:
+    """Raise InputError if a text has so many short lines that their cells need too much memory."""
+    within_memory(LINE_BYTES * text.count("\n"), len(text), file=file)
 
 
 def sha256_of(*paths: Path) -> str:

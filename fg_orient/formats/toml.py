@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Mapping
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -33,7 +34,11 @@ def parse_toml(path: Path) -> dict[str, Any]:
     InputError
         It cannot be read, is not TOML, or exceeds a limit.
     """
-    if not path.is_file():
+    try:
+        is_file = path.is_file()
+    except OSError as error:  # a name that is too long
+        raise InputError.of("project.unreadable", file=path, value=error.strerror) from None
+    if not is_file:
         raise no_project_file(path)
     try:
         text = load_bytes(path, "toml_bytes", "project.unreadable").decode("utf-8-sig")
@@ -47,7 +52,7 @@ def parse_toml(path: Path) -> dict[str, Any]:
         place = f"line {text.count(chr(10), 0, deep.start()) + 1}"
         raise exceeded("toml_depth", f"more than {most} parts", file=path, place=place, unit="levels")
     try:
-        return tomllib.loads(text.replace("\r\n", "\n"))
+        content = tomllib.loads(text.replace("\r\n", "\n"))
     except tomllib.TOMLDecodeError as error:
         message, _, place = str(error).rstrip(")").rpartition(" (at ")
         raise InputError.of("project.syntax", file=path, place=place, value=message or place) from None
@@ -55,6 +60,19 @@ def parse_toml(path: Path) -> dict[str, Any]:
         raise InputError.of("project.syntax", file=path, value=error) from None
     except RecursionError:
         raise exceeded("toml_depth", "nested arrays or tables", file=path, unit="levels") from None
+    _refuse_long(content, path)
+    return content
+
+
+def _refuse_long(content: dict[str, Any], path: Path) -> None:
+    """Refuse whole numbers of more than 64 bits, which TOML does not have: they have no floating-point value."""
+    level: list[object] = [content]
+    while level:
+        for item in level:
+            if type(item) is int and abs(item) >= 2**63:
+                raise InputError.of("project.syntax", file=path, value=f"a whole number of {len(str(item))} digits")
+        inner = (one.values() if isinstance(one, dict) else one for one in level if isinstance(one, (dict, list)))
+        level = list(chain.from_iterable(inner))
 
 
 def entries(values: Mapping[str, object]) -> list[str]:

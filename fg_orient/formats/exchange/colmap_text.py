@@ -149,6 +149,8 @@ def _no_reference(file: str, place: str, value: object, kind: str, other: str) -
 def _read_cameras(text: TextLines) -> dict[str, Interior]:
     rows = [(number, line.split()) for number, line in text.content()]
     cameras: dict[str, Interior] = {}
+    ids = [cells[0] for _, cells in rows]
+    require_once(ids, "camera", text.path.name, lambda k: (f"line {rows[k][0]}", ids[k]))
     for number, cells in rows:
         values, size = finite(cells[4:]), [whole(cell) for cell in cells[2:4]]
         if len(cells) < 5 or values is None or None in size:
@@ -157,8 +159,6 @@ def _read_cameras(text: TextLines) -> dict[str, Interior]:
         cameras[cells[0]] = interior_of(
             cells[1], (width, height), values.tolist(), cells[0], file=text.path.name, place=f"line {number}"
         )
-    ids = [cells[0] for _, cells in rows]
-    require_once(ids, "camera", text.path.name, lambda k: (f"line {rows[k][0]}", ids[k]))
     return cameras
 
 

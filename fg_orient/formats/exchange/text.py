@@ -23,13 +23,11 @@ from fg_orient.formats.faults import Faults
 from fg_orient.formats.load import foreign_bytes
 from fg_orient.formats.table_write import quoted
 from fg_orient.formats.tables import Row, number
-from fg_orient.formats.text_files import delimited, read_text
+from fg_orient.formats.text_files import delimited, read_text, require_lines
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.limits import within_memory
 
 Separator = Literal["comma", "blank", "either"]
-#: Memory of a line and its cells, bytes.
-LINE_BYTES: Final = 250
 #: Bytes that are unpacked at once, and memory for each of them with the numbers read from it.
 _CHUNK: Final = 1 << 20
 _UNPACKED: Final = 5
@@ -51,7 +49,6 @@ def cells_of(path: Path, faults: Faults, separator: Separator) -> list[tuple[int
     text = read_text(path, faults)
     if text is None:
         return []
-    within_memory(LINE_BYTES * text.count("\n"), len(text), file=path)
     kept = [(n, line) for n, line in enumerate(text.split("\n"), start=1) if line.strip() and line[:1] != "#"]
     mark = separator_of(kept[0][1]) if kept else ","
     out = []
@@ -171,7 +168,7 @@ class TextLines:
         else:
             faults.raise_if_any()
         text = text or ""
-        within_memory(LINE_BYTES * text.count("\n"), len(text), file=path.name)
+        require_lines(text, path.name)
         self.path, self.lines = path, text.split("\n")
 
     def content(self) -> list[tuple[int, str]]:

@@ -26,8 +26,9 @@ USUAL: Final = Style()
 #: All texts that are numbers in some table.
 ANY: Final = (Style(".", True), Style(",", True))
 _PLAIN: Final = {
-    ".": re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"),
-    ",": re.compile(r"[+-]?(?:[0-9]+,?[0-9]*|,[0-9]+)(?:[eE][+-]?[0-9]+)?"),
+    # possessive: thousands of digits are not divided in all ways
+    ".": re.compile(r"[+-]?(?:[0-9]++(?:\.[0-9]*+)?|\.[0-9]++)(?:[eE][+-]?[0-9]+)?"),
+    ",": re.compile(r"[+-]?(?:[0-9]++(?:,[0-9]*+)?|,[0-9]++)(?:[eE][+-]?[0-9]+)?"),
 }
 _GROUPED: Final = {
     ".": re.compile(r"[+-]?[0-9]{1,3}(?:(?P<mark>[ ,'’])[0-9]{3})(?:(?P=mark)[0-9]{3})*(?:\.[0-9]*)?"),

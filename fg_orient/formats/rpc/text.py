@@ -97,9 +97,10 @@ def read_rpc_list(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
 
 def _entries(path: str | os.PathLike[str], pattern: re.Pattern[str]) -> Iterator[tuple[str, str, str]]:
     """Key, text and place of each match of a pattern."""
-    text = read_text(path)
+    text, line, at = read_text(path), 1, 0
     for match in pattern.finditer(text):
-        yield match[1], match[2].strip(), f"line {text.count(chr(10), 0, match.start(1)) + 1}"
+        line, at = line + text.count("\n", at, match.start(1)), match.start(1)
+        yield match[1], match[2].strip(), f"line {line}"
 
 
 def read_rpc_rpb(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
