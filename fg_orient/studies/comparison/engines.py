@@ -236,7 +236,7 @@ def _accuracy(role: str, differences: PointDifferences) -> dict[str, float]:
 def _per_physical_unit(compiled: Problem, design: Array) -> Array:
     """Columns per m, m/s and rad instead of per prior sigma; columns of ground points are already per metre."""
     scale = np.ones(design.shape[1])
-    scale[: compiled.n_image_unknowns] = np.concatenate([p.sigma for p in compiled.parameters])
+    scale[: compiled.n_free_unknowns] = compiled.free(np.concatenate([p.sigma for p in compiled.parameters]))
     return design / scale
 
 
@@ -244,4 +244,4 @@ def _without_priors(compiled: Problem) -> Array:
     """Rows of the observations alone: the same block without priors and penalty."""
     options, plain = replace(compiled.block.options, priors=False), without_penalties(compiled)
     free = replace(plain, block=replace(plain.block, options=options))
-    return assemble(free, free.start)[1]
+    return _rows_at(free, free.start)[1]
