@@ -120,6 +120,19 @@ def test_regularisation_of_the_block_is_the_default(free: Block) -> None:
     assert solution.problem.regularisation is not None and rows[0].kappa == solution.problem.regularisation.kappa
 
 
+@pytest.mark.behaviour
+def test_an_interrupted_comparison_goes_on(free: Block, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Finished sets are read with their regularisations and error vectors; another selection is computed."""
+    given = {"eop_sets": [2], "solvers": "qr", "types": [1], "backends": "faithful,graph", "folder": tmp_path}
+    first = compare(free, regularisations="tikhonov:gcv", **given)  # type: ignore[arg-type]
+    assert compare(free, regularisations="none", **given).regularisations == ("none",)  # type: ignore[arg-type]
+    monkeypatch.setattr("fg_orient.studies.comparison.compare.Adjustments", None)
+    again = compare(free, regularisations="tikhonov:gcv", **given)  # type: ignore[arg-type]
+    assert again.sets[0].regularisation == "tikhonov:gcv" and str(again.rows) == str(first.rows)
+    (mine,), (theirs,) = again.vectors, first.vectors
+    assert mine.ids == theirs.ids and np.array_equal(mine.enu_m["check"], theirs.enu_m["check"])
+
+
 def result(eop_set: int, rmse: float, **more: object) -> SetResult:
     given = {"status": "converged", "backend": "graph", "optimizer": "gauss-newton", "n_check": 50,
              "check_freedom": 200.0, "check_rmse_3d_m": rmse, "effective_unknowns": 10.0 - eop_set} | more  # fmt: skip
