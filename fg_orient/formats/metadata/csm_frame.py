@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from factors.arrays import Array
 from factors.geometry import ellipsoid
@@ -68,6 +67,8 @@ def read_state(path: str | Path) -> FramingSensor:
     if not focal > 0.0:
         raise InputError.of("csm.focal (failure): the focal length must be above zero -> correct m_focalLength",
                             file=path, place="m_focalLength", value=focal)  # fmt: skip
+    from scipy.spatial.transform import Rotation  # loaded for these files only
+
     turn = Rotation.from_quat(parameters[3:]).as_matrix().T
     camera = FramingCamera(
         parameters[:3], angles_of(turn), np.eye(3), np.eye(3), focal, _detector(state), _distortion(state)
@@ -197,6 +198,8 @@ def _differences(one: FramingCamera, other: FramingCamera, sensor: FramingSensor
 
 def _fields(sensor: FramingSensor, camera: FramingCamera) -> dict[str, Any]:
     """All fields of a state; those that the model does not use have neutral values."""
+    from scipy.spatial.transform import Rotation  # loaded for these files only
+
     detector, centre = camera.detector, camera.centre_m
     major, _, minor = (ellipsoid.A_M, ellipsoid.A_M, ellipsoid.B_M) if sensor.body is None else sensor.body.radii_m
     quaternion = Rotation.from_matrix(camera.rotation.T).as_quat().tolist()

@@ -20,8 +20,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
-from scipy.spatial.transform import Rotation, Slerp
 
 from factors.arrays import Array
 from factors.geometry import ellipsoid
@@ -111,6 +109,8 @@ def _position(isd: JsonFile, time: float) -> Array:
     if len(times) == 1:
         return np.asarray(values[0])
     velocities = isd.numbers("instrument_position.velocities", len(times), 3)
+    from scipy.interpolate import CubicHermiteSpline  # loaded for these files only
+
     return np.asarray(CubicHermiteSpline(times, values, velocities)(time))
 
 
@@ -121,6 +121,8 @@ def _turn(isd: JsonFile, place: str, time: float) -> Array:
         raise InputError.of("earth.quaternion", file=isd.path, place=f"{place}.quaternions")
     if len(times) == 1:
         return np.asarray(quaternion_matrices(values)[0])
+    from scipy.spatial.transform import Rotation, Slerp  # loaded for these files only
+
     return np.asarray(Slerp(times, Rotation.from_quat(np.roll(values, -1, axis=1)))(time).as_matrix())
 
 
@@ -234,6 +236,8 @@ def write_isd(path: Path, sensor: Any, correction: Any = None) -> dict[str, Any]
     source = Path(sensor.file)
     values, camera = JsonFile.read(source).values, sensor.camera.corrected(correction)
     time = [values["center_ephemeris_time"]]
+    from scipy.spatial.transform import Rotation  # loaded for these files only
+
     quaternion = np.roll(Rotation.from_matrix(turn_of(camera.angles_rad)).as_quat(), 1)
     position = {"ephemeris_times": time, "positions": [(camera.position_m / 1e3).tolist()]}
     if "velocities" in values["instrument_position"]:
