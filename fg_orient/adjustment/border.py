@@ -209,7 +209,7 @@ class Border(BorderMatrix):
         return free_columns(self.problem)
 
     def parts(self) -> Iterator[tuple[Part, sparse.csr_array]]:
-        """Yield the eliminated points with all their rays, and the rows (2n, b) of these to the border."""
+        """Yield eliminated points with all their rays, and the rows (2n, b) of these rays for the border unknowns."""
         kept = len(self.eliminated.observations) <= KEPT
         if kept and not self._kept:
             self._kept = list(parts_of(self.eliminated, self.state, order=self._order))

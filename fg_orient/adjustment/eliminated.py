@@ -187,7 +187,7 @@ class Elimination:
     def linearised(self, free: Array) -> tuple[Array, Array]:
         """Return sums of all groups at a linearisation: blocks (B, k, k) of S, overwritten later, and g (u,).
 
-        The blocks are those of ``backend.structure``; groups that cannot be intersected contribute nothing.
+        ``backend.structure`` defines the blocks; groups that cannot be intersected contribute nothing.
         """
         self._refresh(free, matrices=False)
         backend, s, b = self.backend, self.backend.structure, self.backend.buffers

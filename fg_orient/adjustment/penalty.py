@@ -56,7 +56,7 @@ def penalty_squares(problem: Problem, state: State) -> float:
 
 
 def penalties(problem: Problem, rows: Any, source: str, condition: float) -> tuple[Penalty, ...]:
-    """Return the rows (k, z) of the free image unknowns, dense or sparse, as penalties.
+    """Return the penalties of the free image unknowns as rows (k, z), dense or sparse.
 
     There is one penalty per image, and one for all rows of several images. A shared unknown is read from the first
     image that has it.

@@ -281,7 +281,7 @@ def recomputed(name: str) -> Callable[[Kind], Kind]:
     def changed(kind: Kind) -> Kind:
         again = cached_property(lambda owner: vars(owner)[_function(name)](None))
         again.__set_name__(kind, name)
-        setattr(kind, name, again)  # the array in an object hides this attribute until the array is released
+        setattr(kind, name, again)  # an object's own array is found first, until it is released
         return kind
 
     return changed

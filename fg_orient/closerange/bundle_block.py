@@ -93,7 +93,7 @@ class Built:
 
     @cached_property
     def owners(self) -> list[tuple[str, str]]:
-        """Photo or camera, and name, of each unknown of the photos (z,), shared ones once."""
+        """Photo or camera, and name, of each unknown of the photos (z,); a shared unknown occurs once."""
         out = dict[int, tuple[str, str]]()
         for k, (photo, own) in enumerate(zip(self.photos, self.problem.parameters, strict=True)):
             shared = own.shared or ("",) * len(own)

@@ -93,7 +93,7 @@ def run_comparison(folder: Path, path: Path, output: Output = NONE) -> Record:
     Raises
     ------
     InputError
-        All errors of the table are listed; one error lists all unknown names.
+        The table has errors, which are all listed, or unknown names, which are listed in one error.
     """
     output.require_possible()
     ours, table = values_of(read_record(folder)), require_table(path, LAYOUTS)

@@ -50,7 +50,7 @@ _ROUNDS: Final = 8
 
 @dataclass(frozen=True)
 class Rival:
-    """Second orientation that the points do not distinguish from the result.
+    """Second orientation that fits the points as well as the result does.
 
     Parameters
     ----------

@@ -307,7 +307,7 @@ def render(record: dict[str, Any]) -> str:
 
 
 def _accuracy(record: dict[str, Any]) -> dict[str, Any]:
-    """Return mean errors of new points, control points and stations, RMS at check points; one unit for the table."""
+    """Return mean errors of new points, control points and stations, and RMS at check points, in one unit."""
     points = record["points"] if record["kind"] in ("bundle", "intersection") else []
     spreads = {
         words: columns([p for p in points if p.get("role", "new") == role], *(f"sigma_{a}_m" for a in "xyz"))

@@ -131,7 +131,7 @@ def continued(
 def _faults(
     block: Block, parameters: tuple[ImageParameters, ...], earlier: EarlierResult, images: dict[str, dict[str, float]]
 ) -> Iterator[Finding]:
-    """Yield the common images that are not the same image, or do not have the same unknowns."""
+    """Yield findings for images whose id occurs in both blocks, but with another image or other unknowns."""
     facts = {str(image["id"]): image for image in earlier.result.record["images"]}
     if not any(image.id in images for image in block.images):
         yield finding("earlier.no_image", file=earlier.place, place="images", value=", ".join(list(images)[:5]))

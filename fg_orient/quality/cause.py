@@ -33,7 +33,7 @@ class Cause:
     score : float
         ``gain`` minus the penalty of the free parameters (BIC); causes are ranked by it.
     kind : str
-        Causes of one kind contain each other, so only the best of them is kept. "single": an error of one point, which
+        Causes of one kind include each other, so only the best one is kept. "single": an error of one point, which
         is named elsewhere.
     mend : callable, optional
         Function that returns the block without the mistake.

@@ -156,7 +156,10 @@ def _eliminated(
     eliminate: bool | None,
     named: list[int] | tuple[int, ...],
 ) -> PointRows:
-    """Prepare points (P,) with image points ``seen`` (P, m); ``eliminate``: None for named, False for fixed points."""
+    """Prepare points (P,), with image points ``seen`` (P, m), for elimination.
+
+    ``eliminate`` is None for named points and False for fixed points.
+    """
     (n, m), o = seen.shape, problem.observations
     r, ground = 2 * m + 3 * observed, np.zeros((n, 2 * m + 3 * observed, 3))
     ground[:, : 2 * m] = jacobians.ground[seen].reshape(n, 2 * m, 3)

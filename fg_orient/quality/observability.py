@@ -174,7 +174,7 @@ _VELOCITY: Final = (("velocity along track", "along track"), ("velocity across t
 
 
 def _summary(texts: list[str], held: int, k: int, condition: float | None, raw: float | None) -> str:
-    """Summarise unobservable directions, number of directions held by the prior, and need of scaling, in one line."""
+    """Summarise in one line: unobservable directions, directions held by the prior, and whether to scale unknowns."""
     silent = [t for t in texts if t.endswith("acts on nothing")]
     yaw = [t for t in texts if "acts as yaw" in t]
     names = [short for long, short in _VELOCITY if any(t.startswith(long) for t in silent)]

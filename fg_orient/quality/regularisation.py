@@ -129,7 +129,7 @@ def _chosen(problem: Problem, system: LinearSystem) -> Regularisation:
         weights[held] = (min(max(stiff, 1.0), STIFFEST) * s[0]) ** 2
         own = np.flatnonzero(weights)
         rows = np.sqrt(weights[own])[:, None] * vt[own] * units
-    if penalty is None and options.regularised_units == "prior_sigmas":  # all rows have the same right directions
+    if penalty is None and options.regularised_units == "prior_sigmas":  # rows share the singular vectors
         squares = s**2 + weights + float(options.priors)
         condition, determined = _ratio(np.sqrt(squares)), float(np.sum(weights / squares))
     else:

@@ -326,8 +326,8 @@ def fit(
     Raises
     ------
     InputError
-        2n <= unknowns; points on a line, a curve or a plane that do not determine the transformation, for plane
-        transformations also points within their noise of a line; missing heights.
+        There are too few points (2n <= unknowns), or heights are missing. The points lie on a line, a curve or a plane
+        and do not determine the transformation; or, for plane transformations, close to a line within their noise.
     NoSolutionError
         The iteration does not converge, or a denominator vanishes among the points.
     """

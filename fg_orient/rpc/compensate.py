@@ -156,7 +156,7 @@ def normalised(model: RpcModel, ground: Array) -> Array:
 
 
 def design(model: RpcModel, measured: MeasuredPoints, kind: str) -> Array:
-    """Return the columns 1, l, s of the kind, the same for line and sample: (n, k)."""
+    """Return the columns (n, k) that ``kind`` uses of 1, l, s; they are the same for line and sample."""
     ground = normalised(model, measured.ground)
     columns = np.column_stack([np.ones(len(ground)), rfm.values(model.coefficients, ground)])
     return columns[:, : len(COMPENSATIONS[KINDS[kind]]) // 2]

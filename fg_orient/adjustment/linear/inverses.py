@@ -81,7 +81,7 @@ def invert_cramer(normal: Array) -> Array:
 def invert_pivot(matrix: Array) -> Array:
     """Invert (u, u) by exchange steps with complete pivoting, T(3.17)-(3.21); also non-symmetric matrices.
 
-    Breakdown if all remaining elements are zero.
+    Raise Breakdown if all remaining elements are zero.
     """
     u = len(matrix)
     work = np.array(matrix, dtype=np.float64)

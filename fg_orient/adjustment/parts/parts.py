@@ -67,7 +67,7 @@ def divide(problem: Problem, parts: int) -> list[Index]:
 
 @dataclass(frozen=True)
 class PartModel:
-    """Equation and unknowns of an image of a part, without its sensor, whose constants are in the records."""
+    """Equation and unknowns of an image in a part. The sensor is not needed, because records contain its constants."""
 
     equation: Equation
     parameters: ImageParameters
