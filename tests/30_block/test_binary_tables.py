@@ -337,7 +337,7 @@ def test_commands_on_result_folders(projects: dict[str, Path], tmp_path: Path, f
     assert figures[form] == figures["csv"]
     (out / f"points.{form}").write_bytes(b"")
     ended = in_process("report", out, "--json")
-    assert (ended.code, ended.json["errors"][0]["code"]) == (2, "report.damaged")
+    assert (ended.code, ended.json["errors"][0]["code"]) == (2, "manifest.incomplete")
 
 
 @pytest.mark.consistency

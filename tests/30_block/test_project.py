@@ -95,7 +95,8 @@ def test_sources_carry_the_digests_of_all_files(folder):
 def test_defaults_of_the_file_are_those_of_the_options():
     options = Options()
     stated = {**dict(Orientation()), **dict(Adjustment())}
-    assert (stated.pop("points_seen_once"), stated.pop("extrapolate_attitude_s")) == ("error", 0.0)
+    reading = {"points_seen_once": "error", "extrapolate_attitude_s": 0.0, "light": ()}
+    assert {name: stated.pop(name) for name in reading} == reading
     assert stated == dataclasses.asdict(options)
 
 
