@@ -26,7 +26,7 @@ STUCK: Final = 90.0
 def _child(name: str, seed: int, cases: int, until: float, keep: Path, pulse: Path) -> None:
     """Run the cases of a reader and write its figures."""
     with tempfile.TemporaryDirectory(dir="/dev/shm" if os.path.isdir("/dev/shm") else None) as folder:
-        session = Session(READERS[name], Path(folder, "files"), seed, keep)
+        session = Session(READERS[name], Path(folder, "files"), seed, keep, guided=True)
         first = session.begin()
         if first:
             print(f"{name}: the files themselves: {first}", file=sys.stderr)

@@ -127,9 +127,9 @@ class Tally:
 class Coverage:
     """New lines of the program, by sys.monitoring (Python 3.12): each line reports once, then costs nothing."""
 
-    def __init__(self) -> None:
+    def __init__(self, wanted: bool) -> None:
         self.new = 0
-        monitoring: Any = getattr(sys, "monitoring", None)
+        monitoring: Any = getattr(sys, "monitoring", None) if wanted else None
         if monitoring is None or monitoring.get_tool(monitoring.COVERAGE_ID) is not None:
             return
         monitoring.use_tool_id(monitoring.COVERAGE_ID, "tests.fuzz")
@@ -159,12 +159,16 @@ class Session:
     folder : Path
         Empty folder for its files.
     seed : int
-        The same seed gives the same cases, up to what earlier cases have covered.
+        The same seed gives the same cases; guided, up to what earlier cases of the process have covered.
     keep : Path, optional
         Folder for what is found, and for the present case.
+    guided : bool
+        Change files that reached new lines further (Python 3.12).
     """
 
-    def __init__(self, reader: Reader, folder: Path, seed: int, keep: Path | None = None) -> None:
+    def __init__(
+        self, reader: Reader, folder: Path, seed: int, keep: Path | None = None, *, guided: bool = False
+    ) -> None:  # fmt: skip
         self.reader, self.folder, self.keep = reader, folder, keep
         self.rng = random.Random(f"{reader.name} {seed}")
         folder.mkdir(parents=True, exist_ok=True)
@@ -173,7 +177,7 @@ class Session:
         self.seeds = {path: path.read_bytes() for path in paths}
         self.pool: dict[Path, list[bytes]] = {path: [data] for path, data in self.seeds.items()}
         self.tally = Tally()
-        self.coverage = Coverage()
+        self.coverage = Coverage(guided)
 
     def begin(self) -> Broken | str:
         """Read the seeds themselves."""
