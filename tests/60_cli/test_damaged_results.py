@@ -151,15 +151,36 @@ def content(folder: Path) -> dict[str, bytes]:
     return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
+#: Cases that the fast tests give to each command; other cases go to one command.
+FAST = ("a file is missing", "a table is edited", "the record is of another run")
+
+
 @pytest.mark.parametrize("case", DAMAGED)
+def test_damaged_folder_is_refused(
+    run: Any, result: Path, other: Path, twin_source: Path, dem: Path, tmp_path: Path, case: str
+) -> None:
+    refused_by(run, result, other, twin_source, dem, tmp_path, case, each=case in FAST)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", [case for case in DAMAGED if case not in FAST])
 def test_damaged_folder_is_refused_by_each_command(
     run: Any, result: Path, other: Path, twin_source: Path, dem: Path, tmp_path: Path, case: str
 ) -> None:
+    refused_by(run, result, other, twin_source, dem, tmp_path, case, each=True)
+
+
+def refused_by(
+    run: Any, result: Path, other: Path, twin: Path, dem: Path, tmp_path: Path, case: str, *, each: bool
+) -> None:
+    """Damage a result, and give it to the command ``report`` or to each command."""
     damage, code = DAMAGED[case]
     damage(result, other)
     before, out = content(result), tmp_path / "out"
     out.mkdir()
-    for name, words in commands(result, twin_source, dem, out).items():
+    for name, words in commands(result, twin, dem, out).items():
+        if not each and name != "report":
+            continue
         ended = run(*words, "--json")
         assert ended.code == 2, (name, ended.stdout, ended.stderr)
         (error,) = ended.json["errors"]

@@ -74,7 +74,7 @@ def test_the_harness_sees_what_is_broken() -> None:
 # --- strategies -------------------------------------------------------------------------------------
 
 _LEAVES = st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.sampled_from((*NUMBERS, *WORDS))
-JSON = st.recursive(_LEAVES, lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner), max_leaves=8)
+JSON = st.recursive(_LEAVES, lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner), max_leaves=5)
 _KEY = st.sampled_from(("a", "images", "schema", '"x y"', "a.b", "'q'", "ç", "", "1"))
 _VALUE = st.sampled_from((
     "1", '"t"', "[1, [2]]", "{a = 1}", "2005-03-13", "nan", "'''a\nb'''", "0x1F", "1e999", *NUMBERS[:20],
@@ -101,7 +101,7 @@ def _read_or_refused(read: Any, *arguments: Any) -> Any:
 
 
 @given(JSON)
-@settings(max_examples=25)
+@settings(max_examples=12)
 def test_json(value: Any) -> None:
     """Valid JSON is read as json.loads reads it; other content is refused."""
     text = json.dumps(value)
@@ -112,7 +112,7 @@ def test_json(value: Any) -> None:
 
 
 @given(st.binary(max_size=100))
-@settings(max_examples=50)
+@settings(max_examples=20)
 def test_bytes_as_json_and_npz(data: bytes) -> None:
     _read_or_refused(parse_json, data, "a.json", "interchange.json")
     _read_or_refused(load_npz, b"PK\x03\x04" + data, "checkpoint.unreadable", "a.npz")
