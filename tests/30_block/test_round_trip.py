@@ -109,6 +109,7 @@ OPTIONS = [
         curve_position_sigma_m=2.5, curve_attitude_sigma_rad=3e-6, accept=("gross_error:point 12<=20", "sigma0"),
         required_accuracy_m=0.5, regularisation="tikhonov", kappa=0.5, kappa_rule="gcv", penalty="laplace",
         penalty_deviation=True, rank_cut=1e-7, regularised_units="columns",
+        median_rejection=2.5,
     ),
 ]  # fmt: skip
 

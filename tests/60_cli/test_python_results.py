@@ -46,7 +46,7 @@ def test_page_of_the_folder_is_the_page_of_the_record(saved: Path) -> None:
 def test_saved_folder_reads_back_and_writes_the_same_bytes(solution: fg.Solution, saved: Path, tmp_path: Path) -> None:
     result = fg.read_result(saved)
     result.write(tmp_path)
-    files = {p.name for p in saved.iterdir()} - {"report.html", "arrays.npz", "covariance.npz"}
+    files = {p.name for p in saved.iterdir()} - {"report.html", "arrays.npz", "covariance.npz", "manifest.json"}
     assert files == {"result.json", "points.csv", "residuals.csv", "eop.csv", "accuracy.csv", "iterations.jsonl"}
     for name in files:
         assert (tmp_path / name).read_bytes() == (saved / name).read_bytes(), name
