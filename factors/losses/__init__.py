@@ -58,7 +58,8 @@ class Loss:
 
 _REGISTRY: dict[str, Loss] = {}
 #: Other names of losses.
-ALIASES: dict[str, str] = {"beaton_tukey": "tukey", "biweight": "tukey", "lorentz": "cauchy"}
+#: The weight of Chen in ISIS jigsaw is that of Tukey up to a factor.
+ALIASES: dict[str, str] = {"beaton_tukey": "tukey", "biweight": "tukey", "chen": "tukey", "lorentz": "cauchy"}
 
 
 def register(loss: Loss) -> Loss:

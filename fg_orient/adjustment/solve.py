@@ -40,7 +40,7 @@ from fg_orient.adjustment.robust import (
     Robust,
     Weights,
     inlier_limit,
-    robust_scale,
+    scale_at,
     weighted_problem,
     weights_at,
 )
@@ -220,7 +220,7 @@ class _Job:
 
     def _measured(self, state: State) -> tuple[float, float]:
         """Return the scale of the losses at a state."""
-        return robust_scale(self.problem, state) if self.options.robust_scale == "mad" else A_PRIORI
+        return scale_at(self.problem, state)
 
     def _best(self, state: State, scale: tuple[float, float]) -> State:
         """Return the start of the last stage: after graduated stages, points move to where most rays agree.

@@ -234,7 +234,7 @@ def plan_of(options: Options) -> Plan | None:
     if options.gnc:
         return Graduated.of(options)
     loss = find_loss(options.loss)
-    return Direct(loss, options.robust_scale == "mad" or (loss.redescending and options.robust_start == "huber"))
+    return Direct(loss, options.robust_scale != "prior" or (loss.redescending and options.robust_start == "huber"))
 
 
 def require_possible(options: Options) -> None:
@@ -248,7 +248,7 @@ def require_possible(options: Options) -> None:
 
 def _require_robust(options: Options) -> None:
     """Raise InputError for options of a robust adjustment that exclude each other."""
-    mad, resections = options.robust_scale == "mad", options.robust_start in METHODS
+    mad, resections = options.robust_scale != "prior", options.robust_start in METHODS
     wish = "robust_scale" if mad else "robust_start"
     if options.loss == NONE:
         if mad or resections:

@@ -15,7 +15,7 @@ Datum = Literal["auto", "control", "vendor", "priors", "inner", "free"]
 Backend = Literal["auto", "graph", "schur", "dense"]
 Optimizer = Literal["gauss-newton", "levenberg-marquardt", "dogleg"]
 RobustStart = Literal["none", "huber", "lms", "lts"]
-RobustScale = Literal["prior", "mad"]
+RobustScale = Literal["prior", "mad", "quantile"]
 SnoopKind = Literal["groups", "points"]
 OutlierTest = Literal["baarda", "pope", "t"]
 StatisticsChoice = Literal["auto", "full", "basic"]
@@ -198,8 +198,14 @@ class Options(Checked):
     robust_scale: RobustScale = option(
         "prior", ROBUST,
         "Unit of a loss. prior: the given standard deviations; mad: the given standard deviations times robust scales "
-        "of the residuals of image points and of control points.",
+        "of the residuals of image points and of control points; quantile: the constant of the loss is a quantile of "
+        "the residuals of the image points, as in ISIS jigsaw (`loss_quantile`).",
         recorded=True,
+    )
+    loss_quantile: float = option(
+        0.5, ROBUST,
+        "Share of the residuals of the image points below the constant of the loss, with `robust_scale` quantile.",
+        below=1.0,
     )
     snoop: bool = option(
         False, TESTS,

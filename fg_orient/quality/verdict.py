@@ -159,7 +159,7 @@ def _of_weights(problem: Problem, weights: Weights) -> Finding:
     counts = {"loss": options.loss, "down": down, "n": len(weights.image), "control": control}
     if options.loss in UNWEIGHED:
         return finding("weights.beyond", **counts, limit=1.0 / DOWN)
-    scale = weights.scale if options.robust_scale == "mad" else (None, None)
+    scale = weights.scale if options.robust_scale != "prior" else (None, None)
     return finding("weights.below", **counts, limit=DOWN, scale_image=scale[0], scale_control=scale[1])
 
 

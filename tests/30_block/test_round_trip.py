@@ -108,8 +108,7 @@ OPTIONS = [
         outlier_test="pope", outlier_level=0.01, multiple_testing="holm", look_shared=True, curve_intervals=4,
         curve_position_sigma_m=2.5, curve_attitude_sigma_rad=3e-6, accept=("gross_error:point 12<=20", "sigma0"),
         required_accuracy_m=0.5, regularisation="tikhonov", kappa=0.5, kappa_rule="gcv", penalty="laplace",
-        penalty_deviation=True, rank_cut=1e-7, regularised_units="columns",
-        median_rejection=2.5,
+        penalty_deviation=True, median_rejection=4.0, loss_quantile=0.25, rank_cut=1e-7, regularised_units="columns",
     ),
 ]  # fmt: skip
 

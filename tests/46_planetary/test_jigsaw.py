@@ -115,6 +115,38 @@ def test_outlier_rule_of_jigsaw(tmp_path: Path, unknowns: tuple[str, ...]) -> No
     assert _rejected(fg.read_project(tmp_path / "project.toml"), unknowns)[1] == expected
 
 
+@pytest.mark.oracle
+@pytest.mark.parametrize("loss", ["huber", "chen"])
+def test_loss_with_a_quantile_as_its_constant(tmp_path: Path, loss: str) -> None:
+    """The solution is a fixed point of reweighted least squares by the independent bundle, with the same weights."""
+    names = write_block(tmp_path, n_images=4, n_points=60, gross=6)
+    solution = fg.adjust(fg.read_project(tmp_path / "project.toml"), loss=loss, robust_scale="quantile",
+                         loss_quantile=0.7, max_iterations=500)  # fmt: skip
+    assert solution.weights is not None
+    frames, o = [twin.read_frame(tmp_path / f"{name}.isd") for name in names], solution.problem.observations
+    by_serial = {f.serial: f.name for f in frames}
+    images = [by_serial[image.sensor.serial] for image in solution.block.images]
+    keys = [(solution.block.points.ids[j], images[i]) for i, j in zip(o.image, o.point, strict=True)]
+    network = twin.Network(frames, twin.read_network(tmp_path / "net.pvl"))
+    network.weights = dict(zip(keys, solution.weights.image.tolist(), strict=True))
+    for _ in range(12):
+        network.step()
+    solved = network.solved(0)
+    size = {key: float(np.linalg.norm(v)) / 1.4 for key, v in solved.residuals().items()}
+    assert np.abs(solution.ground_m - [1e3 * twin.cartesian(s) for s in solved.place]).max() < 1e-3  # of 100 m
+    constant = {"huber": 1.501141084, "chen": 5.122986090}[loss] * solution.weights.scale[0]
+    if loss == "huber":  # it is fixed before the last stage, where a redescending loss changes the residuals
+        assert constant == pytest.approx(np.quantile(list(size.values()), 0.7), rel=0.05)
+    for p in solved.points:  # two rays of a tie point share the mean of their squares
+        own = [key for key in keys if key[0] == p.name]
+        if len(own) == 2 and not p.constrained:
+            shared = float(np.sqrt(np.mean([size[key] ** 2 for key in own])))
+            size |= dict.fromkeys(own, shared)
+    u = np.array([size[key] for key in keys]) / constant
+    weight = np.minimum(1.0, 1.0 / u) if loss == "huber" else np.maximum(1.0 - u**2, 0.0) ** 2
+    np.testing.assert_allclose(solution.weights.image, 1e-6 + (1.0 - 1e-6) * weight, atol=2e-5)
+
+
 # --- the network of ISIS's own tests ----------------------------------------------------------------
 
 

@@ -202,6 +202,7 @@ class Network:
         self.place = np.array([p.start for p in points])
         self.first, self.fixed = self.image.copy(), np.array([f.name in held for f in frames])
         self.prior = np.array([position_sigma_km] * 3 + [angle_sigma_deg] * 3)
+        self.weights: dict[tuple[str, str], float] = {}
         self.without: frozenset[tuple[str, str]] = frozenset()
         self.sigma0, self.redundancy = np.nan, 0
 
@@ -225,7 +226,8 @@ class Network:
                     continue
                 value, a, b = project(self.frames[i], self.image[i], self.place[j])
                 v, a, b = (value - self.frames[i].ideal(sample, line)) / SIGMA_MM, a / SIGMA_MM, b / SIGMA_MM
-                a = np.where(self.fixed[i], 0.0, a)
+                root = np.sqrt(self.weights.get((p.name, self.frames[i].name), 1.0))
+                v, a, b = root * v, root * np.where(self.fixed[i], 0.0, a), root * b
                 at = slice(6 * i, 6 * i + 6)
                 normal[at, at] += a.T @ a
                 across[j, at] += a.T @ b

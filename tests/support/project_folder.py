@@ -66,6 +66,7 @@ class StandInSensor:
     n_samples: int = 12000
     orients: bool = False
     body: None = None
+    serial: str = ""
     notes: tuple[str, ...] = ()
     corners: np.ndarray = field(
         default_factory=lambda: np.array([[31.5, 41.5], [32.2, 41.5], [32.2, 41.0], [31.5, 41.0]])
