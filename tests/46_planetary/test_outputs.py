@@ -94,3 +94,21 @@ def test_commands_on_the_moon(tmp_path: Path) -> None:
     (image,) = json.loads(run.stdout)["images"]
     assert image["gsd_line_m"] == pytest.approx(0.02 / 76.054 * 105e3, rel=0.1)  # height by pixel over focal length
     assert image["area_km2"] == pytest.approx((2e-3 * image["gsd_line_m"] * 1e3) ** 2, rel=0.2)
+
+
+@pytest.mark.consistency
+def test_adjusted_image_as_state_by_the_command(tmp_path: Path) -> None:
+    """The command writes the position of the result, as a state in body-fixed axes and as an ISD."""
+    name, runner, out = write_block(tmp_path, n_points=12)[0], CliRunner(), tmp_path / "out"
+    assert runner.invoke(app, ["adjust", str(tmp_path / "project.toml"), "--out", str(out)]).exit_code in (0, 4)
+    image = fg.read_sensor(tmp_path / f"{name}.isd")
+    eop = fg.read_result(out).tables["eop"]
+    rows = [k for k, one in enumerate(eop.words["image"]) if one == name]
+    expected = image.camera.corrected(eop.figures["value_per_tau"][rows])
+    assert np.linalg.norm(expected.position_m - image.camera.position_m) > 1.0
+    for form, file in (("csm-state", "x.json"), ("isd", "x.isd")):
+        words = ["convert", str(tmp_path / f"{name}.isd"), "--to", form, "--out", str(tmp_path / file)]
+        run = runner.invoke(app, [*words, "--result", str(out), "--image", name])
+        assert run.exit_code == 0, run.output
+        written = fg.read_sensor(tmp_path / file).camera
+        assert np.abs(written.centre_m - expected.centre_m).max() < 1e-6
