@@ -215,7 +215,7 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"m_intTimes": [0.0] * 3}, "earth.period"),
     ({"m_intTimeLines": [5.0, 1.0, 9.0]}, "earth.order"),
     ({"m_intTimeStartTimes": [900.0, 901.0, 902.0]}, "earth.list_span"),
-    ({"m_modelName": "USGS_ASTRO_FRAME_SENSOR_MODEL"}, "isd.model"),
+    ({"m_modelName": "USGS_ASTRO_SAR_SENSOR_MODEL"}, "isd.model"),
     ({"m_focalLength": "x"}, "json.numbers"),
 ]
 

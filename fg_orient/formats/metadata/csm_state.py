@@ -20,7 +20,7 @@ from factors.geometry.interpolation import sign_aligned
 from fg_orient.formats.csm_write import MODEL, write_state
 from fg_orient.formats.json_files import JsonFile
 from fg_orient.formats.metadata.csm_frame import write_state as write_frame
-from fg_orient.formats.registry import Format
+from fg_orient.formats.registry import Format, read_bytes
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.focal_plane import Detector, Distortion
 from fg_orient.sensors.framing import FramingSensor
@@ -63,7 +63,7 @@ def read_state(path: str | Path, light: tuple[str, ...] = ()) -> GeneralMetadata
         another distortion than radial or transverse, the interpolation of aircraft, another body than the Earth.
     """
     path = Path(path)
-    state = JsonFile.read(path, skip=0 if path.read_bytes()[:200].lstrip()[:1] == b"{" else 1)
+    state = JsonFile.read(path, skip=0 if read_bytes(path, 200).lstrip()[:1] == b"{" else 1)
     if state.text("m_modelName") != MODEL:
         raise InputError.of("isd.model", file=path, place="m_modelName", value=state.text("m_modelName"), known=MODEL)
     size = state.count("m_nLines"), state.count("m_nSamples")
