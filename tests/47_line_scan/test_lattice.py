@@ -119,6 +119,7 @@ BAD = [
     (("lattice.toml", "lines = 4200", "lines = 42000"), "lattice.cover"),
     (("lattice.toml", "lines = 4200", "lines = 1"), "project.value"),
     (("lattice.toml", "line_period_s = 0.0022", ""), "project.missing"),
+    (("lattice.toml", "line_period_s = 0.0022", "line_period_s = 1e-320"), "project.value"),
     (("lattice.toml", "positions.csv", "position.csv"), "table.missing_file"),
     (("directions.csv", "\n-400,410,", "\n-400,411,"), "lattice.grid"),
     (("directions.csv", "\n-400,410,", "\n-400,0,"), "lattice.grid"),

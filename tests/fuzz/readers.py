@@ -276,6 +276,34 @@ def _frame(folder: Path) -> None:
     write_frame_file(folder / "frame.toml", FrameSensor(inside.camera(turn, centre), 3000, 4000), "camera.toml")
 
 
+def _isd(folder: Path) -> None:
+    from tests.support.isd_files import write_isd
+
+    write_isd(folder)
+
+
+def _aster(folder: Path) -> None:
+    from tests.support.lattice_files import write_aster
+
+    write_aster(folder)
+
+
+def _lattice(folder: Path) -> None:
+    from tests.support.lattice_files import write_description
+
+    write_description(folder)
+
+
+def _line_scan(folder: Path) -> None:
+    from fg_orient.formats.csm_write import write_state
+    from fg_orient.formats.sensor import read_sensor
+    from tests.support.isd_files import write_isd
+
+    source = write_isd(folder)
+    write_state(folder / "state.json", read_sensor(source))
+    source.unlink()
+
+
 def _metashape_camera(folder: Path) -> None:
     text = """<document version="2.0"><chunk><sensors><sensor id="0" label="camera" type="frame">
 <resolution width="6000" height="4000"/><property name="pixel_width" value="0.004"/>
@@ -303,6 +331,9 @@ def _metadata() -> list[Reader]:
         _sensor_file("pushbroom", _pushbroom, "", "sensor.toml"), _sensor_file("frame", _frame, "", "frame.toml"),
         _sensor_file("isd", _planetary, "M-0000", "M-0000.isd"),
         _sensor_file("csm-frame", _planetary, "state", "state.json"),
+        _sensor_file("digitalglobe", _isd, "", "scene.XML"), _sensor_file("aster", _aster, "", "band.xml"),
+        _sensor_file("lattice", _lattice, "", "lattice.toml"),
+        _sensor_file("csm-line-scan", _line_scan, "", "state.json"),
         Reader("metashape-camera", _metashape_camera, _read_metashape_camera),
     ]  # fmt: skip
 

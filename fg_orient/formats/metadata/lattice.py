@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Final, Literal
+from typing import Annotated, Final, Literal
 
 import numpy as np
 from pydantic import Field
@@ -19,7 +19,7 @@ from fg_orient.formats import dimap_checks as checks
 from fg_orient.formats.metadata.pushbroom import RADIUS_M, ImageTable, LightTable
 from fg_orient.formats.metadata.rpc_points import rpc_points
 from fg_orient.formats.registry import Format, xml_root
-from fg_orient.formats.schema import Positive, Table, Text, read_toml
+from fg_orient.formats.schema import Table, Text, read_toml
 from fg_orient.formats.tables import read_numbers
 from fg_orient.formats.xml import XmlNode, read_xml
 from fg_orient.model.errors import InputError
@@ -44,7 +44,9 @@ class GridTable(Table):
 
     directions: Text = Field(description="the path of the table of directions in quotes")
     positions: Text = Field(description="the path of the table of positions in quotes")
-    line_period_s: Positive = Field(description="seconds from one line to the next")
+    line_period_s: Annotated[float, Field(strict=True, ge=1e-6, le=10.0)] = Field(
+        description="seconds from one line to the next, 1e-6 to 10"
+    )
 
 
 class LatticeFile(Table):
