@@ -59,10 +59,24 @@ def read_correction(folder: Path, sensor: Sensor, image: str = "") -> Any:
     except (OSError, ValueError, KeyError, TypeError):
         raise InputError.of("ortho.result", file=folder, known="-") from None
     name = _chosen(files, folder, Path(sensor.file), image)
+    _require_light(record, name, sensor)
     try:
         return sensor.correction_of(values[name], Options(small_angle=small_angle, curve_intervals=n_curves))
     except KeyError:
         raise InputError.of("ortho.other_sensor", file=folder, place=f"image {name}", value=sensor.file) from None
+
+
+def _require_light(record: dict[str, Any], image: str, sensor: Any) -> None:
+    """Refuse a sensor with other effects on light than in the adjustment: the correction would contain the others."""
+    stated = next((entry.get("light") for entry in record["images"] if str(entry["id"]) == image), None)
+    effects = getattr(sensor.metadata, "effects", None) if stated else None
+    if stated is None or effects is None:
+        return
+    wrong = [one["effect"] for one in stated if bool(one["applied"]) != getattr(effects, one["effect"])]
+    if wrong:
+        used = ",".join(one["effect"] for one in stated if one["applied"]) or "none"
+        raise InputError.of("ortho.light (failure): the image was adjusted with other effects on light -> give <light> "
+                            "{used}", file=sensor.file, value=", ".join(wrong), used=used)  # fmt: skip
 
 
 def _files(record: dict[str, Any]) -> dict[str, tuple[str, str]]:

@@ -231,7 +231,10 @@ def test_the_report_states_the_size_of_each_effect(tmp_path: Path) -> None:
     (tmp_path / "observations.csv").write_text(
         "\n".join(["image,id,line,sample,sigma_line_px,sigma_sample_px", *rows]) + "\n", encoding="utf-8"
     )
-    images = "".join(f'[[images]]\nid = "{name}"\nmetadata = "{source.name}"\n' for name in "ab")
+    (tmp_path / "b").mkdir()
+    write_isd(tmp_path / "b", ("<SATID>WV09", "<SATID>WV08"))
+    images = "".join(f'[[images]]\nid = "{name}"\nmetadata = "{file}"\n' for name, file in (
+        ("a", "scene.XML"), ("b", "b/scene.XML")))  # fmt: skip
     (tmp_path / "project.toml").write_text(
         f'schema = 1\nname = "wv"\n{images}[points]\nfile = "points.csv"\ncrs = "EPSG:4979"\n'
         '[observations]\nfile = "observations.csv"\n[orientation]\nlight = ["refraction"]\n', encoding="utf-8",
@@ -244,3 +247,7 @@ def test_the_report_states_the_size_of_each_effect(tmp_path: Path) -> None:
     ]  # fmt: skip
     page = (tmp_path / "result" / "report.html").read_text("utf-8")
     assert "Effects on light" in page and page.count("<td>light time</td>") == 2
+    pixel = ("--line", 100, "--sample", 200, "--height", 0, "--result", tmp_path / "result", "--json")
+    other = in_process("locate", source, *pixel)
+    assert other.code == 2 and "--light refraction" in other.stderr
+    assert in_process("locate", source, *pixel, "--light", "refraction").code == 0
