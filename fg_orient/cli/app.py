@@ -163,9 +163,11 @@ def _usage_error(error: Exception) -> int:
     if explain is None:
         if not is_out_of_memory(error):
             raise error
-        short = NoSolutionError.of("program.memory", value=in_short(error))
-        note(f"error: {short}")
-        return short.exit_code
+        try:
+            note(f"error: {NoSolutionError.of('program.memory', value=in_short(error))}")
+        except Exception:  # not even for the words
+            os.write(2, b"error: the memory is not sufficient, and nothing was written\n")
+        return NoSolutionError.exit_code
     context = getattr(error, "ctx", None)
     text = (
         explain().rstrip(".").replace("Value error, ", "")

@@ -169,7 +169,8 @@ def require_free(out: Path, *, overwrite: bool, contents: Contents = RESULT) -> 
     InputError
         It exists and may not be replaced; the first foreign file is named.
     """
-    sweep(out.absolute().parent)
+    for folder in (out.absolute().parent, out):
+        sweep(folder)
     if not (out.exists() or out.is_symlink()):
         return
     if out.is_symlink() or not out.is_dir():

@@ -167,7 +167,9 @@ def command(*words: object) -> Callable[[], int]:
         sys.argv = ["fg-orient", *map(str, words)]
         sys.stdout, sys.stderr = open(1, "w", closefd=False), open(2, "w", closefd=False)
         from fg_orient.cli import main
+        from fg_orient.formats.staging import sweep_once
 
+        sweep_once.cache_clear()  # of the process that was forked
         try:
             main()
         except SystemExit as end:
@@ -271,7 +273,9 @@ class Faults:
         run(command(*scenario.words(self.root)), self.root, count=False)
         again = contents(self.root)
         #: Files whose bytes do not depend on the time of a run.
-        self.stable = {name for name, digest in self.after.items() if again.get(name) == digest}
+        self.stable = {
+            name for name, digest in self.after.items() if again.get(name) == digest and not name.endswith(".html")
+        }
 
     def _copy(self) -> None:
         shutil.rmtree(self.root, ignore_errors=True)

@@ -121,7 +121,14 @@ def match(folder: Path) -> Scenario:
 def report(folder: Path) -> Scenario:
     project = _twin(folder)
     _good(folder, "adjust", project, "--out", folder / "out", "--quiet")
-    return Scenario("report", folder, lambda f: ("report", f / "out", "--truth", f / "twin/truth", "--figures"))
+    return Scenario("report", folder, lambda f: ("report", f / "out", "--truth", f / "twin/truth"))
+
+
+def figures(folder: Path) -> Scenario:
+    """``report --figures``."""
+    project = _twin(folder)
+    _good(folder, "adjust", project, "--out", folder / "out", "--quiet")
+    return Scenario("figures", folder, lambda f: ("report", f / "out", "--figures"), ("--overwrite",))
 
 
 def layers(folder: Path) -> Scenario:
@@ -133,7 +140,7 @@ def layers(folder: Path) -> Scenario:
 
 SCENARIOS: dict[str, Callable[[Path], Scenario]] = {
     one.__name__: one
-    for one in (adjust, replace, simulate, compare, convert, geopackage, rectify, ortho, match, report, layers)
+    for one in (adjust, replace, simulate, compare, convert, geopackage, rectify, ortho, match, report, figures, layers)
 }
 
 
