@@ -97,6 +97,7 @@ def while_working(kills: int, longest_s: float, seed: int) -> Counter[str]:
         with opened(Execution(workers=4)) as pool, killer(kills, longest_s, seed) as counts:
             while counts["kills"] < kills:
                 ends[trial(problem, pool, expected)] += 1
+                print(dict(ends), dict(counts), file=sys.stderr, flush=True)
         return ends + Counter({"kills": counts["kills"]})
     finally:
         watch.REPLACED = limit

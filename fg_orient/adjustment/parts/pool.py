@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from fg_orient.adjustment.parts import tasks
 from fg_orient.adjustment.runtime import one_blas_thread
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from fg_orient.adjustment.parts.watch import Watch
 
 T = TypeVar("T")
+#: Seconds of waiting for results until lost tasks are looked for.
+PATIENCE_S: Final = 2.0
 
 
 def tree(arguments: Sequence[Any], depth: float, leaf: Callable[[Sequence[Any]], Any]) -> Any:
@@ -84,14 +86,31 @@ class Cluster(Pool):
         """Return the addresses of the running workers, sorted."""
         return sorted(self.client.nthreads())
 
-    def _submit(self, task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> list[Any]:
-        """Return futures; each argument is sent to the same worker as before, as long as that worker runs."""
+    def _results(self, task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> list[Any]:
+        """Results of a task; an argument goes to the same worker each time, as long as this worker runs.
+
+        dask keeps a task for ever that waited for a worker that has ended, if no other one ran at that moment. Such
+        tasks are submitted again, for any worker.
+        """
         workers: list[str | None] = [*self.workers()] or [None]
         homes = [workers[k * len(workers) // len(arguments)] for k in range(len(arguments))]
-        return [
+        futures = [
             self.client.submit(task, *argument, pure=False, workers=home, allow_other_workers=home is not None)
             for home, argument in zip(homes, arguments, strict=True)
         ]
+        while True:
+            try:
+                _distributed().wait(futures, timeout=PATIENCE_S)
+            except TimeoutError:
+                alive = self.workers()
+                lost = [k for k, home in enumerate(homes) if home not in (None, *alive)]
+                if lost and alive:
+                    known = {key for keys in self.client.processing().values() for key in keys}
+                    for k in lost:
+                        if futures[k].status == "pending" and futures[k].key not in known:
+                            futures[k], homes[k] = self.client.submit(task, *arguments[k], pure=False), None
+            else:
+                return list(self.client.gather(futures))
 
     def total(self, task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Any:
         """See :class:`Pool`; workers sum the branches of the tree, this process sums its top.
@@ -104,7 +123,7 @@ class Cluster(Pool):
             while len(parts) < min(4 * workers, len(arguments)) and (len(parts) < workers or len(parts) % workers):
                 depth += 1
                 parts = branches(arguments, depth)
-            sums = iter(self.client.gather(self._submit(_summed_on_worker, [(task, branch) for branch in parts])))
+            sums = iter(self._results(_summed_on_worker, [(task, branch) for branch in parts]))
             return tree(arguments, depth, lambda branch: next(sums))
 
     def each(self, task: Callable[..., T], arguments: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, T]]:
