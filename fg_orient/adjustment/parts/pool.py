@@ -100,7 +100,8 @@ class Cluster(Pool):
         ]
         while True:
             try:
-                _distributed().wait(futures, timeout=PATIENCE_S)
+                with self.client.as_current():
+                    _distributed().wait(futures, timeout=PATIENCE_S)
             except TimeoutError:
                 alive = self.workers()
                 lost = [k for k, home in enumerate(homes) if home not in (None, *alive)]
