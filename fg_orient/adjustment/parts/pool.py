@@ -98,20 +98,20 @@ class Cluster(Pool):
             self.client.submit(task, *argument, pure=False, workers=home, allow_other_workers=home is not None)
             for home, argument in zip(homes, arguments, strict=True)
         ]
-        while True:
+        results: list[Any] = []
+        while len(results) < len(futures):
+            k = len(results)
             try:
-                with self.client.as_current():
-                    _distributed().wait(futures, timeout=PATIENCE_S)
+                results.append(futures[k].result(timeout=PATIENCE_S))
             except TimeoutError:
+                if futures[k].status == "error":
+                    raise
                 alive = self.workers()
-                lost = [k for k, home in enumerate(homes) if home not in (None, *alive)]
-                if lost and alive:
+                if alive and homes[k] not in (None, *alive):
                     known = {key for keys in self.client.processing().values() for key in keys}
-                    for k in lost:
-                        if futures[k].status == "pending" and futures[k].key not in known:
-                            futures[k], homes[k] = self.client.submit(task, *arguments[k], pure=False), None
-            else:
-                return list(self.client.gather(futures))
+                    if futures[k].key not in known:
+                        futures[k], homes[k] = self.client.submit(task, *arguments[k], pure=False), None
+        return results
 
     def total(self, task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Any:
         """See :class:`Pool`; workers sum the branches of the tree, this process sums its top.
