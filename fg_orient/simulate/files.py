@@ -143,7 +143,7 @@ class Scenario(Generic[Chosen]):
             _write_block(folder, simulation, values, form, progress)
             with writing(target):
                 (folder / "truth").mkdir()
-            _write_truth(folder / "truth", simulation, values, form)
+                _write_truth(folder / "truth", simulation, values, form)
             if more is not None:
                 more(folder, simulation)
         return target / PROJECT_FILE
