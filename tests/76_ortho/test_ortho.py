@@ -205,7 +205,7 @@ def test_refusals(twin: Twin, tmp_path: Path, picture: Path) -> None:
     assert refused(rectify_image, image, metadata, out) == "ortho.no_heights"
     assert refused(rectify_image, image, metadata, out, height_m=0.0) == "ortho.no_crs"
     assert refused(rectify_image, image, metadata, out, height_m=0.0, crs="EPSG:99999") == "geodesy.unknown_crs"
-    assert refused(read_correction, tmp_path, twin.sensors["left"]) == "ortho.result"
+    assert refused(read_correction, tmp_path, twin.sensors["left"]) == "report.no_result"
     assert refused(read_correction, twin.result, twin.sensors["left"], "third") == "ortho.result"
     assert not list(tmp_path.glob("*no.tif*")), "nothing is left behind"
 

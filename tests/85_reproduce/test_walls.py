@@ -11,7 +11,7 @@ pytestmark = pytest.mark.repository
 #: Tables that a comparison writes.
 OWN_TABLES = (
     "compare.csv", "spectra.csv", "directions.csv", "l_curves.csv", "sets.csv",
-    "scale.csv", "orderings.csv", "exponents.csv",
+    "scale.csv", "orderings.csv", "exponents.csv", "error_vectors.csv",
 )  # fmt: skip
 
 

@@ -12,6 +12,7 @@ from fg_orient.result.record import Result, read_result
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
 from tests.support.browser import VARIABLE, Browser, Page, executable, open_browser
 from tests.support.command import in_process
+from tests.support.results import sealed
 
 #: In place of the ids 01, 02 ... of the twin.
 HOSTILE = ("</script><script>document.title = 'broken'</script>", "<img src=x onerror=alert(1)>", "a&lt;b \\u003c '\"")
@@ -30,7 +31,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
             cell = '"' + hostile.replace('"', '""') + '"'
             text = text.replace(f"{before}{k + 1:02d},", f"{before}{cell},")
         (out / name).write_text(text, encoding="utf-8")
-    write_report(out)
+    write_report(sealed(out))
     return out
 
 

@@ -22,6 +22,7 @@ from fg_orient.report import geofiles
 from fg_orient.result.plain import Table
 from fg_orient.result.record import Result
 from tests.support.pleiades_project import pleiades_project
+from tests.support.results import sealed
 
 RESIDUALS = ("v_line_px", "v_sample_px", "sigma_line_px", "sigma_sample_px")
 NAMES = ("points", "error_vectors", "footprints")
@@ -182,7 +183,7 @@ def test_refusals(run: Any, result: Path, tmp_path: Path, monkeypatch: pytest.Mo
         writer.writeheader()
         writer.writerows({**row, "lon_deg": "", "lat_deg": ""} for row in rows)
     with pytest.raises(InputError, match="no geographic coordinates"):
-        geofiles.export(result, tmp_path / "a.geojson")
+        geofiles.export(sealed(result), tmp_path / "a.geojson")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["result", "there.gpkg"]
 
 
