@@ -99,7 +99,7 @@ def test_area_is_that_of_the_ellipsoid() -> None:
     r = 6378137.0 * np.cos(lat) / np.sqrt(1 - e2 * np.sin(lat) ** 2)
     expected = np.trapezoid(m * r, lat) * np.radians(3.0)
     ring = np.array([[30.0, 40.0], [33.0, 40.0], [33.0, 42.0], [30.0, 42.0]])
-    assert _area_m2(ring) == pytest.approx(expected, rel=1e-8)
+    assert _area_m2(ring, None) == pytest.approx(expected, rel=1e-8)
 
 
 @pytest.mark.consistency
