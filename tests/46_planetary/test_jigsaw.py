@@ -116,7 +116,7 @@ def test_outlier_rule_of_jigsaw(tmp_path: Path, unknowns: tuple[str, ...]) -> No
 
 
 @pytest.mark.oracle
-@pytest.mark.parametrize("loss", ["huber", "chen"])
+@pytest.mark.parametrize("loss", ["huber", pytest.param("chen", marks=pytest.mark.slow)])
 def test_loss_with_a_quantile_as_its_constant(tmp_path: Path, loss: str) -> None:
     """The solution is a fixed point of reweighted least squares by the independent bundle, with the same weights."""
     names = write_block(tmp_path, n_images=4, n_points=60, gross=6)
@@ -243,7 +243,11 @@ def test_held_image_keeps_its_orientation(apollo: Path) -> None:
 
 @pytest.mark.truth
 @pytest.mark.real_data
-@pytest.mark.parametrize(("unknowns", "count"), [(ANGLES, 51), ((), 38)], ids=["angles", "positions and angles"])
+@pytest.mark.parametrize(
+    ("unknowns", "count"),
+    [(ANGLES, 51), pytest.param((), 38, marks=pytest.mark.slow)],
+    ids=["angles", "positions and angles"],
+)
 def test_outlier_rule_on_the_network(apollo: Path, unknowns: tuple[str, ...], count: int) -> None:
     """Jigsaw rejects 51 measures with the angles as unknowns (camsolve=angles); 38 is that of the script alone."""
     solution, own = _rejected(fg.read_project(apollo / "project.toml"), unknowns)

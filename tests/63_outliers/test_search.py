@@ -67,7 +67,7 @@ def test_planted_errors_are_found_in_order(backend: str, test: str) -> None:
 
 
 @pytest.mark.oracle
-@pytest.mark.parametrize("test", ["t", "pope", "baarda"])
+@pytest.mark.parametrize("test", ["t", *(pytest.param(name, marks=pytest.mark.slow) for name in ("pope", "baarda"))])
 def test_several_in_a_round_are_those_of_single_rounds(test: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ten errors of 5 to 50 px, ten blocks: the same observations go, in two rounds in place of eleven.
 

@@ -253,6 +253,7 @@ def test_as_run_reaches_the_published_procedure() -> None:
     assert specified.control_rmse_m < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.behaviour
 def test_all_sets_reach_the_target_through_the_graph(twin: Block) -> None:
     found = compare(twin, backends="graph", look_polynomial=2, target_m=5.0)
@@ -290,6 +291,7 @@ def test_too_large_for_dense(monkeypatch: pytest.MonkeyPatch, limit: str) -> Non
     assert found.spectra == ()
 
 
+@pytest.mark.slow
 @pytest.mark.consistency
 def test_dense_matrices_beyond_two_thousand_unknowns(twin: Block) -> None:
     """The limit of `adjust` does not hold for a comparison."""

@@ -130,6 +130,7 @@ def test_what_is_too_large_is_a_row_with_the_reason() -> None:
     assert any("are allowed" in r["failure"] for r in rows if r["backend"] == "dense")
 
 
+@pytest.mark.slow
 @pytest.mark.behaviour
 def test_folder_of_the_command(run: Run, tmp_path: Path) -> None:
     out, words = tmp_path / "scale", ("--sizes", ",".join(map(str, SIZES)), "--time-limit", "5")
