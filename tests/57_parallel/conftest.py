@@ -29,15 +29,21 @@ def problem() -> Problem:
 
 @contextmanager
 def processes(count: int) -> Iterator[Any]:
-    """Give a client of processes on this machine; meanwhile dask's configuration has its certificate."""
+    """Give a client of processes on this machine."""
     pytest.importorskip("distributed")
+    with warnings.catch_warnings(), opened(Execution(workers=count)) as pool:
+        yield pool.client
+
+
+@contextmanager
+def certificate_of(client: Any) -> Iterator[str]:
+    """Give the address of a client's scheduler; meanwhile dask's configuration, which all clients share, names it."""
     import dask.config
 
-    with warnings.catch_warnings(), opened(Execution(workers=count)) as pool:
-        own = pool.client.security
-        parts = {"ca-file": own.tls_ca_file, "client.cert": own.tls_client_cert, "client.key": own.tls_client_key}
-        with dask.config.set({f"distributed.comm.tls.{name}": text for name, text in parts.items()}):
-            yield pool.client
+    own = client.security
+    parts = {"ca-file": own.tls_ca_file, "client.cert": own.tls_client_cert, "client.key": own.tls_client_key}
+    with dask.config.set({f"distributed.comm.tls.{name}": text for name, text in parts.items()}):
+        yield client.scheduler.address
 
 
 @pytest.fixture(scope="module")

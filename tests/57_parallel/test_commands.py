@@ -19,6 +19,8 @@ from fg_orient.orientation.run import checkpoint_path, run_project
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
 from tests.support.command import in_process as run
 
+from .conftest import certificate_of
+
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -51,10 +53,11 @@ def test_adjust_in_parts_writes_the_same_result(project: Path, tmp_path: Path) -
 @pytest.mark.slow
 def test_adjust_on_a_scheduler(project: Path, client: Any, tmp_path: Path) -> None:
     bits = []
-    for words in (("--workers", 1), ("--scheduler", client.scheduler.address)):
-        ended = run("adjust", project, "--out", tmp_path / words[0].strip("-"), "--json", "--parts", 4, *words)
-        assert ended.code == 0, ended.stderr
-        bits.append((tmp_path / words[0].strip("-") / "points.csv").read_bytes())
+    with certificate_of(client) as address:
+        for words in (("--workers", 1), ("--scheduler", address)):
+            ended = run("adjust", project, "--out", tmp_path / words[0].strip("-"), "--json", "--parts", 4, *words)
+            assert ended.code == 0, ended.stderr
+            bits.append((tmp_path / words[0].strip("-") / "points.csv").read_bytes())
     assert bits[0] == bits[1]
 
 
@@ -88,9 +91,10 @@ def test_a_scheduler_without_certificates_is_warned_of(
 @pytest.mark.slow
 def test_compare_shares_the_sets(project: Path, client: Any, tmp_path: Path) -> None:
     words = ("--eop-sets", "1,9", "--solvers", "qr", "--backends", "dense,graph", "--json")
-    for name, more in (("alone", ()), ("shared", ("--scheduler", client.scheduler.address))):
-        ended = run("compare", project, "--out", tmp_path / name, *words, *more)
-        assert ended.code == 0, ended.stderr
+    with certificate_of(client) as address:
+        for name, more in (("alone", ()), ("shared", ("--scheduler", address))):
+            ended = run("compare", project, "--out", tmp_path / name, *words, *more)
+            assert ended.code == 0, ended.stderr
     alone, shared = (
         [
             {k: v for k, v in row.items() if k not in ("processor_s", "peak_bytes")}

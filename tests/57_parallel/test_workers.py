@@ -30,6 +30,8 @@ from fg_orient.model.block import Block
 from fg_orient.simulate.block import BlockOptions, grid_block
 from tests.support.full_statistics import step_of_numpy
 
+from .conftest import certificate_of
+
 PARTS = 4
 
 
@@ -173,8 +175,8 @@ def test_a_worker_killed_between_tasks_changes_nothing(small: Block, four: Any) 
         if record.iteration == 2:
             os.kill(min(four.run(os.getpid).values()), signal.SIGKILL)
 
-    address = four.scheduler.address  # a client of its own, as the command line has
-    killed = fg.adjust(small, parts=PARTS, optimizer="dogleg", cluster=address, callback=kill)
+    with certificate_of(four) as address:  # a client of its own, as the command line has
+        killed = fg.adjust(small, parts=PARTS, optimizer="dogleg", cluster=address, callback=kill)
     assert_same_bits(killed.state, shared.state)
     assert 2 in seen
 
@@ -212,16 +214,18 @@ def test_own_processes_answer_on_this_machine_with_a_certificate_only(client: An
     """Scheduler and workers; neither a client without a certificate nor one with another certificate is let in."""
     import distributed
 
-    address = client.scheduler.address
-    assert all(one.startswith("tls://127.0.0.1:") for one in (address, *client.scheduler_info()["workers"]))
-    strangers: list[tuple[str, dict[str, Any]]] = [
-        (address.replace("tls://", "tcp://"), {}), (address, {"security": distributed.Security.temporary()}),
-    ]  # fmt: skip
-    for place, more in strangers:
-        with pytest.raises(OSError):
-            distributed.Client(place, timeout=5, set_as_default=False, **more)
-    with distributed.Client(address, timeout=30, set_as_default=False) as own:  # the certificate of the configuration
-        assert own.submit(operator.add, 1, 2).result() == 3
+    with certificate_of(client) as address:
+        assert all(one.startswith("tls://127.0.0.1:") for one in (address, *client.scheduler_info()["workers"]))
+        strangers: list[tuple[str, dict[str, Any]]] = [
+            (address.replace("tls://", "tcp://"), {}), (address, {"security": distributed.Security.temporary()}),
+        ]  # fmt: skip
+        for place, more in strangers:
+            with pytest.raises(OSError):
+                distributed.Client(place, timeout=5, set_as_default=False, **more)
+        with distributed.Client(
+            address, timeout=30, set_as_default=False
+        ) as own:  # by the configuration
+            assert own.submit(operator.add, 1, 2).result() == 3
 
 
 @pytest.mark.behaviour
