@@ -226,7 +226,7 @@ class Scenario:
     again : sequence of str
         Options of the run after a killed one.
     kept : sequence of str
-        Beginnings of names that a failed run may leave to go on from; the next good run removes them.
+        Beginnings of names that a failed run may leave or write: whole outputs, and what the next run goes on from.
     """
 
     name: str
