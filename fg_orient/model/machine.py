@@ -23,6 +23,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
@@ -63,8 +64,20 @@ def is_out_of_memory(error: BaseException | None) -> bool:
         if any(sign in words for sign in ("annot allocate memory", "bad_alloc", "can't start new thread",
                                           "failed to map segment")):  # fmt: skip
             return True
+        # compiled code that did not get memory and raised nothing, in a process whose memory is limited
+        if isinstance(error, SystemError) and _has_address_limit():
+            return True
         error = error.__cause__ or error.__context__
     return False
+
+
+def _has_address_limit() -> bool:
+    """Return whether the system limits the address space of this process (``ulimit -v``)."""
+    if find_spec("resource") is None:  # Windows
+        return False
+    import resource
+
+    return resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY
 
 
 def _of_system() -> Iterator[int]:
