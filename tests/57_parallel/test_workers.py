@@ -222,9 +222,7 @@ def test_own_processes_answer_on_this_machine_with_a_certificate_only(client: An
         for place, more in strangers:
             with pytest.raises(OSError):
                 distributed.Client(place, timeout=5, set_as_default=False, **more)
-        with distributed.Client(
-            address, timeout=30, set_as_default=False
-        ) as own:  # by the configuration
+        with distributed.Client(address, timeout=30, set_as_default=False) as own:  # by the configuration
             assert own.submit(operator.add, 1, 2).result() == 3
 
 
