@@ -17,13 +17,13 @@ from factors.arrays import Array
 from factors.geometry import ellipsoid, interpolation
 from factors.geometry.interpolation import MAX_SAMPLES, sign_aligned
 from fg_orient.formats.atomic import write_text
+from fg_orient.formats.csm import LINE_SCAN_MODEL
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.line_detector import COMPARED, LineDetector, fit_detector
 from fg_orient.sensors.metadata import QuaternionList, QuaternionPolynomial, SegmentTiming
 from fg_orient.sensors.pushbroom import PushbroomSensor
 
-MODEL: Final = "USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL"
 #: Largest error of the interpolation, px; first step, s; most samples.
 STATE_PX: Final = 2e-4
 FIRST_STEP_S: Final = 0.125
@@ -65,7 +65,7 @@ def write_state(path: Path, sensor: Any, correction: Any = None) -> dict[str, An
     c = correction or Correction()
     detector = _detector(sensor, c)
     zero_s, times, p, v, q = _sampled(sensor, c, detector)
-    write_text(path, f"{MODEL}\n{json.dumps(_fields(sensor, detector, zero_s, times, p, v, q), indent=2)}\n")
+    write_text(path, f"{LINE_SCAN_MODEL}\n{json.dumps(_fields(sensor, detector, zero_s, times, p, v, q), indent=2)}\n")
     step_s = float(times[1] - times[0])
     return {"camera_px": list(detector.largest_px), "step_s": step_s, "states": len(times)}
 
@@ -174,7 +174,8 @@ def _fields(
     start, step = float(times[0]), float((times[-1] - times[0]) / (len(times) - 1))
     zeros = [0.0, 0.0, 0.0]
     return {
-        "m_modelName": MODEL, "m_imageIdentifier": Path(sensor.file).stem, "m_sensorName": sensor.metadata.instrument,
+        "m_modelName": LINE_SCAN_MODEL, "m_imageIdentifier": Path(sensor.file).stem,
+        "m_sensorName": sensor.metadata.instrument,
         "m_sensorIdentifier": sensor.metadata.instrument, "m_platformIdentifier": sensor.metadata.mission,
         "m_nLines": sensor.n_lines, "m_nSamples": sensor.n_samples, "m_platformFlag": 1, "m_ikCode": 0,
         **_lines(sensor, zero_s), "m_startingEphemerisTime": 0.0, "m_centerEphemerisTime": 0.0,

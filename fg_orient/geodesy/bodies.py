@@ -15,10 +15,13 @@ from typing import Final
 import numpy as np
 
 from factors.arrays import Array
+from factors.geometry import ellipsoid
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef, offline_pyproj
 from fg_orient.geodesy.crs import crs_names
 from fg_orient.model.errors import InputError
 
+#: Largest difference of an axis of the Earth's ellipsoid, m.
+SAME_AXIS_M: Final = 1.0
 #: Radii that differ by this share are equal.
 EQUAL: Final = 1e-9
 #: Ocentric CRS of the International Astronomical Union in PROJ.
@@ -104,6 +107,19 @@ class Body:
                 break
             aim += np.nan_to_num(error)
         return out
+
+
+def is_earth(major_m: float, minor_m: float) -> bool:
+    """Return whether two semi-axes are those of the Earth's ellipsoid."""
+    return max(abs(major_m - ellipsoid.A_M), abs(minor_m - ellipsoid.B_M)) <= SAME_AXIS_M
+
+
+def spheroid(name: str, major_m: float, minor_m: float, *, file: object, place: str) -> Body:
+    """Return the body with two semi-axes of a file; InputError, with file and place, if they are impossible."""
+    try:
+        return Body(name, (major_m, major_m, minor_m))
+    except InputError as error:
+        raise InputError.of("body.radii", file=file, place=place, value=error.problems[0].value) from None
 
 
 def coordinates_on(body: Body | None, xyz_m: Array) -> tuple[Array, Array, Array]:

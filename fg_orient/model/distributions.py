@@ -8,13 +8,16 @@ with a given probability. Degrees of freedom are the first arguments.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 from scipy import special
 
 from factors.arrays import Array
+
+#: Standard deviation of a normal distribution in median absolute deviations.
+MAD: Final = 1.4826
 
 
 def _of_arrays(function: Callable[..., Any]) -> Callable[..., Array]:

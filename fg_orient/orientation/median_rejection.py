@@ -20,10 +20,9 @@ from fg_orient.adjustment.problem import Problem, State, compile_problem, partic
 from fg_orient.adjustment.robust import FixedWeights
 from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.model.block import Block
+from fg_orient.model.distributions import MAD
 from fg_orient.model.errors import Finding, NoSolutionError, finding
 
-#: Standard deviation of a normal distribution in median absolute deviations.
-MAD: Final = 1.4826
 #: Weight of a rejected image point: its effect is below rounding.
 OUT: Final = 1e-20
 #: The iterations end when sigma0 changes by less than this, as in jigsaw, and no image point changes.

@@ -19,12 +19,11 @@ from factors.arrays import Array, Mask
 from factors.geometry import ellipsoid
 from fg_orient.geodesy import enu_from_ecef
 from fg_orient.model.block import Block
-from fg_orient.model.distributions import t_quantile
+from fg_orient.model.distributions import MAD, t_quantile
 from fg_orient.model.errors import Finding, InputError, as_record, finding
 from fg_orient.sensors.correction import HeightSurface
 from fg_orient.sensors.surface import RasterDem
 
-NMAD: Final = 1.4826
 #: Half the distance over which slopes are computed.
 SLOPE_M: Final = 15.0
 #: Limit in NMAD from the median; differences beyond it are excluded from the shift.
@@ -124,7 +123,7 @@ class DemComparison:
 
 def nmad(values: Array) -> float:
     """Return the normalised median absolute deviation, a standard deviation that is robust against a few blunders."""
-    return NMAD * float(np.median(np.abs(values - np.median(values))))
+    return MAD * float(np.median(np.abs(values - np.median(values))))
 
 
 def compare_dem(ground_m: Array, dem: HeightSurface) -> DemComparison:

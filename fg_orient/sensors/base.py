@@ -235,6 +235,12 @@ class Sensor(ABC):
                 first_sample=self.first_sample - 0.5, last_sample=self.last_sample + 0.5,
             )  # fmt: skip
 
+    def grid(self, count: int) -> tuple[Array, Array]:
+        """Lines and samples (count * count,) of a grid over the image."""
+        axes = (self.first_line, self.last_line), (self.first_sample, self.last_sample)
+        line, sample = np.meshgrid(*(np.linspace(*ends, count) for ends in axes), indexing="ij")
+        return line.ravel(), sample.ravel()
+
     def corners(self) -> tuple[Array, Array]:
         """Lines and samples (4,) of the corners in image order, clockwise."""
         line = np.array([self.first_line, self.first_line, self.last_line, self.last_line])

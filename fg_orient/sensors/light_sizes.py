@@ -44,10 +44,7 @@ def light_sizes(sensor: GeneralPushbroom) -> list[dict[str, Any]]:
         mean shift of the pixel of a ground point; ``largest_px``: largest length of this shift.
     """
     without = sensor.with_effects(LightEffects())
-    line, sample = (a.ravel() for a in np.meshgrid(
-        np.linspace(sensor.first_line, sensor.last_line, SIDE),
-        np.linspace(sensor.first_sample, sensor.last_sample, SIDE), indexing="ij",
-    ))  # fmt: skip
+    line, sample = sensor.grid(SIDE)
     plain = _ground(without, line, sample)
     towards_line, towards_sample = _inwards(line), _inwards(sample)
     by_pixel = np.stack([(_ground(without, line + towards_line, sample) - plain) * towards_line[:, None],

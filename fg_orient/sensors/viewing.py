@@ -56,13 +56,6 @@ class View:
         lon, lat, _ = coordinates_on(self.body, ground_m)
         return np.asarray(-np.einsum("nij,nj->ni", enu_from_ecef(lon, lat), direction))
 
-    def grid(self, count: int) -> tuple[Array, Array]:
-        """Lines and samples of a grid over the image."""
-        s = self.sensor
-        axes = np.linspace(s.first_line, s.last_line, count), np.linspace(s.first_sample, s.last_sample, count)
-        line, sample = (a.ravel() for a in np.meshgrid(*axes, indexing="ij"))
-        return line, sample
-
 
 def footprint(view: View) -> Array:
     """Border of the image on the ground, clockwise in the image, not closed: (4 (SIDE - 1), 2) degrees.
@@ -94,7 +87,7 @@ def image_record(view: View) -> dict[str, Any]:
     InputError
         A ray misses the surface.
     """
-    line, sample = (np.append(a, (a.min() + a.max()) / 2.0) for a in view.grid(GRID))
+    line, sample = (np.append(a, (a.min() + a.max()) / 2.0) for a in view.sensor.grid(GRID))
     ground = view.ground(line, sample)
     up = view.to_image(line, sample, ground)
     incidence = np.degrees(np.arccos(np.clip(up[:, 2], -1.0, 1.0)))
@@ -154,7 +147,7 @@ def pair_record(first: View, second: View) -> dict[str, Any]:
     InputError
         A ray misses the surface.
     """
-    line, sample = first.grid(GRID)
+    line, sample = first.sensor.grid(GRID)
     ground = first.ground(line, sample)
     seen = second.sensor.is_inside(*(np.nan_to_num(a, nan=np.inf) for a in second.sensor.project(ground)))
     names = {"images": [first.image.id, second.image.id]}

@@ -21,22 +21,16 @@ import numpy as np
 from factors.arrays import Array
 from factors.geometry import ellipsoid
 from fg_orient.formats.atomic import write_text
+from fg_orient.formats.csm import DISTORTIONS, FRAME_MODEL, UNIT, distortion_of, open_state
 from fg_orient.formats.json_files import JsonFile
 from fg_orient.formats.registry import Format
-from fg_orient.geodesy.bodies import Body
+from fg_orient.geodesy.bodies import Body, is_earth, spheroid
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.focal_plane import Detector, Distortion
 from fg_orient.sensors.framing import FramingCamera, FramingSensor, Taken, angles_of
 
-MODEL: Final = "USGS_ASTRO_FRAME_SENSOR_MODEL"
-#: Models of distortion by their numbers in a state.
-DISTORTIONS: Final = {0: "radial", 1: "transverse"}
-#: Largest difference of an axis of the Earth's ellipsoid, m.
-SAME_AXIS_M: Final = 1.0
 #: Pixels per side of the image at which a distortion is fitted and compared.
 SIDE: Final = 41
-#: A quaternion has norm 1 within this.
-_UNIT: Final = 1e-3
 #: Camera axes of a state, which look along their third axis forwards, from axes that look backwards.
 _HALF_TURN: Final = np.diag([-1.0, 1.0, -1.0])
 
@@ -51,12 +45,10 @@ def read_state(path: str | Path) -> FramingSensor:
         not zero.
     """
     path = Path(path)
-    state = JsonFile.read(path, skip=0 if path.read_bytes()[:200].lstrip()[:1] == b"{" else 1)
-    if state.text("m_modelName") != MODEL:
-        raise InputError.of("isd.model", file=path, place="m_modelName", value=state.text("m_modelName"), known=MODEL)
+    state = open_state(path, FRAME_MODEL)
     parameters = state.numbers("m_currentParameterValue", 7)
     away = abs(float(np.linalg.norm(parameters[3:])) - 1.0)
-    if away > _UNIT:
+    if away > UNIT:
         raise InputError.of("earth.quaternion", file=path, place="m_currentParameterValue", value=f"{away:.2g} off 1")
     principal = state.number("m_linePp", 0.0), state.number("m_samplePp", 0.0)
     if any(principal):
@@ -71,7 +63,7 @@ def read_state(path: str | Path) -> FramingSensor:
 
     turn = Rotation.from_quat(parameters[3:]).as_matrix().T
     camera = FramingCamera(
-        parameters[:3], angles_of(turn), np.eye(3), np.eye(3), focal, _detector(state), _distortion(state)
+        parameters[:3], angles_of(turn), np.eye(3), np.eye(3), focal, _detector(state), distortion_of(state)
     )  # fmt: skip
     taken = Taken(state.text("m_spacecraftName", ""), state.text("m_instrumentID", ""), "", "CSM state")
     size = state.count("m_nLines"), state.count("m_nSamples")
@@ -80,27 +72,11 @@ def read_state(path: str | Path) -> FramingSensor:
 
 def _body(state: JsonFile) -> Body | None:
     """Body of the axes; None for the Earth."""
-    major, minor = state.number("m_majorAxis"), state.number("m_minorAxis")
-    if np.abs(np.array([major, minor]) - [ellipsoid.A_M, ellipsoid.B_M]).max() <= SAME_AXIS_M:
+    axes = state.number("m_majorAxis"), state.number("m_minorAxis")
+    if is_earth(*axes):
         return None
-    try:
-        return Body(state.text("m_targetName", "") or "body", (major, major, minor))
-    except InputError as error:
-        raise InputError.of("body.radii", file=state.path, place="m_majorAxis, m_minorAxis",
-                            value=error.problems[0].value) from None  # fmt: skip
-
-
-def _distortion(state: JsonFile) -> Distortion:
-    kind = int(state.number("m_distortionType", 0))
-    if kind not in DISTORTIONS:
-        raise InputError.of("isd.distortion", file=state.path, place="m_distortionType", value=kind,
-                            known=", ".join(f"{k} ({name})" for k, name in DISTORTIONS.items()))  # fmt: skip
-    try:
-        return Distortion(DISTORTIONS[kind], tuple(state.numbers("m_opticalDistCoeffs", -1).tolist()))
-    except InputError as error:
-        problem = error.problems[0]
-        raise InputError.of(problem.code, file=state.path, place="m_opticalDistCoeffs", value=problem.value,
-                            **dict(problem.data)) from None  # fmt: skip
+    name = state.text("m_targetName", "") or "body"
+    return spheroid(name, *axes, file=state.path, place="m_majorAxis, m_minorAxis")
 
 
 def _detector(state: JsonFile) -> Detector:
@@ -141,7 +117,7 @@ def write_state(path: Path, sensor: Any, correction: Any = None) -> dict[str, An
                             "-> give such metadata", file=sensor.file, value=type(sensor).__name__)  # fmt: skip
     camera = _forward(sensor.camera.corrected(correction))
     written = replace(camera, distortion=_fitted(camera, sensor))
-    write_text(path, f"{MODEL}\n{json.dumps(_fields(sensor, written), indent=2)}\n")
+    write_text(path, f"{FRAME_MODEL}\n{json.dumps(_fields(sensor, written), indent=2)}\n")
     apart = _differences(camera, written, sensor)
     return {"distortion": written.distortion.model, "largest_px": float(apart.max()), "mean_px": float(apart.mean())}
 
@@ -158,14 +134,6 @@ def _forward(camera: FramingCamera) -> FramingCamera:
     )  # fmt: skip
 
 
-def _grid(sensor: FramingSensor) -> tuple[Array, Array]:
-    line, sample = np.meshgrid(
-        np.linspace(sensor.first_line, sensor.last_line, SIDE),
-        np.linspace(sensor.first_sample, sensor.last_sample, SIDE), indexing="ij",
-    )  # fmt: skip
-    return line.ravel(), sample.ravel()
-
-
 def _fitted(camera: FramingCamera, sensor: FramingSensor) -> Distortion:
     """Distortion that a state can hold: unchanged, or the transverse or radial one that is nearest over the image."""
     own = camera.distortion
@@ -173,7 +141,7 @@ def _fitted(camera: FramingCamera, sensor: FramingSensor) -> Distortion:
         return own
     if own.model == "none":
         return Distortion("radial", (0.0, 0.0, 0.0))
-    measured = camera.detector.millimetres(*_grid(sensor))
+    measured = camera.detector.millimetres(*sensor.grid(SIDE))
     ideal = own.ideal(measured)
     x, y = ideal.T
     terms = np.stack([x**0, x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3], axis=1)
@@ -190,7 +158,7 @@ def _fitted(camera: FramingCamera, sensor: FramingSensor) -> Distortion:
 
 def _differences(one: FramingCamera, other: FramingCamera, sensor: FramingSensor) -> Array:
     """Distances (n,) px between pixels of the same ideal coordinates, over the image."""
-    line, sample = _grid(sensor)
+    line, sample = sensor.grid(SIDE)
     ideal = one.distortion.ideal(one.detector.millimetres(line, sample))
     there = other.detector.pixels(other.distortion.measured(ideal))
     return np.asarray(np.hypot(there[0] - line, there[1] - sample))
@@ -208,7 +176,8 @@ def _fields(sensor: FramingSensor, camera: FramingCamera) -> dict[str, Any]:
     back = np.linalg.inv(affine[:, 1:])  # millimetres from detector samples and lines
     shift = (-back @ affine[:, 0]).tolist()
     return {
-        "m_modelName": MODEL, "m_imageIdentifier": Path(sensor.file).stem, "m_spacecraftName": sensor.taken.platform,
+        "m_modelName": FRAME_MODEL, "m_imageIdentifier": Path(sensor.file).stem,
+        "m_spacecraftName": sensor.taken.platform,
         "m_instrumentID": sensor.taken.instrument, "m_targetName": "EARTH" if sensor.body is None else sensor.body.name,
         "m_nLines": sensor.n_lines, "m_nSamples": sensor.n_samples, "m_majorAxis": major, "m_minorAxis": minor,
         "m_currentParameterValue": [*centre.tolist(), *quaternion], "m_currentParameterCovariance": [0.0] * 49,
@@ -229,6 +198,6 @@ def _fields(sensor: FramingSensor, camera: FramingCamera) -> dict[str, Any]:
 
 FORMAT = Format(
     name="csm-frame", title="CSM frame state",
-    sniff=lambda path, head: MODEL in head[:4000] and '"name_model"' not in head,
+    sniff=lambda path, head: FRAME_MODEL in head[:4000] and '"name_model"' not in head,
     read_image=read_state, write_image=write_state,
 )  # fmt: skip

@@ -15,14 +15,15 @@ from typing import Any, Final
 import numpy as np
 
 from factors.arrays import Array
-from factors.geometry import ellipsoid
 from factors.geometry.interpolation import sign_aligned
-from fg_orient.formats.csm_write import MODEL, write_state
+from fg_orient.formats.csm import LINE_SCAN_MODEL, UNIT, distortion_of, open_state
+from fg_orient.formats.csm_write import write_state
 from fg_orient.formats.json_files import JsonFile
 from fg_orient.formats.metadata.csm_frame import write_state as write_frame
-from fg_orient.formats.registry import Format, read_bytes
+from fg_orient.formats.registry import Format
+from fg_orient.geodesy.bodies import is_earth
 from fg_orient.model.errors import InputError
-from fg_orient.sensors.focal_plane import Detector, Distortion
+from fg_orient.sensors.focal_plane import Detector
 from fg_orient.sensors.framing import FramingSensor
 from fg_orient.sensors.general import GeneralPushbroom
 from fg_orient.sensors.light_sizes import chosen, noted
@@ -36,16 +37,11 @@ from fg_orient.sensors.metadata import (
     SegmentTiming,
 )
 
-#: Models of distortion by their numbers in a state.
-DISTORTIONS: Final = {0: "radial", 1: "transverse"}
-#: Largest difference of an axis of the Earth's ellipsoid, m.
-SAME_AXIS_M: Final = 1.0
 #: Heights at which a written file is compared with its image, m, and lines and samples of the comparison.
 HEIGHTS_M: Final = (0.0, 1000.0)
 SIDE: Final = 25
 #: Times before and after a sample that its polynomial uses; a state of an aircraft has fewer.
 _SATELLITE: Final = 1
-_UNIT: Final = 1e-3
 #: Camera axes of a state (z to the ground) from ours (forward, left, z from the ground): for a detector line along x,
 #: and for one along y, so that the line is across.
 _THEIRS: Final = {
@@ -63,9 +59,7 @@ def read_state(path: str | Path, light: tuple[str, ...] = ()) -> GeneralMetadata
         another distortion than radial or transverse, the interpolation of aircraft, another body than the Earth.
     """
     path = Path(path)
-    state = JsonFile.read(path, skip=0 if read_bytes(path, 200).lstrip()[:1] == b"{" else 1)
-    if state.text("m_modelName") != MODEL:
-        raise InputError.of("isd.model", file=path, place="m_modelName", value=state.text("m_modelName"), known=MODEL)
+    state = open_state(path, LINE_SCAN_MODEL)
     size = state.count("m_nLines"), state.count("m_nSamples")
     _require_plain(state)
     look, along = _directions(state, size[1])
@@ -87,8 +81,8 @@ def _require_plain(state: JsonFile) -> None:
     flag = state.number("m_platformFlag", default=_SATELLITE)
     if flag != _SATELLITE:
         raise InputError.of("csm.aircraft", file=state.path, place="m_platformFlag", value=f"{flag:g}")
-    axes = np.array([state.number("m_majorAxis"), state.number("m_minorAxis")])
-    if np.abs(axes - [ellipsoid.A_M, ellipsoid.B_M]).max() > SAME_AXIS_M:
+    axes = state.number("m_majorAxis"), state.number("m_minorAxis")
+    if not is_earth(*axes):
         value = f"{axes[0]:g}, {axes[1]:g} m"
         raise InputError.of("csm.body", file=state.path, place="m_majorAxis, m_minorAxis", value=value)
 
@@ -124,7 +118,7 @@ def _ephemeris(state: JsonFile) -> Ephemeris:
 def _attitude(state: JsonFile) -> QuaternionList:
     time_s, xyzw = _listed(state, "m_quaternions", 4, "Quat")
     away = np.abs(np.linalg.norm(xyzw, axis=1) - 1.0)
-    if away.max() > _UNIT:
+    if away.max() > UNIT:
         raise InputError.of("earth.quaternion", file=state.path, place=f"m_quaternions, record {away.argmax() + 1}",
                             value=f"{away.max():.2g} off 1")  # fmt: skip
     return QuaternionList(time_s, sign_aligned(np.roll(xyzw, 1, axis=1)), scheme="centred")
@@ -135,16 +129,7 @@ def _directions(state: JsonFile, n_samples: int) -> tuple[DirectionTable, str]:
 
     The line of the detector is always the first one: the time contains the line of the image.
     """
-    kind = int(state.number("m_distortionType", default=0))
-    if kind not in DISTORTIONS:
-        raise InputError.of("isd.distortion", file=state.path, place="m_distortionType", value=kind,
-                            known=", ".join(f"{k} ({name})" for k, name in DISTORTIONS.items()))  # fmt: skip
-    try:
-        distortion = Distortion(DISTORTIONS[kind], tuple(state.numbers("m_opticalDistCoeffs", -1).tolist()))
-    except InputError as error:
-        problem = error.problems[0]
-        raise InputError.of(problem.code, file=state.path, place="m_opticalDistCoeffs", value=problem.value,
-                            **dict(problem.data)) from None  # fmt: skip
+    distortion = distortion_of(state)
     lines, samples = (tuple(state.numbers(name, 3).tolist()) for name in ("m_iTransL", "m_iTransS"))
     detector = Detector(
         (state.number("m_detectorLineOrigin"), state.number("m_detectorSampleOrigin")), lines, samples,
@@ -177,17 +162,14 @@ def write_compared(path: Path, sensor: Any, correction: Any = None) -> dict[str,
         return write_frame(path, sensor, correction)
     record = write_state(path, sensor, correction)
     written = GeneralPushbroom(read_state(path))
-    line, sample = (a.ravel() for a in np.meshgrid(
-        np.linspace(sensor.first_line, sensor.last_line, SIDE),
-        np.linspace(sensor.first_sample, sensor.last_sample, SIDE), indexing="ij",
-    ))  # fmt: skip
+    line, sample = sensor.grid(SIDE)
     apart = [np.hypot(*(np.stack(sensor.project(written.locate(line, sample, height_m=h), correction))
                         - [line, sample])) for h in HEIGHTS_M]  # fmt: skip
     return record | {"largest_px": float(np.max(apart)), "mean_px": float(np.mean(apart))}
 
 
 def _is_state(_: Path, head: str) -> bool:
-    return MODEL in head[:400] and "name_model" not in head[:400]
+    return LINE_SCAN_MODEL in head[:400] and "name_model" not in head[:400]
 
 
 FORMAT = Format(

@@ -22,25 +22,22 @@ from typing import Any, Final
 import numpy as np
 
 from factors.arrays import Array
-from factors.geometry import ellipsoid
 from factors.geometry.rotations import quaternion_matrices
 from fg_orient.formats.atomic import write_text
+from fg_orient.formats.csm import FRAME_MODEL
 from fg_orient.formats.json_files import JsonFile
 from fg_orient.formats.pvl import Pvl, read_pvl
 from fg_orient.formats.registry import Format
-from fg_orient.geodesy.bodies import Body, known_bodies
+from fg_orient.geodesy.bodies import Body, is_earth, known_bodies, spheroid
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.focal_plane import Detector, Distortion
 from fg_orient.sensors.framing import FramingCamera, FramingSensor, Taken, angles_of, turn_of
 
 #: Name of the format in tables.
 FORM: Final = "ISD"
-MODEL: Final = "USGS_ASTRO_FRAME_SENSOR_MODEL"
 LABELS: Final = (".pvl", ".lbl", ".cub")
 #: Largest time, s, between the states of an image and its centre time if there is one state only.
 NEAR_S: Final = 0.1
-#: Largest difference of an axis of the Earth's ellipsoid, m.
-SAME_AXIS_M: Final = 1.0
 #: Distortions of an ISD and the models of ``focal_plane``.
 _DISTORTION: Final = {"radial": "radial", "transverse": "transverse"}
 
@@ -54,9 +51,10 @@ def read_isd(path: str | Path) -> FramingSensor:
         A file is unusable; the message names the value.
     """
     path = Path(path)
-    isd, label = JsonFile.read(path), _label(path)
-    if isd.text("name_model") != MODEL:
-        raise InputError.of("isd.model", file=path, place="name_model", value=isd.text("name_model"), known=MODEL)
+    isd, beside = JsonFile.read(path), _label_file(path)
+    label = None if beside is None else read_pvl(beside)
+    if isd.text("name_model") != FRAME_MODEL:
+        raise InputError.of("isd.model", file=path, place="name_model", value=isd.text("name_model"), known=FRAME_MODEL)
     time = isd.number("center_ephemeris_time")
     lines, samples = isd.count("image_lines"), isd.count("image_samples")
     inertial = (_constant(isd, "body_rotation") @ _turn(isd, "body_rotation", time)).T
@@ -73,10 +71,9 @@ def read_isd(path: str | Path) -> FramingSensor:
     return FramingSensor(camera, lines, samples, _body(isd), taken=taken, file=str(path), notes=notes)
 
 
-def _label(path: Path) -> Pvl | None:
-    """Label beside an ISD, if there is one."""
-    found = next((p for suffix in LABELS if (p := path.with_suffix(suffix)).is_file()), None)
-    return None if found is None else read_pvl(found)
+def _label_file(path: Path) -> Path | None:
+    """File of the label beside an ISD, if there is one."""
+    return next((p for suffix in LABELS if (p := path.with_suffix(suffix)).is_file()), None)
 
 
 def _group(label: Pvl | None, name: str) -> Pvl | None:
@@ -137,16 +134,13 @@ def _body(isd: JsonFile) -> Body | None:
     if unit is None:
         raise InputError.of("isd.unit", file=isd.path, place="radii.unit", value=isd.text("radii.unit"))
     major, minor = (unit * isd.number(f"radii.{name}") for name in ("semimajor", "semiminor"))
-    if np.abs(np.array([major, minor]) - [ellipsoid.A_M, ellipsoid.B_M]).max() <= SAME_AXIS_M:
+    if is_earth(major, minor):
         return None
     keys = isd.value("naif_keywords", {})
     found = next((m for key in keys if (m := re.fullmatch(r"BODY(\d+)_RADII", str(key)))), None)
     begin = f"IAU_2015:{found[1]}" if found else "none"
     name = next((name for name, own in known_bodies().items() if own[:-2] == begin), "body")
-    try:
-        return Body(name.title(), (major, major, minor))
-    except InputError as error:
-        raise InputError.of("body.radii", file=isd.path, place="radii", value=error.problems[0].value) from None
+    return spheroid(name.title(), major, minor, file=isd.path, place="radii")
 
 
 def _keyword(isd: JsonFile, name: str, count: int) -> Array | None:
@@ -245,7 +239,7 @@ def write_isd(path: Path, sensor: Any, correction: Any = None) -> dict[str, Any]
     values["instrument_position"] |= position
     values["instrument_pointing"] |= {"ephemeris_times": time, "quaternions": [quaternion.tolist()]}
     write_text(path, json.dumps(values, indent=2) + "\n")
-    label = next((p for suffix in LABELS if (p := source.with_suffix(suffix)).is_file()), None)
+    label = _label_file(source)
     if label is not None and label.suffix != ".cub" and label.parent.absolute() != path.parent.absolute():
         write_text(path.with_suffix(label.suffix), label.read_text("latin-1"))
     return {"label": label is not None, "largest_px": 0.0, "mean_px": 0.0}
@@ -255,7 +249,7 @@ FORMAT = Format(
     name="isd",
     title="image support data of ALE (JSON), frame",
     suffixes=(".isd", ".json"),
-    sniff=lambda path, head: head.lstrip().startswith("{") and f'"{MODEL}"' in head,
+    sniff=lambda path, head: head.lstrip().startswith("{") and f'"{FRAME_MODEL}"' in head,
     read_image=read_isd,
     write_image=write_isd,
 )

@@ -17,6 +17,7 @@ from factors.arrays import Array, Index
 from fg_orient.formats.office.candidates import in_ecef
 from fg_orient.formats.office.ground import Triple
 from fg_orient.formats.scenes import REACH, Scene
+from fg_orient.model.distributions import MAD
 
 #: A reading is rejected if its scatter is this many times the scatter of another one, which is at least this, px.
 RATIO: Final = 3.0
@@ -222,7 +223,7 @@ class Fit:
             apart = seen[own] - where[own]
             apart = np.where(np.isfinite(apart), apart, 1e9)
             middle = np.median(apart, axis=0)
-            scatter = max(scatter, 1.4826 * float(np.median(np.abs(apart - middle), axis=0).max()))
+            scatter = max(scatter, MAD * float(np.median(np.abs(apart - middle), axis=0).max()))
             here = float(np.linalg.norm(middle))
             move, move_m = max(move, here), max(move_m, here * self.gsd_m[name])
             fewest = min(fewest, int(own.sum()))

@@ -24,6 +24,7 @@ from fg_orient.formats.registry import Settings, format_of
 from fg_orient.geodesy import ecef_to_geodetic, from_geographic, geodetic_to_ecef, to_ecef, to_geographic
 from fg_orient.kernels.matching import AFFINE, FIT, fit_window
 from fg_orient.model.block import Options
+from fg_orient.model.distributions import MAD
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.orientation.match.blocks import WIDER, spline_of
 from fg_orient.orientation.match.epipolar import prior_covariance
@@ -164,7 +165,7 @@ def measure(
         moved = np.array([m.moved_px for m in own]).reshape(-1, 2)
         middle = np.median(moved, axis=0) if len(own) else np.zeros(2)
         away = np.linalg.norm(moved - middle, axis=1)
-        spread = max(1.4826 * float(np.median(away)) if len(own) else 0.0, LEAST_PX)
+        spread = max(MAD * float(np.median(away)) if len(own) else 0.0, LEAST_PX)
         for mark, distance in zip(own, away.tolist(), strict=True):
             if len(own) > 2 and distance > LIMIT * spread:
                 findings.append(

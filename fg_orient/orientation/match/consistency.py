@@ -14,12 +14,11 @@ import numpy as np
 from scipy import spatial
 
 from factors.arrays import Array, Mask
+from fg_orient.model.distributions import MAD
 
 #: Number of neighbours of a match; limit of its deviation in standard deviations of the neighbours.
 NEIGHBOURS: Final = 10
 LOCAL_LIMIT: Final = 4.0
-#: Factor from median absolute deviation to standard deviation of a Gaussian.
-MAD: Final = 1.4826
 #: Number of rounds, and limit, of the robust fit of the y-parallax polynomial.
 ROUNDS: Final = 8
 LIMIT: Final = 4.0

@@ -1,0 +1,46 @@
+"""Parts that frame and line-scan states of the Community Sensor Model (USGSCSM) have in common."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+from fg_orient.formats.json_files import JsonFile
+from fg_orient.formats.registry import read_bytes
+from fg_orient.model.errors import InputError
+from fg_orient.sensors.focal_plane import Distortion
+
+FRAME_MODEL: Final = "USGS_ASTRO_FRAME_SENSOR_MODEL"
+LINE_SCAN_MODEL: Final = "USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL"
+#: Models of distortion by their numbers in a state.
+DISTORTIONS: Final = {0: "radial", 1: "transverse"}
+#: A quaternion has norm 1 within this.
+UNIT: Final = 1e-3
+
+
+def open_state(path: Path, model: str) -> JsonFile:
+    """Read the values of a state: an object in JSON, below a line with the name of the model or without this line.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or it is a state of another model.
+    """
+    state = JsonFile.read(path, skip=0 if read_bytes(path, 200).lstrip()[:1] == b"{" else 1)
+    if state.text("m_modelName") != model:
+        raise InputError.of("isd.model", file=path, place="m_modelName", value=state.text("m_modelName"), known=model)
+    return state
+
+
+def distortion_of(state: JsonFile) -> Distortion:
+    """Distortion of a state; InputError if it is neither radial nor transverse, or its coefficients are impossible."""
+    kind = int(state.number("m_distortionType", 0))
+    if kind not in DISTORTIONS:
+        raise InputError.of("isd.distortion", file=state.path, place="m_distortionType", value=kind,
+                            known=", ".join(f"{k} ({name})" for k, name in DISTORTIONS.items()))  # fmt: skip
+    try:
+        return Distortion(DISTORTIONS[kind], tuple(state.numbers("m_opticalDistCoeffs", -1).tolist()))
+    except InputError as error:
+        problem = error.problems[0]
+        raise InputError.of(problem.code, file=state.path, place="m_opticalDistCoeffs", value=problem.value,
+                            **dict(problem.data)) from None  # fmt: skip
