@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from fg_orient.formats.exchange.bal import BalData, bal_data_of, frame_model_of, read_bal, read_bal_data, write_bal
 from fg_orient.formats.exchange.bundler import read_bundler, write_bundler
 from fg_orient.model.errors import InputError
+from tests.support.changed_text import changed
 from tests.support.frame_models import frame_model
 
 MATRIX = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
@@ -46,10 +47,8 @@ def snavely() -> tuple[float, float]:
 
 def written(folder: Path, old: str = "", new: str = "") -> Path:
     x, y = snavely()
-    text = BUNDLE.format(x=x, y=y)
-    assert old in text
     path = folder / "bundle.out"
-    path.write_text(text.replace(old, new, 1))
+    path.write_text(changed(BUNDLE.format(x=x, y=y), (old, new)))
     return path
 
 

@@ -21,6 +21,7 @@ from fg_orient.formats.frame_model import FrameModel
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.frame import MEASURED_TO_IDEAL
 from fg_orient.sensors.interior import Interior
+from tests.support.changed_text import change_file
 from tests.support.frame_models import frame_model
 
 CAMERAS = """# cameras
@@ -166,9 +167,7 @@ def test_names_that_colmap_would_cut_are_refused(tmp_path: Path) -> None:
 
 def edited(name: str, old: str, new: str) -> Callable[[Path], None]:
     def edit(folder: Path) -> None:
-        text = (folder / name).read_text()
-        assert old in text
-        (folder / name).write_text(text.replace(old, new, 1))
+        change_file(folder / name, (old, new))
 
     return edit
 

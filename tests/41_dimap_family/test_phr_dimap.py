@@ -16,6 +16,7 @@ from fg_orient.model.errors import InputError
 from fg_orient.sensors.metadata import LookAnglePolynomial, QuaternionPolynomial
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.sensors.rpc_sensor import RpcSensor
+from tests.support.changed_text import change_file
 
 PHR = "shareloc/PHRDIMAP_P1BP--2018122638935449CP.XML"
 QUATERNIONS = ((0.5, 1e-3, -1e-5), (0.5, -1e-3), (-0.5, 2e-3, 1e-5), (0.5, 2e-3))
@@ -72,13 +73,6 @@ def phr(tmp_path: Path) -> Path:
     return path
 
 
-def changed(path: Path, old: str, new: str) -> Path:
-    text = path.read_text("utf-8")
-    assert old in text
-    path.write_text(text.replace(old, new, 1), encoding="utf-8")
-    return path
-
-
 @pytest.mark.behaviour
 def test_values_are_those_of_the_text(phr: Path) -> None:
     m = read_dimap(phr)
@@ -99,18 +93,19 @@ def test_values_are_those_of_the_text(phr: Path) -> None:
 
 
 FAULTS: dict[str, tuple[Callable[[Path], Path], str]] = {
-    "another level": (lambda p: changed(p, ">SENSOR<", ">ORTHO<"), "dimap.other_level"),
+    "another level": (lambda p: change_file(p, (">SENSOR<", ">ORTHO<")), "dimap.other_level"),
     "line period in seconds": (
-        lambda p: changed(p, "<SENSOR_LINE_PERIOD>0.0735", "<SENSOR_LINE_PERIOD unit='s'>0.0735"), "xml.out_of_range"),
+        lambda p: change_file(p, ("<SENSOR_LINE_PERIOD>0.0735", "<SENSOR_LINE_PERIOD unit='s'>0.0735")),
+        "xml.out_of_range"),
     "acquisition's line period": (
-        lambda p: changed(p, "PERIOD>0.0735<", "PERIOD>0.2<"), "dimap.duration"),
-    "time of another day": (lambda p: changed(p, "<OFFSET>38935.5", "<OFFSET>1.5"), "dimap.quaternion_span"),
-    "no unit quaternion": (lambda p: changed(p, "-0.5 0.002", "-0.9 0.002"), "dimap.quaternion_norm"),
-    "look angle in degrees": (lambda p: changed(p, "-0.01422", "-1.422"), "dimap.look_angle"),
-    "kilometres": (lambda p: changed(p, "unit='m'>5447304.949", "unit='km'>5447304.949"), "dimap.radius"),
-    "pixel origin 0": (lambda p: changed(p, "<PIXEL_ORIGIN>1", "<PIXEL_ORIGIN>0"), "dimap.pixel_origin"),
-    "repeated time": (lambda p: changed(p, "10:48:20.", "10:48:10."), "dimap.time_order"),
-    "missing coefficient": (lambda p: changed(p, "-0.01422 7.11e-07", "-0.01422"), "xml.wrong_count"),
+        lambda p: change_file(p, ("PERIOD>0.0735<", "PERIOD>0.2<")), "dimap.duration"),
+    "time of another day": (lambda p: change_file(p, ("<OFFSET>38935.5", "<OFFSET>1.5")), "dimap.quaternion_span"),
+    "no unit quaternion": (lambda p: change_file(p, ("-0.5 0.002", "-0.9 0.002")), "dimap.quaternion_norm"),
+    "look angle in degrees": (lambda p: change_file(p, ("-0.01422", "-1.422")), "dimap.look_angle"),
+    "kilometres": (lambda p: change_file(p, ("unit='m'>5447304.949", "unit='km'>5447304.949")), "dimap.radius"),
+    "pixel origin 0": (lambda p: change_file(p, ("<PIXEL_ORIGIN>1", "<PIXEL_ORIGIN>0")), "dimap.pixel_origin"),
+    "repeated time": (lambda p: change_file(p, ("10:48:20.", "10:48:10.")), "dimap.time_order"),
+    "missing coefficient": (lambda p: change_file(p, ("-0.01422 7.11e-07", "-0.01422")), "xml.wrong_count"),
 }  # fmt: skip
 
 

@@ -12,6 +12,7 @@ from fg_orient.formats.sensor import read_sensor
 from fg_orient.model.errors import InputError, OutOfTimeRange
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
+from tests.support.changed_text import change_file
 from tests.support.sensor_description import describe
 
 pytestmark = pytest.mark.behaviour
@@ -40,10 +41,7 @@ DESCRIPTION = [
 
 @pytest.mark.parametrize(("old", "new", "code"), DESCRIPTION)
 def test_description(sensor: PushbroomSensor, tmp_path: Path, old: str, new: str, code: str) -> None:
-    path = describe(sensor, tmp_path)
-    text = path.read_text("utf-8")
-    assert old in text
-    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    path = change_file(describe(sensor, tmp_path), (old, new))
     with pytest.raises(InputError) as caught:
         read_sensor(path)
     assert code in {p.code for p in caught.value.problems}

@@ -12,6 +12,7 @@ import pytest
 import fg_orient as fg
 from fg_orient.geodesy import ecef_to_geodetic
 from fg_orient.simulate import ZonguldakOptions, simulate_zonguldak
+from tests.support.changed_text import change_file
 from tests.support.command import in_process as run
 
 from .conftest import Array, scene
@@ -155,8 +156,6 @@ def test_a_geopackage_equals_the_table(folder: Path, block: fg.Block) -> None:
     ],
 )
 def test_faults_name_file_and_remedy(folder: Path, file: str, old: str, new: str, message: str) -> None:
-    text = (folder / file).read_text("utf-8")
-    assert old in text
-    (folder / file).write_text(text.replace(old, new, 1), "utf-8")
+    change_file(folder / file, (old, new))
     done = run("validate", folder / "lines.toml")
     assert done.code == 2 and message in done.stderr + done.stdout and file in done.stderr + done.stdout

@@ -17,6 +17,7 @@ from fg_orient.formats.metadata.isd import read_isd, write_isd
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.focal_plane import Distortion
 from fg_orient.sensors.framing import FramingSensor
+from tests.support.changed_text import change_file
 from tests.support.csm_frame_twin import State
 from tests.support.planetary_files import project, write_block
 
@@ -134,10 +135,7 @@ def _isd(change: Callable[[dict[str, Any]], Any]) -> Callable[[Path], None]:
 
 def _text(name: str, old: str, new: str) -> Callable[[Path], None]:
     def damage(folder: Path) -> None:
-        path = folder / name
-        text = path.read_text()
-        assert old in text
-        path.write_text(text.replace(old, new, 1))
+        change_file(folder / name, (old, new))
 
     return damage
 

@@ -16,6 +16,7 @@ from fg_orient.formats.metadata.frame import read_camera, read_convention, write
 from fg_orient.sensors.camera_conversion import ConvertedCamera
 from fg_orient.sensors.conventions import CONVENTIONS, REFUSED, Image
 from tests.support import dbat
+from tests.support.changed_text import change_file
 from tests.support.command import in_process
 
 LINES, SAMPLES, PIXEL_MM, R0_MM = 1000, 1400, 0.005, 2.4
@@ -390,9 +391,7 @@ def test_camera_files_have_conventions(tmp_path: Path) -> None:
 def test_damaged_camera_files(tmp_path: Path, old: str, new: str, words: str) -> None:
     path = tmp_path / "camera.toml"
     write_convention(path, convert("australis", "australis"), PIXEL_MM, None)
-    text = path.read_text("utf-8")
-    assert old in text
-    path.write_text(text.replace(old, new, 1), "utf-8")
+    change_file(path, (old, new))
     ended = in_process("camera", "convert", path, "--to", "opencv", "--out", tmp_path / "out.toml")
     assert ended.code == 2 and words in ended.stderr and "camera.toml" in ended.stderr
     assert not (tmp_path / "out.toml").exists()

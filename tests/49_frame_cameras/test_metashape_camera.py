@@ -10,6 +10,7 @@ import pytest
 import fg_orient as fg
 from fg_orient.formats.metadata.frame import read_camera, read_convention
 from fg_orient.model.errors import InputError
+from tests.support.changed_text import changed
 from tests.support.command import in_process
 
 VALUES = {"f": 3664.125, "cx": 3.5, "cy": -12.25, "b1": 0.8, "b2": -0.2, "k1": -0.02, "k2": 0.01, "p1": 1e-4}
@@ -88,9 +89,7 @@ DAMAGE = {
 @pytest.mark.behaviour
 @pytest.mark.parametrize("name", DAMAGE)
 def test_damaged_files_are_refused_in_one_line(name: str, tmp_path: Path) -> None:
-    old, new = DAMAGE[name]
-    assert old in text()
-    path = write(tmp_path, text().replace(old, new))
+    path = write(tmp_path, changed(text(), DAMAGE[name]))
     ended = in_process("camera", "convert", path, "--to", "opencv", "--out", tmp_path / "out.toml")
     assert ended.code == 2, ended.stdout
     assert "cameras.xml" in ended.stderr and len(ended.stderr.strip().splitlines()) == 1, ended.stderr

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.changed_text import change_file
 from tests.support.results import of_version_0_1, sealed
 
 pytestmark = pytest.mark.behaviour
@@ -23,9 +24,7 @@ def _text(name: str, old: str, new: str) -> Callable[[Path, Path], object]:
     assert len(old) == len(new)
 
     def change(folder: Path, other: Path) -> None:
-        text = (folder / name).read_text("utf-8")
-        assert old in text
-        (folder / name).write_text(text.replace(old, new, 1), "utf-8")
+        change_file(folder / name, (old, new))
 
     return change
 

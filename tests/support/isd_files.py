@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from tests.support.changed_text import changed
+
 STEP_S, N_STATES = 0.02, 160
 LINES, SAMPLES = 20_000, 12_000
 EARTH_RATE = 7.2921151467e-5
@@ -87,10 +89,6 @@ def isd_text() -> str:
 
 def write_isd(folder: Path, *changes: tuple[str, str]) -> Path:
     """Write a file with changes of its text."""
-    text = isd_text()
-    for old, new in changes:
-        assert old in text
-        text = text.replace(old, new, 1)
     path = folder / "scene.XML"
-    path.write_text(text, encoding="utf-8")
+    path.write_text(changed(isd_text(), *changes), encoding="utf-8")
     return path

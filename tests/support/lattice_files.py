@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from tests.support.changed_text import changed
 from tests.support.isd_files import states
 
 LINES, SAMPLES, PERIOD_S = 4200, 4100, 2.2e-3
@@ -57,8 +58,7 @@ line_period_s = {PERIOD_S}
 """,
     }
     for name, old, new in changes:
-        assert old in texts[name]
-        texts[name] = texts[name].replace(old, new, 1)
+        texts[name] = changed(texts[name], (old, new))
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
     return folder / "lattice.toml"
@@ -81,11 +81,8 @@ def write_aster(folder: Path, *changes: tuple[str, str]) -> Path:
 <IMAGE_ROWS>{LINES}</IMAGE_ROWS>
 </isd>
 """
-    for old, new in changes:
-        assert old in text
-        text = text.replace(old, new, 1)
     path = folder / "band.xml"
-    path.write_text(text, encoding="utf-8")
+    path.write_text(changed(text, *changes), encoding="utf-8")
     return path
 
 
