@@ -8,7 +8,7 @@ two agree within ``SAME_PX`` everywhere in the image; otherwise the reason is gi
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -275,8 +275,3 @@ def vendor_pixels(handed: Handed, lon_deg: Array, lat_deg: Array, height_m: Arra
                        [c[COMPENSATION.sample_l], scale[1] + c[COMPENSATION.sample_s]]])  # fmt: skip
     pixels = np.stack(model.project(lon_deg, lat_deg, height_m)) - model.offsets[RANGE.image, None]
     return np.asarray((offset[:, None] + scale[:, None] * np.linalg.solve(matrix, pixels)).T)
-
-
-def program_lines(records: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return lines on how the program reads the files; equal lines occur once."""
-    return list(dict.fromkeys(str(record["use"]) for record in records if record["use"]))
