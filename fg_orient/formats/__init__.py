@@ -1,1 +1,1 @@
-"""Files in and out: metadata, tables, project files."""
+"""Read and write files: metadata, tables and project files."""

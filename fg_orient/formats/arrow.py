@@ -1,8 +1,12 @@
-"""Tables in Parquet files and Arrow files (Feather version 2), by pyarrow: the extra "arrow".
+"""Read and write tables in Parquet files and Arrow files (Feather version 2).
 
-Columns become cells like the columns of a CSV file, so that both have the same checks: a null is an empty cell, text
-may be encoded by a dictionary, numbers may be integers, floating-point or decimal. A file is bounded before it is read,
-by the rows and sizes that its footer states. It is read by row groups.
+The package pyarrow does the work (the extra "arrow"). The columns are converted to the same
+cells as the columns of a CSV file. Therefore both kinds of files pass the same checks. A null
+becomes an empty cell. Text may be encoded by a dictionary. Numbers may be integers,
+floating-point or decimal numbers.
+
+The footer of a file states the numbers of rows and bytes. They are checked before the file is
+read. Then the file is read in groups of rows.
 """
 
 from __future__ import annotations
@@ -27,31 +31,31 @@ from fg_orient.formats.text_files import read_data
 from fg_orient.model.errors import InputError
 from fg_orient.model.machine import allowed_bytes, in_gb
 
-#: Notes the faults of the names of columns, given their place.
+#: Function that checks the names of columns and notes their faults. Its first argument is their place in the file.
 Check = Callable[[str, Sequence[str]], None]
-#: Place of the names of columns in messages.
+#: Messages give this as the place of a wrong column name.
 HEADER: Final = "the columns"
-#: First bytes of the files.
+#: A file with this suffix must begin with these bytes.
 MARKS: Final = {".parquet": b"PAR1", ".feather": b"ARROW1", ".arrow": b"ARROW1"}
-#: Metadata of a file: version of the columns, and comments as lines of CSV.
+#: Names of two entries in the metadata of a file: the version of the columns, and the comments as lines of CSV.
 SCHEMA: Final = b"fg_orient.schema"
 COMMENTS: Final = b"fg_orient.comments"
 VERSION: Final = b"1"
-#: Rows that are compressed, and can be read, at once.
+#: Number of rows that are compressed together. A reader can read such a group alone.
 ROW_GROUP: Final = 250_000
-#: Bytes of the different texts of a row group up to which they are written once.
+#: Each different text of a row group is written only once, if these texts need at most this number of bytes.
 DICTIONARY: Final = 16_000_000
-#: Bytes of a cell in memory, at least.
+#: Minimum number of bytes that a cell needs in memory.
 PER_CELL: Final = 16
-#: Largest number of characters of a text, and forbidden characters.
+#: Maximum number of characters of a text; below: characters that a text must not contain.
 LONGEST: Final = 10_000
 BREAKS: Final = "\n\r\0"
-#: Kinds of columns that are numbers in numpy.
+#: Kinds of columns that are converted to arrays of numbers.
 NUMBERS: Final = ("whole", "number")
 
 
 class _Opened(NamedTuple):
-    """An open file: schema, rows, bytes of the columns, share of the largest row group, number and reader of these."""
+    """Open file: schema, number of rows, bytes of the columns, share of the largest row group, and its row groups."""
 
     schema: Any
     n_rows: int
@@ -62,7 +66,11 @@ class _Opened(NamedTuple):
 
 
 class _Part(NamedTuple):
-    """Some cells of a column: numbers and a mask of the empty cells, or positions of texts in ``distinct``."""
+    """Some cells of a column.
+
+    Cells of numbers have their values, and a mask of the empty cells. Cells of text have
+    positions in ``distinct``.
+    """
 
     values: npt.NDArray[Any]
     empty: Mask
@@ -71,14 +79,17 @@ class _Part(NamedTuple):
 
 @dataclass
 class _Known:
-    """Texts of a column by their positions; the last dictionary of pyarrow, which row groups may share."""
+    """All different texts of a column and their positions.
+
+    Several row groups may share a dictionary of pyarrow. Therefore the last dictionary is kept.
+    """
 
     texts: dict[str, int]
     _dictionary: Any = None
     _positions: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def positions(self, dictionary: Any) -> npt.NDArray[np.int64]:
-        """Return positions of the texts of a dictionary, then the position of an empty cell."""
+        """Return the positions of the texts of a dictionary; the last position is the one of an empty cell."""
         if self._dictionary is None or not dictionary.equals(self._dictionary):
             found = [(text or "").strip() for text in dictionary.to_pylist()]
             self._dictionary = dictionary
@@ -87,7 +98,7 @@ class _Known:
 
 
 def library(file: object) -> Any:
-    """Import pyarrow; InputError for ``file``, which needs it, if it is not installed."""
+    """Import pyarrow. Raise InputError if it is not installed; the message names the ``file`` that needs it."""
     try:
         import pyarrow
         import pyarrow.ipc
@@ -111,14 +122,14 @@ def read_binary(path: Path, faults: Faults, check: Check) -> dict[str, Cells] | 
     Returns
     -------
     dict or None
-        None, with the faults noted, if the file is unusable.
+        None if the file cannot be used; the faults are then noted.
     """
     parts = list(_parts(path, faults, check))
     return None if faults else {name: _cells([part.pop(name) for part in parts]) for name in list(parts[0])}
 
 
 def comments_of(path: Path, faults: Faults) -> str:
-    """Return comments in the metadata of a file, as lines of CSV; if unusable, note the error and return none."""
+    """Return the comments of a file as lines of CSV. If the file cannot be used, note the fault and return ""."""
     if _begins_well(path, faults):
         with _noting(path, faults) as pa:
             return str((_opened(pa, path).schema.metadata or {}).get(COMMENTS, b"").decode("utf-8"))
@@ -126,7 +137,7 @@ def comments_of(path: Path, faults: Faults) -> str:
 
 
 def _begins_well(path: Path, faults: Faults) -> bool:
-    """Return whether the file exists and begins with the signature of its format; else note the error."""
+    """Return whether the file begins with the signature of its format; if not, note the fault."""
     mark = MARKS[path.suffix.lower()]
     found = read_data(path, faults, len(mark))
     if found not in (mark, None):
@@ -136,7 +147,7 @@ def _begins_well(path: Path, faults: Faults) -> bool:
 
 @contextmanager
 def _noting(path: Path, faults: Faults) -> Iterator[Any]:
-    """Give pyarrow; its errors become faults of the file."""
+    """Import pyarrow for a block of code; errors of pyarrow in this block are noted as faults of the file."""
     pa = library(path)
     try:
         yield pa
@@ -145,7 +156,7 @@ def _noting(path: Path, faults: Faults) -> Iterator[Any]:
 
 
 def _opened(pa: Any, path: Path) -> _Opened:
-    """Open a file. Text of Parquet stays encoded by a dictionary, which bounds its size in memory."""
+    """Open a file. Text of Parquet stays encoded by a dictionary, to limit the memory."""
     if path.suffix.lower() == ".parquet":
         meta = pa.parquet.read_metadata(path)
         schema = meta.schema.to_arrow_schema()
@@ -170,7 +181,10 @@ def _opened(pa: Any, path: Path) -> _Opened:
 
 
 def _parts(path: Path, faults: Faults, check: Check) -> Iterator[dict[str, _Part]]:
-    """Columns of each row group, at least one; only one group is in memory in the form of pyarrow."""
+    """Yield the columns of each row group. A file without rows yields one empty group.
+
+    Only one group at a time is in memory as a table of pyarrow.
+    """
     if not _begins_well(path, faults):
         return
     with _noting(path, faults) as pa:
@@ -199,7 +213,7 @@ def _parts(path: Path, faults: Faults, check: Check) -> Iterator[dict[str, _Part
 
 
 def _check_schema(file: _Opened, kinds: Sequence[tuple[str, str]], check: Check, faults: Faults) -> None:
-    """Note an unknown version, names that do not fit, and types of columns that are neither text nor numbers."""
+    """Note an unknown version, wrong column names, and columns that contain neither text nor numbers."""
     version = (file.schema.metadata or {}).get(SCHEMA, VERSION)
     if version != VERSION:
         faults.add("table.version", value=version.decode("utf-8", "replace"), version=VERSION.decode())
@@ -211,7 +225,7 @@ def _check_schema(file: _Opened, kinds: Sequence[tuple[str, str]], check: Check,
 
 
 def _kind(pa: Any, type_: Any) -> str:
-    """Kind of the cells of a column: text, whole, number, decimal, none (all null), "" (unusable)."""
+    """Return the kind of a column: text, whole, number, decimal, none (all cells are null) or "" (not supported)."""
     types = pa.types
     if types.is_dictionary(type_):
         type_ = type_.value_type
@@ -223,7 +237,7 @@ def _kind(pa: Any, type_: Any) -> str:
 
 
 def _numbers(pa: Any, column: Any) -> _Part:
-    """Cells of a column of numbers of pyarrow."""
+    """Convert a column of numbers from pyarrow."""
     values, empty = [np.zeros(0, np.int64)], [np.zeros(0, bool)]
     for one in column.chunks:
         plain = one.dictionary_decode() if pa.types.is_dictionary(one.type) else one
@@ -234,9 +248,9 @@ def _numbers(pa: Any, column: Any) -> _Part:
 
 
 def _texts(pa: Any, column: Any, known: _Known) -> _Part:
-    """Cells of a column of text; ``known``: its texts in the file so far, new ones are added.
+    """Convert a column of text from pyarrow; new texts are added to ``known``, the texts read so far.
 
-    A decimal number is a text first, so that it is rounded once.
+    A decimal number is converted to text first. Its later conversion to a double then rounds it only once.
     """
     codes = [np.zeros(0, np.int64)]
     for one in column.chunks:
@@ -249,9 +263,10 @@ def _texts(pa: Any, column: Any, known: _Known) -> _Part:
 
 
 def _check_texts(name: str, part: _Part, before: int, first: int, faults: Faults) -> None:
-    """Note the first new text that no cell of CSV could have.
+    """Note the first new text that a CSV cell cannot contain.
 
-    ``before``: number of texts that are not new; ``first``: number of the first row.
+    ``before`` is the number of texts that were known before this part. ``first`` is the row
+    number of its first row.
     """
     new = list(islice(part.distinct or (), before, None))
     joined = "".join(new)
@@ -274,7 +289,7 @@ def _cells(parts: Sequence[_Part]) -> Cells:
 
 
 def write_binary(path: Path, columns: Mapping[str, Column], comments: Sequence[str]) -> None:
-    """Write a table as Parquet or Arrow by the end of the file name; see ``table_write.write_table``."""
+    """Write a table as Parquet or Arrow; the suffix of the file name decides. See ``table_write.write_table``."""
     pa = library(path)
     arrays = {name: _array(pa, name, values) for name, values in columns.items()}
     metadata = {SCHEMA: VERSION, COMMENTS: "\n".join(comment_lines(comments)).encode("utf-8")}
@@ -295,7 +310,7 @@ def write_binary(path: Path, columns: Mapping[str, Column], comments: Sequence[s
 
 
 def _array(pa: Any, name: str, values: Column) -> Any:
-    """Array of pyarrow: float64, int64, booleans or text; null where CSV has an empty cell."""
+    """Convert a column to an array of pyarrow (float64, int64, bool or text); an empty cell of CSV becomes null."""
     if name not in WORDS and name not in WHOLE and are_numbers(values):
         numbers = np.asarray(values, np.float64)
         return pa.array(numbers, mask=~np.isfinite(numbers))

@@ -1,6 +1,6 @@
-"""Points and observations of a block together: ray counts, excluded points, remarks on their distribution.
+"""Combine the points and observations of a block: count rays, exclude points, and judge their distribution.
 
-Only control coordinates and image positions are used; the coordinates of check points stay sealed.
+Only control coordinates and image coordinates are used. The coordinates of check points stay sealed.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from fg_orient.model.block import GroundPoints, Image, ImagePoints, WithheldCoor
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role
 
-#: Ids named in one message.
+#: Maximum number of ids in one message.
 _NAMED: Final = 10
-#: Below this number of control points an error in one of them is hardly detectable.
+#: With fewer control points, an error in one of them can hardly be detected.
 FEW_CONTROL: Final = 6
 #: ASPRS Positional Accuracy Standards, edition 2 (2023): minimum number of check points.
 FEW_CHECK: Final = 30
-#: Width over length (standard deviations) below which points are treated as a line.
+#: Points are treated as a line if their width divided by their length (standard deviations) is below this value.
 LINE_RATIO: Final = 0.05
-#: Control that spans less than this part of the lines and of the samples is called clustered.
+#: Control points are clustered if they cover less than this part of the lines and less than this part of the samples.
 CLUSTER_SPAN: Final = 0.25
 
 
@@ -39,17 +39,18 @@ def assemble(
     relative: bool = False,
     named: Collection[str] = (),
 ) -> tuple[GroundPoints, ImagePoints, WithheldCoordinates, tuple[Finding, ...]]:
-    """Points of the block, their observations, sealed check points and remarks.
+    """Return the points of the block, their observations, the sealed check points and remarks.
 
-    Unmeasured points are left out, except fixed ones that constraints name (``named``). Check and tie points with a
-    single ray are refused, or left out by ``drop``. Control points with a single ray stay: their coordinates complete
-    it. An image without measured points is refused, and a block without measured control points, unless the adjustment
-    is ``relative``.
+    Points without image points are removed. Exceptions are fixed points that constraints name
+    (``named``). Check and tie points with only one ray are refused, or removed if ``drop`` is
+    true. Control points with only one ray are kept, because their coordinates are known. Images
+    without measured points are refused. A block without measured control points is refused,
+    unless the adjustment is ``relative``.
 
     Raises
     ------
     InputError
-        All these faults.
+        A point or image is refused; the error lists all of them.
     """
     problems: list[Finding] = []
     remarks: list[Finding] = []
@@ -88,13 +89,13 @@ def _named(ids: Sequence[str], rows: Index) -> str:
 
 
 def _with_image(ids: Sequence[str], image_ids: Sequence[str], observations: ImagePoints) -> list[str]:
-    """Ids of points, each with one image in which it is measured."""
+    """Return the ids of points; to each id, append one image in which the point is measured."""
     only = dict(zip(observations.point.tolist(), observations.image.tolist(), strict=True))
     return [f"{name} (image {image_ids[only[j]]})" if j in only else name for j, name in enumerate(ids)]
 
 
 def _renumber(observations: ImagePoints, kept: Index, n_points: int) -> ImagePoints:
-    """Observations of the kept points, with their new positions."""
+    """Return the observations of the points that are kept, with the new numbers of the points."""
     number = np.full(n_points, -1, np.intp)
     number[kept] = np.arange(len(kept))
     taken = observations.take(number[observations.point] >= 0)
@@ -107,7 +108,7 @@ def _renumber(observations: ImagePoints, kept: Index, n_points: int) -> ImagePoi
 def geometry_remarks(
     images: Sequence[Image], points: GroundPoints, observations: ImagePoints, file: str
 ) -> tuple[Finding, ...]:
-    """Remarks on number and distribution of control and check points; ``file`` is the name of the point file."""
+    """Check the number and distribution of control and check points; ``file`` is the point file in messages."""
     control, n_check = points.where(Role.CONTROL), len(points.where(Role.CHECK))
     remarks: list[Finding] = []
     if len(control) < FEW_CONTROL:
@@ -121,7 +122,7 @@ def geometry_remarks(
 
 
 def _line(points: GroundPoints, file: str) -> list[Finding]:
-    """Horizontal spread of control: the ratio of its principal standard deviations."""
+    """Return a remark if the control points lie nearly on a line: ratio of their principal standard deviations."""
     control = points.where(Role.CONTROL)
     if len(control) < 3:
         return []
@@ -136,7 +137,7 @@ def _line(points: GroundPoints, file: str) -> list[Finding]:
 
 
 def _clusters(images: Sequence[Image], control: Index, o: ImagePoints, file: str) -> list[Finding]:
-    """Images in which control covers a small part only, and blocks with control in one image only."""
+    """Return remarks if control covers only a small part of an image, or if only one image has control."""
     remarks: list[Finding] = []
     is_control = np.isin(o.point, control)
     seen_in = sorted(set(o.image[is_control].tolist()))

@@ -1,10 +1,13 @@
-"""Files and folders written whole or not at all: a hidden sibling is filled, then renamed.
+"""Write files and folders completely or not at all.
 
-A process that is killed leaves its hidden sibling; the next run removes it (:mod:`fg_orient.formats.staging`).
+The output is first written to a hidden file or folder in the same directory. When it is
+complete, it is renamed. If a process is killed, its hidden file remains; the next run removes
+it (:mod:`fg_orient.formats.staging`).
 
-An existing folder is kept until the new one is complete. A folder is only replaced if it contains an output of this
-program and no other files. This protects a home directory that was given by mistake as ``out``, and a result that is
-kept inside a simulated project.
+An existing folder is kept until the new one is complete. A folder is replaced only if it
+contains an output of this program and no other files. This protects a home directory that was
+given as ``out`` by mistake. It also protects a result that the user keeps inside a simulated
+project.
 """
 
 from __future__ import annotations
@@ -25,23 +28,23 @@ from fg_orient.model.names import TableForm
 def staged_file(
     path: str | os.PathLike[str], *, place: str = "", suffix: str = "", durable: bool = False
 ) -> Iterator[Path]:
-    """Hidden sibling of a file, renamed to the file if the block ends without an exception, else removed.
+    """Give a hidden file to write to. If the block succeeds, rename it to the target; otherwise remove it.
 
     Parameters
     ----------
     path : path
         Target; its folder must exist. An existing file is replaced.
     place : str
-        Option that named it, for messages.
+        Option that gave the target; used in messages.
     suffix : str
-        End of the hidden name, for writers that depend on it.
+        Suffix of the hidden file, for writers that require a certain suffix.
     durable : bool
-        Wait until the data are on the disk: the file then survives a power cut.
+        Wait until the data are on the disk. The file then survives a power failure.
 
     Raises
     ------
     InputError
-        An ``OSError`` of the block or of the renaming.
+        The block or the renaming raised an ``OSError``.
     """
     target = Path(path)
     with writing(path, option="", place=place):
@@ -55,12 +58,12 @@ def staged_file(
 
 @contextlib.contextmanager
 def together(*files: Path) -> Iterator[None]:
-    """Put files back, or remove new ones, if the block that changes several of them ends with an exception.
+    """Restore several files if the block that changes them raises an exception; new files are removed.
 
     Parameters
     ----------
     *files : Path
-        Files that the block replaces or makes; their folders must exist.
+        Files that the block replaces or creates; their folders must exist.
 
     Raises
     ------
@@ -87,18 +90,18 @@ def together(*files: Path) -> Iterator[None]:
 def write_bytes(path: str | os.PathLike[str], data: bytes, *, durable: bool = True) -> None:
     """Write a file atomically; an existing file is replaced.
 
-    ``durable``: see :func:`staged_file`. An InputError (folder missing, no permission, disk full) leaves no part of
-    the file.
+    For ``durable`` see :func:`staged_file`. InputError: the folder is missing, the permission
+    is missing or the disk is full; no part of the file remains.
     """
     with (
         staged_file(path, durable=durable) as temporary,
-        temporary.open("xb") as stream,  # never through a foreign link
+        temporary.open("xb") as stream,  # "x" refuses a link that another user placed here
     ):
         stream.write(data)
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write UTF-8 text atomically, line ends unchanged; see :func:`write_bytes`."""
+    """Write UTF-8 text atomically without a change of line ends; see :func:`write_bytes`."""
     write_bytes(path, text.encode("utf-8"))
 
 
@@ -117,9 +120,9 @@ class Contents:
     Parameters
     ----------
     mark : str
-        A file that only this output has.
+        Name of a file that only this kind of output contains.
     names : tuple of str
-        All files of the output, relative to the folder, with ``*`` for any name.
+        All files of the output, relative to the folder; ``*`` matches any name.
     """
 
     mark: str
@@ -137,13 +140,13 @@ class Contents:
 
 
 def in_all_forms(*tables: str) -> tuple[str, ...]:
-    """Names of the files of tables in the forms of the option ``tables``."""
+    """Return the file names of tables in all formats of the option ``tables``."""
     return tuple(f"{table}.{form}" for table in tables for form in get_args(TableForm))
 
 
-#: Tables of a result folder.
+#: File names of the tables of a result folder.
 RESULT_TABLES: Final = in_all_forms("eop", "points", "residuals", "accuracy", "outliers", "start_points")
-#: Result folder of ``adjust``.
+#: Contents of a result folder of ``adjust``.
 RESULT: Final = Contents(
     "result.json",
     ("result.json", *RESULT_TABLES, "iterations.jsonl", "arrays.npz", "covariance.npz", "manifest.json",
@@ -153,21 +156,21 @@ RESULT: Final = Contents(
 
 
 def require_free(out: Path, *, overwrite: bool, contents: Contents = RESULT) -> None:
-    """Refuse an output folder that may not be written; call it before computing.
+    """Refuse an output folder that must not be overwritten; call this before the computation.
 
     Parameters
     ----------
     out : Path
         The output folder.
     overwrite : bool
-        Allow an existing folder that is empty, or has the mark and no foreign files.
+        Allow an existing folder if it is empty, or if it contains the mark and no foreign files.
     contents : Contents
-        Of the output.
+        Files that belong to the output.
 
     Raises
     ------
     InputError
-        It exists and may not be replaced; the first foreign file is named.
+        The folder exists and must not be replaced. The message names the first foreign file.
     """
     for folder in (out.absolute().parent, out):
         sweep(folder)
@@ -185,7 +188,7 @@ def require_free(out: Path, *, overwrite: bool, contents: Contents = RESULT) -> 
 
 
 def require_free_files(*files: Path | None, overwrite: bool, option: str = "out") -> None:
-    """Raise InputError if a file exists and ``overwrite`` is False; call it before computing. None: no file."""
+    """Raise InputError if a file exists and ``overwrite`` is False; None means no file. Call it before computing."""
     for file in files:
         if file is not None and file.exists() and not overwrite:
             raise InputError.of("output.exists", file=file, option=option)
@@ -193,7 +196,7 @@ def require_free_files(*files: Path | None, overwrite: bool, option: str = "out"
 
 @contextlib.contextmanager
 def writing(out: str | os.PathLike[str], *, option: str = "out", place: str = "") -> Iterator[None]:
-    """Convert an OSError, or an error of GDAL, into an InputError that names the output; for blocks that only write."""
+    """Convert an OSError or an error of GDAL into an InputError that names the output; the block must only write."""
     try:
         yield
     except Exception as error:
@@ -204,28 +207,29 @@ def writing(out: str | os.PathLike[str], *, option: str = "out", place: str = ""
 
 
 def _is_of_gdal(error: Exception) -> bool:
-    """Whether an exception comes from GDAL: its packages have no common class for errors of writing."""
+    """Return whether GDAL raised an exception. Its packages have no common class for errors of writing."""
     package = type(error).__module__.partition(".")[0]
     return package in ("rasterio", "pyogrio") or (isinstance(error, SystemError) and "GDAL" in str(error))
 
 
 @contextlib.contextmanager
 def staged_folder(out: str | Path, *, overwrite: bool = False, contents: Contents = RESULT) -> Iterator[Path]:
-    """Empty sibling of ``out``, renamed to it if the block ends without an exception, else removed.
+    """Give an empty hidden folder. If the block succeeds, rename it to ``out``; otherwise remove it.
 
     Parameters
     ----------
     out : path
-        The output folder; missing parents are made.
+        The output folder; missing parent folders are created.
     overwrite : bool
-        Replace an existing output once the new one is complete.
+        Replace an existing output when the new one is complete.
     contents : Contents
-        Of the output.
+        Files that belong to the output.
 
     Raises
     ------
     InputError
-        ``out`` exists and may not be replaced, or cannot be written. Exceptions of the block are not changed.
+        ``out`` exists and must not be replaced, or it cannot be written. Exceptions of the
+        block are raised unchanged.
     """
     target = Path(out).absolute()
     require_free(target, overwrite=overwrite, contents=contents)

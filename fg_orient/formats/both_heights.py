@@ -1,4 +1,4 @@
-"""Constant undulation estimated from a table of points with both heights, ellipsoidal and above a zero level."""
+"""Estimate a constant undulation from points with two heights: ellipsoidal, and above a zero level."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from fg_orient.formats.faults import Faults
 from fg_orient.formats.tables import read_table
 from fg_orient.model.errors import Finding, finding
 
-#: Columns of a table of points with both heights.
+#: Columns of the table of points that have both heights.
 BOTH_COLUMNS: Final = ("id", "height_m", "ellipsoidal_height_m")
-#: Probability that one of all points with right heights is named as odd.
+#: Probability that any point is reported as an outlier although all heights are correct.
 ODD: Final = 0.01
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Constant undulation from points with both heights: mean, standard deviation of mean and of one point, m."""
+    """Estimated constant undulation: mean, standard deviation of the mean, and standard deviation of one point, m."""
 
     undulation_m: float
     sigma_m: float
@@ -29,15 +29,17 @@ class Estimate:
 
 
 def estimated(path: Path) -> Estimate:
-    """Constant undulation from a table of points with both heights.
+    """Estimate a constant undulation from a table of points with both heights.
 
-    The mean of the differences of both heights, its standard deviation from their scatter. A point whose difference
-    does not fit the other points (externally studentised, ``ODD`` over all points) is named and kept.
+    The undulation is the mean of the differences of both heights. Its standard deviation
+    follows from the scatter of the differences. A point whose difference does not fit the other
+    points is reported but kept. The test uses externally studentised differences; its level
+    over all points is ``ODD``.
 
     Raises
     ------
     InputError
-        The table is faulty.
+        The table has a fault.
     """
     faults = Faults(str(path))
     table = read_table(path, [BOTH_COLUMNS], faults)
@@ -59,7 +61,8 @@ def estimated(path: Path) -> Estimate:
         from fg_orient.model.distributions import sidak, t_two_sided  # not above: it loads scipy
 
         others = (difference.sum() - difference) / (n - 1)
-        square = ((difference - mean) ** 2).sum() - (difference - mean) ** 2 * n / (n - 1)  # of the others about theirs
+        # sum of squares of the other points about their own mean
+        square = ((difference - mean) ** 2).sum() - (difference - mean) ** 2 * n / (n - 1)
         spread = np.sqrt(np.maximum(square, 0.0) / (n - 2) * n / (n - 1))
         apart = difference - others
         times = np.abs(apart) / np.maximum(spread, np.finfo(float).tiny)

@@ -1,7 +1,8 @@
-"""Photo files of close range, in TOML; docs/closerange.md describes them.
+"""Read photo files of close range, which are TOML files; docs/closerange.md describes them.
 
-One ``[[photos]]`` table per photo: either ``focal`` with ``principal`` and ``y_axis`` (and, once it is oriented,
-``rotation`` and ``centre_m``), or the ``matrix`` of a DLT with its ``origin_m``.
+Each photo has one ``[[photos]]`` table. The table contains either ``focal``, ``principal`` and
+``y_axis``, or the ``matrix`` of a DLT with its ``origin_m``. After the orientation, the first
+kind also contains ``rotation`` and ``centre_m``.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from fg_orient.model.errors import InputError
 from fg_orient.model.names import LARGEST
 from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation, not_a_rotation
 
-#: Coefficients, of coordinates in m to the power of -7 at most.
+#: Largest allowed coefficient. A coefficient has a unit of up to m to the power of -7, so it may be very large.
 _COEFFICIENT: Final = 1e30
 
 Number = Annotated[float, Field(strict=True, ge=-LARGEST, le=LARGEST)]
@@ -51,7 +52,10 @@ class PhotoEntry(Table):
 
     @property
     def corrections(self) -> tuple[float, ...]:
-        """Coefficients from measured to ideal coordinates, in the order of ``factors.cameras.image_corrections``."""
+        """Return the coefficients that correct measured coordinates to ideal ones.
+
+        Their order is the one of ``factors.cameras.image_corrections``.
+        """
         return (self.k1, self.k2, self.k3, self.p1, self.p2, self.affinity_a, self.affinity_b)
 
 
@@ -83,7 +87,7 @@ def read_photos(path: Path) -> Photos:
     Raises
     ------
     InputError
-        All faults of the file; a name that occurs twice, a matrix that is not a rotation.
+        The file has faults, a name occurs twice, or a matrix is not a rotation.
     """
     entries: dict[str, PhotoEntry] = {}
     for k, entry in enumerate(read_toml(path, PhotoFile).photos):

@@ -1,8 +1,14 @@
-"""Cells of a large table by columns, without a string for each cell; rows of numbers as text.
+"""Cells of a large table, stored by columns without a Python string for each cell.
 
-A CSV table is regular if it is ASCII without quotes, apostrophes and blanks, comments are before the header only, and
-every record has as many cells as the header. Cells are then slices of its bytes between separators. Numbers are read by
-orjson, ten times faster than by ``float``. Any other table is read line by line (``fg_orient.formats.tables``).
+The module also converts rows of numbers to text. A CSV table is called regular if
+
+- it is ASCII without quotes, apostrophes and blanks,
+- all its comments are before the header, and
+- every record has as many cells as the header.
+
+The cells of a regular table are slices of its bytes between separators. Their numbers are read
+by orjson, which is ten times faster than ``float``. Any other table is read line by line
+(``fg_orient.formats.tables``).
 """
 
 from __future__ import annotations
@@ -18,22 +24,23 @@ import orjson
 
 from factors.arrays import Array, Index, Mask
 
-#: Cells whose bytes are gathered at once: 2 MB. Bytes that are searched at once. Rows that are text at once.
+#: Sizes of the parts in which a table is processed: cells (about 2 MB), bytes that are searched, rows to text.
 CHUNK: Final = 200_000
 BLOCK: Final = 2_000_000
 ROWS: Final = 2_000
-#: Bytes up to which texts are compared as numbers; an odd number that mixes the bytes of longer ones than 8.
+#: Texts of up to this number of bytes are compared as numbers. ``_ODD`` is the multiplier of the hash for texts of
+#: #: more than 8 bytes.
 WIDEST: Final = 64
 _ODD: Final = np.uint64(0x9E3779B97F4A7C15)
 #: Characters that make a table irregular: quotes, apostrophes, and what ``strip`` removes from ASCII text.
 IRREGULAR: Final = "\"'\t\v\f\x1c\x1d\x1e\x1f "
 _COMMA, _LINE_END, _COMMENT = b",\n#"
-#: Of texts that consist of these characters, ``float`` accepts exactly those that are numbers in a table.
+#: If a text consists of these characters only, ``float`` accepts it exactly if our tables accept it as a number.
 OF_NUMBERS: Final = b"0123456789eE+.-"
 
 
 class Cells(Sequence[str]):
-    """Cells of a column: texts."""
+    """Cells of a column as texts."""
 
     def __init__(self, texts: Sequence[str]) -> None:
         self._given = texts
@@ -52,15 +59,15 @@ class Cells(Sequence[str]):
         return iter(self._texts)
 
     def are(self, text: str) -> Mask:
-        """Cells (n,) that are this text."""
+        """Return a mask (n,) of the cells that are equal to this text."""
         return np.fromiter((cell == text for cell in self), bool, len(self))
 
     def finite(self, rows: Mask | None = None) -> Array | None:
-        """Cells, or those of some ``rows`` (n,), as finite numbers; None if one is not a number."""
+        """Return all cells, or the cells of the ``rows`` (n,), as finite numbers; None if any cell is not a number."""
         return finite(self._texts if rows is None else list(compress(self, rows.tolist())))
 
     def positions(self, place: Mapping[str, int]) -> Index:
-        """Value (n,) of each cell in a dictionary; KeyError if one is missing."""
+        """Look up each cell in a dictionary and return the values (n,); raise KeyError if a cell is not in it."""
         return np.fromiter(map(place.__getitem__, self), np.intp, len(self))
 
 
@@ -76,7 +83,7 @@ def finite(cells: Sequence[str]) -> Array | None:
 
 
 class SlicedCells(Cells):
-    """Cells that are the bytes of ``data`` between the separators at ``before`` (n,) and ``last`` (n,)."""
+    """Cells of a regular table: the bytes of ``data`` between the separators at ``before`` (n,) and ``last`` (n,)."""
 
     def __init__(self, data: npt.NDArray[np.uint8], before: npt.NDArray[Any], last: npt.NDArray[Any]) -> None:
         self._data, self._before, self._last = data, before, last
@@ -94,7 +101,7 @@ class SlicedCells(Cells):
         return b"".join(self._joined(None)).decode("ascii")[:-1].split(",") if len(self) else []
 
     def _joined(self, rows: Mask | None) -> Iterator[bytes]:
-        """Cells one after the other, a comma after each, some at once."""
+        """Yield the bytes of many cells at a time; each cell is followed by a comma."""
         before, last = (self._before, self._last) if rows is None else (self._before[rows], self._last[rows])
         for begin in range(0, len(last), CHUNK):
             low, high = before[begin : begin + CHUNK], last[begin : begin + CHUNK]
@@ -105,7 +112,7 @@ class SlicedCells(Cells):
             yield out.tobytes()
 
     def positions(self, place: Mapping[str, int]) -> Index:
-        """See :class:`Cells`; bytes are compared as whole numbers, without a string for each cell."""
+        """See :class:`Cells`. The bytes of the cells are compared as whole numbers, so no strings are made."""
         size, n = np.asarray(self._last - self._before - 1), len(self)
         names = [name.encode() for name in place]
         known = np.array(names or [b"\0"], np.bytes_)
@@ -115,7 +122,7 @@ class SlicedCells(Cells):
             or width > WIDEST
             or sum(map(len, names)) != np.count_nonzero(known.view(np.uint8))
         ):
-            return super().positions(place)  # a longer cell, or a name with a zero byte, is rare
+            return super().positions(place)  # rare: a cell is longer, or a name contains a zero byte
         cells = np.zeros((n, width), np.uint8)
         for k in range(width):
             rows = np.flatnonzero(size > k)
@@ -136,7 +143,8 @@ class SlicedCells(Cells):
 
     def finite(self, rows: Mask | None = None) -> Array | None:
         """See :class:`Cells`."""
-        if rows is None and len(self) and self[0] == self[-1] and self.are(self[0]).all():  # as standard deviations
+        # equal cells are common, for example standard deviations: one of them is converted
+        if rows is None and len(self) and self[0] == self[-1] and self.are(self[0]).all():
             one = finite([self[0]])
             return None if one is None else np.full(len(self), one[0])
         parts = [np.zeros(0)]
@@ -145,16 +153,19 @@ class SlicedCells(Cells):
                 return None
             try:
                 parts.append(np.array(orjson.loads(b"[" + text[:-1] + b"]"), np.float64))
-            except (orjson.JSONDecodeError, OverflowError):  # a number that is not written as JSON writes it
+            except (orjson.JSONDecodeError, OverflowError):  # float accepts more forms of numbers than JSON
                 return super().finite(rows)
-            if len(parts[-1]) != text.count(b","):  # one empty cell is an empty list
+            if len(parts[-1]) != text.count(b","):  # an empty cell: JSON gives fewer numbers
                 return None
         values = np.concatenate(parts)
         return values if np.isfinite(values).all() else None
 
 
 def _words(texts: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint64]:
-    """One number (n,) for each row of bytes (n, w): the bytes themselves up to 8, of longer rows a mixture of them."""
+    """Convert each row of bytes (n, w) to one whole number (n,).
+
+    Up to 8 bytes are the number itself. Longer rows are mixed to a hash.
+    """
     padded = np.zeros((len(texts), -(-texts.shape[1] // 8) * 8), np.uint8)
     padded[:, : texts.shape[1]] = texts
     words = padded.view(">u8").astype(np.uint64)
@@ -165,13 +176,13 @@ def _words(texts: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint64]:
 
 
 def _found(known: npt.NDArray[np.uint64], wanted: npt.NDArray[np.uint64]) -> tuple[Index, Index]:
-    """Return the order (n,) that sorts known numbers, and places (m,) of wanted numbers in this order."""
+    """Return the order (n,) that sorts the known numbers, and the places (m,) of the wanted numbers in this order."""
     order = np.argsort(known, kind="stable")
     return order, np.minimum(np.searchsorted(known[order], wanted), len(known) - 1)
 
 
 class CodedCells(Cells):
-    """Cells that repeat the texts ``distinct``, by their positions ``codes`` (n,)."""
+    """Cells stored as positions ``codes`` (n,) in the list of the ``distinct`` texts."""
 
     def __init__(self, distinct: Sequence[str], codes: npt.NDArray[Any]) -> None:
         self._distinct, self._codes = distinct, codes
@@ -206,18 +217,18 @@ class CodedCells(Cells):
         )
 
     def _used(self, codes: npt.NDArray[Any]) -> Index:
-        """Texts among which the codes are."""
+        """Return the positions of those distinct texts that occur among the codes."""
         return np.flatnonzero(np.bincount(codes, minlength=len(self._distinct)))
 
     def _spread(self, used: Index, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Values of some texts as an array of all texts."""
+        """Expand the values of the used texts to an array over all distinct texts."""
         out = np.zeros(len(self._distinct), values.dtype)
         out[used] = values
         return out
 
 
 class NumberCells(Cells):
-    """Cells that are numbers (n,); those that are ``empty`` (n,) have no text."""
+    """Cells stored as numbers (n,) with a mask ``empty`` (n,) of the empty cells."""
 
     def __init__(self, values: npt.NDArray[Any], empty: Mask) -> None:
         self._values, self._empty = values, empty
@@ -247,7 +258,7 @@ class NumberCells(Cells):
 
 
 class Regular(NamedTuple):
-    """A regular table: line number (from 1) and cells of the header, and columns of the records."""
+    """Regular table: line number (from 1) and cells of its header, and the columns of its records."""
 
     line: int
     header: list[str]
@@ -255,9 +266,9 @@ class Regular(NamedTuple):
 
 
 def regular(text: str, longest: int) -> Regular | None:
-    """Read a text; None if it is not regular or has a line longer than ``longest``."""
+    """Read the text of a table; return None if it is not regular or has a line longer than ``longest``."""
     begin, line = 0, 0
-    while True:  # comments and blank lines before the header
+    while True:  # skip comments and blank lines before the header
         line, end = line + 1, text.find("\n", begin)
         if end < 0:
             return None
@@ -279,7 +290,7 @@ def regular(text: str, longest: int) -> Regular | None:
     last = ends.reshape(-1, width)
     of_line = np.concatenate([[-1], last[:, -1]])
     starts = data[of_line[:-1] + 1]
-    # a line that begins with a comma may be blank
+    # a line that begins with a comma may be a blank line of a spreadsheet: such a table is not regular
     if ((data[last[:, -1]] != _LINE_END).any() or (data[last[:, :-1]] == _LINE_END).any()
             or np.isin(starts, (_COMMENT, _COMMA, _LINE_END)).any() or np.diff(of_line).max() > longest):  # fmt: skip
         return None
@@ -288,7 +299,7 @@ def regular(text: str, longest: int) -> Regular | None:
 
 
 def _ends(data: npt.NDArray[np.uint8]) -> npt.NDArray[Any]:
-    """Places of the separators."""
+    """Return the places of all commas and line ends."""
     kind = np.int32 if len(data) < np.iinfo(np.int32).max else np.int64
     places = [np.zeros(0, kind)]
     for k in range(0, len(data), BLOCK):
@@ -298,9 +309,9 @@ def _ends(data: npt.NDArray[np.uint8]) -> npt.NDArray[Any]:
 
 
 def rows_of_numbers(values: Array) -> list[bytes]:
-    """Texts of the rows (n, k): the fewest digits that give the same double, empty for numbers that are not finite.
+    """Convert rows of numbers (n, k) to lines of text, with the fewest digits that give the same double again.
 
-    orjson takes a fifteenth of the time of ``repr``.
+    A number that is not finite becomes an empty cell. The package orjson is fifteen times faster than ``repr``.
     """
     if not values.size:
         return [b"," * max(values.shape[1] - 1, 0)] * len(values)

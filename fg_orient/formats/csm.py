@@ -1,4 +1,4 @@
-"""Parts that frame and line-scan states of the Community Sensor Model (USGSCSM) have in common."""
+"""Common parts of the frame states and line-scan states of the Community Sensor Model (USGSCSM)."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from fg_orient.sensors.focal_plane import Distortion
 
 FRAME_MODEL: Final = "USGS_ASTRO_FRAME_SENSOR_MODEL"
 LINE_SCAN_MODEL: Final = "USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL"
-#: Models of distortion by their numbers in a state.
+#: A state names its distortion model by one of these numbers.
 DISTORTIONS: Final = {0: "radial", 1: "transverse"}
-#: A quaternion has norm 1 within this.
+#: Maximum difference of the norm of a quaternion from 1.
 UNIT: Final = 1e-3
 
 
 def open_state(path: Path, model: str) -> JsonFile:
-    """Read the values of a state: an object in JSON, below a line with the name of the model or without this line.
+    """Read the values of a state, which is a JSON object. A line with the name of the model may precede it.
 
     Raises
     ------
     InputError
-        It cannot be read, or it is a state of another model.
+        The file cannot be read, or it contains a state of another model.
     """
     state = JsonFile.read(path, skip=0 if read_bytes(path, 200).lstrip()[:1] == b"{" else 1)
     if state.text("m_modelName") != model:
@@ -33,7 +33,10 @@ def open_state(path: Path, model: str) -> JsonFile:
 
 
 def distortion_of(state: JsonFile) -> Distortion:
-    """Distortion of a state; InputError if it is neither radial nor transverse, or its coefficients are impossible."""
+    """Return the distortion of a state.
+
+    InputError: the distortion is neither radial nor transverse, or its coefficients are impossible.
+    """
     kind = int(state.number("m_distortionType", 0))
     if kind not in DISTORTIONS:
         raise InputError.of("isd.distortion", file=state.path, place="m_distortionType", value=kind,

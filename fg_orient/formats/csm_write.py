@@ -1,7 +1,8 @@
-"""Pushbroom images as line-scan states of the Community Sensor Model, with their corrections.
+"""Write pushbroom images, with their corrections, as line-scan states of the Community Sensor Model (CSM).
 
-Positions and attitudes are sampled in equal steps, which are halved until the polynomials of CSM agree with the image
-to :data:`STATE_PX`. The look angles become a straight detector line with radial distortion
+Positions and attitudes are sampled in equal time steps. CSM interpolates between the samples by polynomials. The step
+is halved until these polynomials agree with the image within :data:`STATE_PX`. The look angles are converted to a
+straight detector line with radial distortion
 (``fg_orient.sensors.line_detector``).
 """
 
@@ -24,17 +25,17 @@ from fg_orient.sensors.line_detector import COMPARED, LineDetector, fit_detector
 from fg_orient.sensors.metadata import QuaternionList, QuaternionPolynomial, SegmentTiming
 from fg_orient.sensors.pushbroom import PushbroomSensor
 
-#: Largest error of the interpolation, px; first step, s; most samples.
+#: Limits of the sampling: largest error of the interpolation, px; first step, s; maximum number of samples.
 STATE_PX: Final = 2e-4
 FIRST_STEP_S: Final = 0.125
 MOST_SAMPLES: Final = 20_000
-#: Share of a step by which equal steps may differ: rounding of times of the day.
+#: Steps count as equal if they differ by less than this part of a step. Times of the day are rounded.
 EQUAL_STEP: Final = 1e-6
-#: Largest time of a state that counts from its image, s; others count from 0 h.
+#: If the first time is below this limit, s, times are taken as relative to the image. Larger times count from 0 h.
 NEAR_S: Final = 1e3
-#: Steps before and after the image.
+#: Maximum number of steps before the image and after it.
 MARGIN: Final = MAX_SAMPLES // 2
-#: Turned body axes (x right, y backward, z down) from body axes.
+#: Rotation from the body axes to axes with x right, y backward, z down.
 TURNED: Final = np.diag([1.0, -1.0, -1.0])
 _PARAMETERS: Final = 16
 
@@ -52,8 +53,8 @@ def write_state(path: Path, sensor: Any, correction: Any = None) -> dict[str, An
     Returns
     -------
     dict
-        ``camera_px``: largest differences of the camera along lines and samples; ``step_s``, ``states``: sampling of
-        positions and attitudes.
+        ``camera_px``: largest differences of the camera along lines and samples; ``step_s``,
+        ``states``: sampling of positions and attitudes.
 
     Raises
     ------
@@ -71,14 +72,17 @@ def write_state(path: Path, sensor: Any, correction: Any = None) -> dict[str, An
 
 
 def _detector(sensor: PushbroomSensor, correction: Correction) -> LineDetector:
-    """Camera of the look angles with their corrections, compared at samples of the whole line."""
+    """Fit a detector line to the corrected look angles; they are compared at samples over the whole line."""
     sample = np.linspace(sensor.first_sample, sensor.last_sample, min(COMPARED, sensor.n_samples))
     psi_x, psi_y = sensor.corrected_look(sensor.look_angles(sample), sample, correction)
     return fit_detector(sample, np.stack([-np.tan(psi_y), -np.tan(psi_x)], axis=1))
 
 
 def _span(sensor: PushbroomSensor) -> tuple[Array, Array]:
-    """First and last time of the image, with half a line where states are listed, and of its lists of states."""
+    """Return the first and last time of the image, and the first and last time of its lists of states.
+
+    The image is extended by half a line where the lists of states allow it.
+    """
     ends = np.array([sensor.first_line - 0.5, sensor.last_line + 0.5])
     image = np.sort(sensor.metadata.timing.time_s(ends))
     lists = [sensor.metadata.ephemeris.time_s]
@@ -89,7 +93,7 @@ def _span(sensor: PushbroomSensor) -> tuple[Array, Array]:
 
 
 def _own_times(sensor: PushbroomSensor) -> Array:
-    """Times of the states of a file whose positions and attitudes have the same equal steps; empty for others."""
+    """Return the times of the states if positions and attitudes have the same times in equal steps; else empty."""
     orbit, attitude = sensor.metadata.ephemeris, sensor.attitude
     if isinstance(attitude, QuaternionList) and attitude.scheme != "usual":
         step = np.diff(orbit.time_s)
@@ -101,7 +105,14 @@ def _own_times(sensor: PushbroomSensor) -> Array:
 def _sampled(
     sensor: PushbroomSensor, correction: Correction, detector: LineDetector
 ) -> tuple[float, Array, Array, Array, Array]:
-    """Time of the zero of the state, times (n,), positions, velocities (n, 3) and quaternions x, y, z, w (n, 4)."""
+    """Sample the orbit and the attitude of the image in equal steps.
+
+    Returns
+    -------
+    tuple
+        Time that is zero in the state; times (n,), s; positions (n, 3), m; velocities (n, 3),
+        m/s; quaternions x, y, z, w (n, 4).
+    """
     own = _own_times(sensor)
     if len(own):
         states = _states(sensor, correction, detector, own)
@@ -125,7 +136,7 @@ def _sampled(
 def _states(
     sensor: PushbroomSensor, correction: Correction, detector: LineDetector, times: Array
 ) -> tuple[Array, Array, Array]:
-    """Positions, velocities (n, 3) and quaternions (n, 4) of the camera at times of the metadata."""
+    """Return positions, velocities (n, 3) and quaternions (n, 4) of the camera at times (n,) of the metadata."""
     from scipy.spatial.transform import Rotation
 
     states = sensor.states_at(times, sensor.metadata.timing.line(times))
@@ -138,7 +149,7 @@ def _error_px(
     sensor: PushbroomSensor, correction: Correction, detector: LineDetector, times: Array,
     states: tuple[Array, Array, Array],
 ) -> float:  # fmt: skip
-    """Largest error of the polynomials of CSM halfway between the samples inside the image, px."""
+    """Return the largest interpolation error of CSM, px. It is tested halfway between the samples in the image."""
     image, _ = _span(sensor)
     middle = 0.5 * (times[1:] + times[:-1])
     middle = middle[(middle >= image[0]) & (middle <= image[1])]
@@ -151,7 +162,7 @@ def _error_px(
 
 
 def _lines(sensor: PushbroomSensor, zero_s: float) -> dict[str, list[float]]:
-    """Segments of the line times; a line is counted from 0.5 at the centre of the first one."""
+    """Return the segments of the line times; CSM gives the centre of the first line the number 0.5."""
     timing = sensor.metadata.timing
     segments: tuple[Any, ...] = (np.zeros(1), timing.time_s(np.zeros(1)), np.array([timing.line_period_s]))
     if isinstance(timing, SegmentTiming):
@@ -166,7 +177,7 @@ def _lines(sensor: PushbroomSensor, zero_s: float) -> dict[str, list[float]]:
 def _fields(
     sensor: PushbroomSensor, detector: LineDetector, zero_s: float, times: Array, p: Array, v: Array, q: Array
 ) -> dict[str, Any]:
-    """All fields of a state."""
+    """Return all fields of a state as written to the JSON file."""
     image, _ = _span(sensor)
     centre = sensor.centre_m
     middle = p[len(p) // 2]

@@ -1,29 +1,34 @@
-"""Reader of DIMAP 1.1, SPOT 1 to 5, level 1A.
+"""Read DIMAP 1.1 metadata of SPOT 1 to 5, level 1A.
 
-Sources: Riazanoff 2004 (SPOT Geometry Handbook) as specified in docs/equations.md 2. The conventions were fixed on a
-real SPOT-5 file, whose frame points the model meets within 4 cm (docs/equations.md 2).
+Source: Riazanoff 2004 (SPOT Geometry Handbook) as specified in docs/equations.md 2. The
+conventions were determined with a real SPOT-5 file: the model meets its frame points within 4
+cm (docs/equations.md 2).
 
-Time of a line: ``SCENE_CENTER_TIME + LINE_PERIOD (line - SCENE_CENTER_LINE)``, lines counted from 1. Attitude:
-**roll and pitch are negated, yaw is kept** (sign step), so the records contain angles of the orbital frame of
-convention B.
+The time of a line is ``SCENE_CENTER_TIME + LINE_PERIOD (line - SCENE_CENTER_LINE)``; lines are
+counted from 1. The reader **negates roll and pitch and keeps yaw**. The records therefore
+contain angles of the orbital frame of convention B.
 
-SPOT 5 files contain ``Corrected_Attitudes``, which are used unchanged. SPOT 1 to 4 files contain raw attitudes:
-absolute angles every 9 s and angular speeds at 8 Hz. A speed is interpreted as the mean over the interval **before**
-its time tag, so angles are piecewise linear between the tags; the sum starts at the first absolute angle::
+Files of SPOT 5 contain ``Corrected_Attitudes``, which are used unchanged. Files of SPOT 1 to 4
+contain raw attitudes: absolute angles every 9 s and angular speeds at 8 Hz. A speed is
+interpreted as the mean over the interval **before** its time tag. Angles are therefore linear
+between the tags. The sum of the speeds starts at the first absolute angle::
 
     angle(t_k) = angle(t_(k-1)) + speed_k (t_k - t_(k-1))
 
-Reason: in the four known files, the second absolute angle minus the first equals the sum of all speeds over 1/8 s plus
-one more speed. This missing speed continues the last speeds, not the first (SPOT 1 pitch, in quanta: first 32, last -2,
-missing -1). The rule "interval after the tag" moves the corners by up to 1.4 m. The corners cannot decide between the
-rules, because the producer computed them **without** attitudes: with zero angles they are met within 0.4, 0.4, 0.5,
-1.6 m, with the attitudes within 8.1, 3.6, 1.7, 24.5 m (SPOT1, SPOT2, SP2, SPOT4). A speed is never extended by more
-than 0.2 s, neither in a gap nor at the ends of the list.
+The reason is a comparison in the four known files. The second absolute angle minus the first equals the sum of all
+speeds times 1/8 s plus one further speed. The further speed is similar to the last speeds of the list, not to the first
+speeds (pitch of SPOT 1, in quanta: first speed 32, last speed -2, further speed -1). The rule "interval after the tag"
+would move the corners by up to 1.4 m. The corners cannot show which rule is right, because the producer computed them
+**without** attitudes. With zero angles, the model meets the corners within 0.4, 0.4, 0.5 and 1.6 m (SPOT1, SPOT2, SP2,
+SPOT4). With the attitudes, it meets them within 8.1, 3.6, 1.7 and 24.5 m.
 
-Look angles of SPOT 1 to 4 are given for the first and the last detector only. The detectors lie on a **straight line in
-the focal plane**, so the viewing directions of unit length are linear between the two, and the table is filled for
-every detector. With tangents linear in the sample, about the nadir instead of the optical axis, the scene centre would
-be wrong by 64 to 722 m. With this table, Scene_Center is met as well as the corners (6.3, 0.2, 1.4, 15.8 m).
+A speed is never extended by more than 0.2 s, neither in a gap nor at the ends of the list.
+
+Files of SPOT 1 to 4 give look angles for the first and the last detector only. The detectors
+lie on a **straight line in the focal plane**. The viewing directions of all other detectors are
+therefore interpolated linearly between these two. With this table, the model meets Scene_Center
+as well as the corners (6.3, 0.2, 1.4, 15.8 m). If tangents about the nadir were interpolated
+instead, the scene centre would be wrong by 64 to 722 m.
 """
 
 from __future__ import annotations
@@ -38,11 +43,11 @@ from fg_orient.model.errors import Finding, OutOfTimeRange, finding
 from fg_orient.sensors.metadata import AngleAttitude, LineTiming, LookAngleTable, PushbroomMetadata
 
 PROFILES = ("SPOTSCENE_1A", "SPOTSEGMENT_1A")
-#: Roll, pitch, yaw of the records = these signs times the values of the file.
+#: The values of the file are multiplied by these signs to give roll, pitch, yaw of the records.
 ATTITUDE_SIGN = np.array([-1.0, -1.0, 1.0])
-#: Longest time for which an angular speed is extended (its own interval is 0.125 s).
+#: Maximum time by which an angular speed is extended; its own interval is 0.125 s.
 SPEED_HOLD_S = 0.2
-#: Dataset_Frame and tie points lie on the ellipsoid.
+#: Height of the points of Dataset_Frame and of the tie points: they lie on the ellipsoid.
 FRAME_HEIGHT_M = 0.0
 _LAYOUT = checks.Layout(
     "Raster_CS/PIXEL_ORIGIN", "Raster_Dimensions", "Data_Strip/Ephemeris/Points/Point", "Dataset_Frame",
@@ -52,14 +57,14 @@ _LAYOUT = checks.Layout(
 
 
 def read_dimap1(root: XmlNode) -> PushbroomMetadata:
-    """Metadata of a document of SPOT 1 to 5, level 1A.
+    """Read the metadata of a SPOT 1 to 5 document, level 1A.
 
     Raises
     ------
     InputError
         A value is missing, malformed or implausible.
     OutOfTimeRange
-        Angular speeds do not cover more than 0.2 s of the image.
+        More than 0.2 s of the image has no angular speeds.
     """
     size = n_lines, n_samples = checks.image_size(root, _LAYOUT)
     scene = root.one("Dataset_Sources/Source_Information/Scene_Source")
@@ -103,12 +108,13 @@ def _look_angles(root: XmlNode, n_samples: int) -> tuple[LookAngleTable, tuple[F
 
 
 def straight_line(sample: Array, psi_x_rad: Array, psi_y_rad: Array) -> LookAngleTable:
-    """Look angles of every detector, one row each; the detectors lie on a straight line in the focal plane.
+    """Interpolate the look angles of all detectors, which lie on a straight line in the focal plane.
 
     Parameters
     ----------
     sample : (n,) array
-        0-based numbers of some detectors, increasing, with the first and the last detector; their rows are unchanged.
+        Numbers of some detectors from 0, in increasing order. The first and the last detector
+        are among them. Their angles are not changed.
     psi_x_rad, psi_y_rad : (n,) arrays
         Their look angles along and across track.
     """
@@ -141,7 +147,7 @@ def _attitude(
 
 
 def _rows(nodes: list[XmlNode], epoch: np.datetime64, quantity: Quantity) -> tuple[Array, Array]:
-    """Times (n,) and ROLL, PITCH, YAW (n, 3) as in the file."""
+    """Read times (n,) and ROLL, PITCH, YAW (n, 3) without a change of their signs."""
     time_s = checks.times([n.one("TIME") for n in nodes], epoch)
     limit = checks.MAX_ATTITUDE_RAD  # rad, and rad/s for angular speeds
     tags = ("ROLL", "PITCH", "YAW")
@@ -151,14 +157,14 @@ def _rows(nodes: list[XmlNode], epoch: np.datetime64, quantity: Quantity) -> tup
 def _integrate(
     speed_nodes: list[XmlNode], angle_nodes: list[XmlNode], epoch: np.datetime64, ends_s: Array
 ) -> tuple[Array, Array, tuple[Finding, ...]]:
-    """Angles (n, 3) as in the file from angular speeds and the first absolute angle."""
+    """Integrate angular speeds from the first absolute angle; the angles (n, 3) have the signs of the file."""
     speed_time, speeds = _rows(speed_nodes, epoch, RADIANS_PER_SECOND)
     angle_time, absolute = _rows(angle_nodes, epoch, RADIANS)
     _require_close(speed_nodes, angle_nodes, speed_time, angle_time)
     before, after = _held(speed_nodes[0], speed_time, angle_time, ends_s)
     head, tail = int(before > 0.0), int(after > 0.0)
     time_s = np.concatenate([[speed_time[0] - before] * head, speed_time, [speed_time[-1] + after] * tail])
-    # an interval has the speed of its end; after the last tag the last speed continues
+    # the speed of an interval is the one at its end; after the last tag, the last speed is used
     of_interval = np.concatenate([speeds[:head], speeds[1:], speeds[len(speeds) - tail :]])
     sums = np.concatenate([np.zeros((1, 3)), np.cumsum(of_interval * np.diff(time_s)[:, None], axis=0)])
     anchor, last = (np.array([np.interp(t, time_s, column) for column in sums.T]) for t in angle_time[[0, -1]])
@@ -170,7 +176,10 @@ def _integrate(
 
 
 def _held(node: XmlNode, speed_time: Array, angle_time: Array, ends_s: Array) -> tuple[float, float]:
-    """Seconds by which the first and the last speed are extended to cover the image and the absolute angles."""
+    """Return the seconds by which the first and the last speed are extended.
+
+    The speeds must cover the image and the absolute angles.
+    """
     if max(speed_time[0] - ends_s[0], ends_s[1] - speed_time[-1]) > SPEED_HOLD_S:
         raise OutOfTimeRange.of(
             "dimap.speed_span", file=node.file, place=node.place, hold=SPEED_HOLD_S,
@@ -184,7 +193,7 @@ def _held(node: XmlNode, speed_time: Array, angle_time: Array, ends_s: Array) ->
 def _require_close(
     speed_nodes: list[XmlNode], angle_nodes: list[XmlNode], speed_time: Array, angle_time: Array
 ) -> None:
-    """Refuse gaps longer than the limit, and a first absolute angle outside the list of speeds."""
+    """Refuse gaps that are longer than the limit; refuse a first absolute angle outside the list of speeds."""
     gaps = np.diff(speed_time)
     if gaps.max() > SPEED_HOLD_S:
         k = int(gaps.argmax()) + 1

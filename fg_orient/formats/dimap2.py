@@ -1,16 +1,21 @@
-"""Reader of DIMAP 2.x sensor products, Pléiades 1A/1B and SPOT 6/7, and of PHR_DIMAP, the inventory format of CNES.
+"""Read sensor products in DIMAP 2.x (Pléiades 1A/1B, SPOT 6/7) and in PHR_DIMAP, the inventory format of CNES.
 
-Source: docs/equations.md 4 (Terlemezoğlu 2019, eqs. 2.35-2.43 as corrected). The conventions were verified on a
-Pléiades pair against the vendor RPC (0.003 px). Time of a line: ``START + (line - 1) LINE_PERIOD``, lines counted
-from 1. Quaternions rotate the vendor's body axes (x along, y across track, z to the Earth) to ECEF, scalar part ``Q0``
-first. Look direction in these axes: ``(YLOS, -XLOS, 1)``; both are tangents, polynomials of the column minus
-``FIRST_COL``. So ``XLOS`` is our ``tan psi_y`` (across) and ``YLOS`` our ``tan psi_x`` (along).
+Source: docs/equations.md 4 (Terlemezoğlu 2019, eqs. 2.35-2.43 as corrected). The conventions
+were verified with a Pléiades pair: the model agrees with the vendor's RPC within 0.003 px.
 
-PHR_DIMAP contains the same model in other elements: ``Sensor_Model_Characteristics`` has the time of the first line
-(``UTC_Sensor_Model_Range/START``), ``SENSOR_LINE_PERIOD`` (ms), state vectors, polynomial quaternions, and the tangents
-``PsiX`` (across, the XLOS of DIMAP 2) and ``PsiY`` (along, YLOS). Acquisition lines of other periods
-(``PA_LINE_PERIOD``), inertial quaternions and times in TAI do not belong to the image of the product. Verified on a
-real file: 0.5 mm from its own RPC, 1 cm from the grid of the physical model.
+The time of a line is ``START + (line - 1) LINE_PERIOD``; lines are counted from 1. Quaternions
+rotate the vendor's body axes (x along track, y across track, z to the Earth) to ECEF. Their
+scalar part ``Q0`` is first. The look direction in the body axes is ``(YLOS, -XLOS, 1)``. XLOS
+and YLOS are tangents, given as polynomials of the column minus ``FIRST_COL``. ``XLOS`` is our
+``tan psi_y`` (across track), ``YLOS`` is our ``tan psi_x`` (along track).
+
+PHR_DIMAP contains the same model in other elements. ``Sensor_Model_Characteristics`` contains
+the time of the first line (``UTC_Sensor_Model_Range/START``), ``SENSOR_LINE_PERIOD`` (ms),
+state vectors, polynomial quaternions, and the tangents ``PsiX`` (across track, the XLOS of
+DIMAP 2) and ``PsiY`` (along track, YLOS). The file also contains acquisition lines with other
+periods (``PA_LINE_PERIOD``), inertial quaternions and times in TAI. They do not belong to the
+image of the product and are not read. For a real file, the model agrees with the RPC of the
+file within 0.5 mm, and with the grid of its physical model within 1 cm.
 """
 
 from __future__ import annotations
@@ -34,11 +39,13 @@ from fg_orient.sensors.metadata import (
     QuaternionPolynomial,
 )
 
-#: Profiles that can be read, and the mission if the file names none.
+#: Profiles that can be read. The mission is used if the file does not name one.
 PROFILES = {"PHR_SENSOR": "PHR", "S6_SENSOR": "SPOT 6", "S7_SENSOR": "SPOT 7"}
-#: Quaternion polynomials are fitted to a scaled time in -1 .. 1; beyond twice that, day or unit is another.
+#: Quaternion polynomials are fitted to a scaled time between -1 and 1. A larger value than this limit shows that the
+#: #: day or the unit of the time is wrong.
 MAX_SCALED_TIME = 2.0
-#: START .. END and the lines times LINE_PERIOD must agree; a wrong unit is a factor of 1000.
+#: The time from START to END must agree with the number of lines times LINE_PERIOD within this factor. A wrong unit
+#: #: changes it by a factor of 1000.
 MAX_DURATION_RATIO = 2.0
 MAX_DEGREE = 10
 MODEL = "Geometric_Data/Refined_Model"
@@ -57,7 +64,10 @@ _PHR_LAYOUT = checks.Layout(
 
 
 def read_dimap2(root: XmlNode) -> PushbroomMetadata:
-    """Metadata of a Pléiades 1A/1B or SPOT 6/7 sensor product; InputError for the first invalid value."""
+    """Read the metadata of a Pléiades 1A/1B or SPOT 6/7 sensor product.
+
+    InputError: a value is invalid; the first one is named.
+    """
     size = checks.image_size(root, _LAYOUT)
     head, model = root.one("Metadata_Identification"), root.one(MODEL)
     mission, instrument = _mission(root)
@@ -72,7 +82,7 @@ def read_dimap2(root: XmlNode) -> PushbroomMetadata:
 
 
 def _mission(root: XmlNode) -> tuple[str, str]:
-    """Mission and instrument; a file without Strip_Source is named by its profile."""
+    """Return mission and instrument. If a file has no Strip_Source, its profile determines the mission."""
     sources = root.maybe("Dataset_Sources")
     nodes = sources.every("Source_Identification", 0) if sources else []
     strips = [strip for node in nodes if (strip := node.maybe("Strip_Source"))]
@@ -87,7 +97,10 @@ def _mission(root: XmlNode) -> tuple[str, str]:
 
 
 def _timing(limits: XmlNode, line_period: XmlNode, n_lines: int) -> tuple[np.datetime64, LineTiming, Array]:
-    """Day, times of the lines, and five times (5,) s over the image; the line period must fit the time range."""
+    """Return the day, the line timing, and five times (5,) s spread over the image.
+
+    The line period must agree with the time range of the file.
+    """
     epoch, start = limits.one("START").time()
     duration = limits.one("END").seconds_since(epoch) - float(start)
     period = line_period.number(MILLISECONDS, *checks.LINE_PERIOD_S)
@@ -111,7 +124,7 @@ def _attitude(
 
 
 def _quaternion_list(source: XmlNode, epoch: np.datetime64) -> tuple[QuaternionList, tuple[Finding, ...]]:
-    """Sampled quaternions, normalised, with signs for which neighbours have a positive product."""
+    """Read sampled quaternions and normalise them; their signs are chosen so that neighbours are similar."""
     nodes = source.every("Quaternion_List/Quaternion", 2)
     time_s = checks.times([n.one("TIME") for n in nodes], epoch)
     quaternion = np.array([[n.one(f"Q{j}").number() for j in range(4)] for n in nodes])
@@ -121,14 +134,14 @@ def _quaternion_list(source: XmlNode, epoch: np.datetime64) -> tuple[QuaternionL
 
 
 def _quaternion_polynomial(node: XmlNode, models: XmlNode, span_s: Array) -> QuaternionPolynomial:
-    """Polynomials ``models/Q0`` to ``Q3`` of the time scaled by ``node/OFFSET`` and ``SCALE``.
+    """Read the polynomials ``models/Q0`` to ``Q3`` of the time, which is scaled by ``node/OFFSET`` and ``SCALE``.
 
-    At the times ``span_s`` (n,) of the image they must be unit quaternions.
+    At the times ``span_s`` (n,) of the image, their values must be unit quaternions.
 
     Raises
     ------
     InputError
-        They belong to another time, or are not a rotation.
+        The polynomials belong to another time, or they are not rotations.
     """
     scale_node = node.one("SCALE")
     offset, scale = node.one("OFFSET").number(SECONDS), scale_node.number(SECONDS, 1e-3, 1e4)
@@ -146,7 +159,7 @@ def _quaternion_polynomial(node: XmlNode, models: XmlNode, span_s: Array) -> Qua
 
 
 def _polynomial(node: XmlNode) -> Array:
-    """Coefficients of a polynomial of stated degree, constant term first."""
+    """Read the coefficients of a polynomial whose degree the file states; the constant term is first."""
     return node.one("COEFFICIENTS").vector(node.one("DEGREE").integer(0, MAX_DEGREE) + 1)
 
 
@@ -154,7 +167,7 @@ def _polynomial(node: XmlNode) -> Array:
 
 
 def _look_angles(model: XmlNode, n_samples: int) -> tuple[LookAnglePolynomial, tuple[Finding, ...]]:
-    """Read the look polynomials of the panchromatic band, or of the first band without a panchromatic band."""
+    """Read the look polynomials of the panchromatic band; if there is no such band, those of the first band."""
     calibration = model.one("Geometric_Calibration/Instrument_Calibration")
     if calibration.maybe("Band_Calibration_List") is None:
         return _look_polynomial(calibration, n_samples), ()
@@ -180,7 +193,7 @@ def _look_polynomial(band: XmlNode, n_samples: int) -> LookAnglePolynomial:
 
 
 def _look(swath: XmlNode, node: XmlNode, tangents: dict[str, Array], n_samples: int) -> LookAnglePolynomial:
-    """Polynomials of the tangents along and across track, which the file has by these names; at most 45 degrees."""
+    """Read the polynomials of the tangents along and across track from elements of these names; at most 45 degrees."""
     first = swath.one("FIRST_COL").integer(DIMAP_FIRST_PIXEL, n_samples)
     column = np.array([0.0, (n_samples - 1) / 2, n_samples - 1.0]) - (first - DIMAP_FIRST_PIXEL)
     for name, row in tangents.items():
@@ -192,7 +205,7 @@ def _look(swath: XmlNode, node: XmlNode, tangents: dict[str, Array], n_samples: 
 
 
 def _coefficients(node: XmlNode, name: str, at_least: int) -> Array:
-    """Coefficients ``name_0``, ``name_1``, ... without gap, constant term first."""
+    """Read the coefficients ``name_0``, ``name_1``, ...; none may be missing, and the constant term is first."""
     powers = [int(m[1]) for child in node.children() if (m := re.fullmatch(rf"{name}_([0-9]{{1,2}})", child.tag))]
     count = max(at_least, max(powers, default=0) + 1)
     return np.array([node.one(f"{name}_{k}").number() for k in range(count)])
@@ -212,12 +225,12 @@ def _bias_note(model: XmlNode) -> tuple[Finding, ...]:
 
 
 def read_dimap_phr(root: XmlNode) -> PushbroomMetadata:
-    """Metadata of a PHR_DIMAP document.
+    """Read the metadata of a PHR_DIMAP document.
 
     Raises
     ------
     InputError
-        The product is not a sensor image, has an RPC only, or a value is missing, malformed or implausible.
+        The product is not a sensor image or has only an RPC, or a value is missing, malformed or implausible.
     """
     head = root.one("Metadata_Identification")
     version = head.one("METADATA_PROFILE").element.get("version", "")

@@ -1,8 +1,8 @@
-"""Checks and records that all DIMAP readers share.
+"""Checks and records that all DIMAP readers use.
 
-Each limit is physical: an Earth observation satellite flies 100 to 1600 km high at 6 to 9 km/s, looks at most 45
-degrees off nadir, and scans a line in 10 microseconds to 10 ms. A value outside these limits is damaged or has a wrong
-unit.
+The limits are physical. An Earth observation satellite flies at a height of 100 to 1600 km with
+a speed of 6 to 9 km/s. It looks at most 45 degrees off nadir and scans a line in 10
+microseconds to 10 ms. A value outside these limits is damaged or has a wrong unit.
 """
 
 from __future__ import annotations
@@ -24,31 +24,32 @@ RADIUS_M = (6.5e6, 8.0e6)
 SPEED_M_S = (6e3, 9e3)
 LINE_PERIOD_S = (1e-5, 1e-2)
 MAX_LOOK_ANGLE_RAD = math.pi / 4
-#: Attitude angles stay below the yaw steering of 0.07 rad; larger angles are degrees typed as radians.
+#: Largest allowed attitude angle. Yaw steering gives up to 0.07 rad; larger angles are degrees written as radians.
 MAX_ATTITUDE_RAD = 0.2
 MAX_IMAGE_SIZE = 10**7
-#: Quaternions are delivered normalised; outside this tolerance they are not a rotation.
+#: Files contain quaternions of norm 1. If the norm differs by more than this, the quaternion is not a rotation.
 QUATERNION_NORM_TOLERANCE = 1e-3
-#: DIMAP counts lines, columns and detectors from 1 (Raster_CS: PIXEL_ORIGIN 1); here the first is 0.
+#: DIMAP counts lines, columns and detectors from 1 (Raster_CS: PIXEL_ORIGIN 1). This program counts from 0.
 DIMAP_FIRST_PIXEL = 1
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Elements of a version of DIMAP that have the same contents in all versions.
+    """Element names of a DIMAP version, for contents that all versions have.
 
     Parameters
     ----------
     pixel_origin, size, points, frame : str
-        Paths of the pixel origin, the image size, the state vectors, and the parent of the corners (``Vertex``).
+        Paths of the pixel origin, the image size, the state vectors, and the parent element of the corners.
     state : tuple of str
-        Tags of time, position and velocity; position and velocity have three numbers, or children X, Y, Z.
+        Tags of time, position and velocity. Position and velocity contain three numbers, or the
+        children X, Y, Z.
     corner : tuple of str
         Tags of row, column, longitude and latitude.
     centre : str
         Tag of the centre of the frame.
     height_m : float or None
-        Height of the corners; None if the file states none.
+        Height of the corners; None if the file does not state it.
     """
 
     pixel_origin: str
@@ -62,7 +63,7 @@ class Layout:
 
 
 def image_size(root: XmlNode, layout: Layout) -> tuple[int, int]:
-    """Lines and samples of an image whose pixel origin is 1, or not stated."""
+    """Return the numbers of lines and samples; refuse a pixel origin other than 1."""
     origin = root.maybe(layout.pixel_origin)
     if origin is not None and origin.integer(-1, 10) != DIMAP_FIRST_PIXEL:
         raise origin.fault("dimap.pixel_origin", origin.text())
@@ -73,7 +74,7 @@ def image_size(root: XmlNode, layout: Layout) -> tuple[int, int]:
 def metadata(
     root: XmlNode, layout: Layout, size: tuple[int, int], epoch: np.datetime64, timing: LineTiming, **others: Any
 ) -> PushbroomMetadata:
-    """Metadata with the elements that all versions of DIMAP have.
+    """Build the metadata record from the elements that all DIMAP versions have.
 
     Parameters
     ----------
@@ -82,7 +83,7 @@ def metadata(
     size : (int, int)
         Lines and samples.
     epoch : datetime64
-        Day from which times count.
+        Day; times are seconds from its beginning.
     timing : LineTiming
     **others
         Further fields of the record.
@@ -90,7 +91,7 @@ def metadata(
     Returns
     -------
     PushbroomMetadata
-        With state vectors (ECEF, m and m/s) and frame points.
+        It contains state vectors (ECEF, m and m/s) and frame points.
     """
     corners = _frame_points(root.maybe(layout.frame), layout)
     if corners and layout.height_m is None:
@@ -102,7 +103,7 @@ def metadata(
 
 
 def times(nodes: Sequence[XmlNode], epoch: np.datetime64) -> Array:
-    """Times of TIME elements: (n,) seconds since ``epoch``; InputError unless they are strictly increasing."""
+    """Read TIME elements as seconds (n,) since ``epoch``; raise InputError if they do not increase strictly."""
     time_s = np.array([node.seconds_since(epoch) for node in nodes])
     wrong = np.flatnonzero(np.diff(time_s) <= 0.0)
     if len(wrong):
@@ -112,7 +113,7 @@ def times(nodes: Sequence[XmlNode], epoch: np.datetime64) -> Array:
 
 
 def _ephemeris(root: XmlNode, layout: Layout, epoch: np.datetime64) -> Ephemeris:
-    """State vectors; radius and speed must be possible for an Earth observation satellite."""
+    """Read the state vectors and check that radius and speed are possible for an Earth observation satellite."""
     points = root.every(layout.points, MIN_EPHEMERIS_POINTS)
     time, position, velocity = layout.state
     time_s = times([point.one(time) for point in points], epoch)
@@ -136,14 +137,14 @@ def require_states(nodes: Sequence[XmlNode], position_m: Array, velocity_m_s: Ar
 
 
 def _vector(node: XmlNode, quantity: Quantity) -> Array:
-    """Three numbers of an element, or of its children X, Y, Z."""
+    """Read three numbers from an element or from its children X, Y, Z."""
     if any(node.children()):
         return np.array([node.one(axis).number(quantity) for axis in "XYZ"])
     return node.vector(3, quantity)
 
 
 def require_unit_quaternions(nodes: Sequence[XmlNode], quaternion: Array) -> None:
-    """Refuse quaternions whose norm is not one (the zero quaternion among them)."""
+    """Refuse quaternions whose norm is not 1, for example the zero quaternion."""
     norm = np.linalg.norm(quaternion, axis=1)
     wrong = np.flatnonzero(np.abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE)
     if len(wrong):
@@ -152,14 +153,14 @@ def require_unit_quaternions(nodes: Sequence[XmlNode], quaternion: Array) -> Non
 
 
 def flagged(nodes: Sequence[XmlNode], tag: str, good: str, code: str) -> tuple[Finding, ...]:
-    """Return a note with the number of elements whose flag is not ``good``; no note if all are good."""
+    """Return a note with the number of elements that are not flagged as ``good``; no note if all are good."""
     flags = [node.maybe(tag) for node in nodes]
     count = sum(flag is not None and flag.text() != good for flag in flags)
     return (finding(code, count=count, n=len(nodes)),) if count else ()
 
 
 def _frame_points(frame: XmlNode | None, layout: Layout) -> tuple[FramePoint, ...]:
-    """Corners of a frame and its centre, if it has one."""
+    """Read the corners of a frame, and its centre if the file contains it."""
     if frame is None:
         return ()
     nodes = [(f"corner {k}", vertex) for k, vertex in enumerate(frame.every("Vertex", 4), start=1)]

@@ -1,9 +1,9 @@
-"""Writer of DIMAP 1.1 metadata for simulated SPOT-5 images.
+"""Write DIMAP 1.1 metadata of simulated SPOT-5 images.
 
-Only elements that a reader of the rigorous model needs are written, under a head that names the
-software as producer, so that no simulated file passes for a real one. Every number is printed
-with the digits that identify the float (17 where needed), times likewise: reading a written file
-gives the same records bit by bit. The tree is made by :func:`fg_orient.formats.xml.element`.
+The file contains only the elements that the rigorous model needs. Its head names this program as
+producer. Therefore nobody can take a simulated file for a real one. Numbers and times are written
+with all digits of the double (up to 17). When the file is read again, the records are the same bit
+by bit. :func:`fg_orient.formats.xml.element` makes the XML tree.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ def write_dimap1(path: str | os.PathLike[str], metadata: PushbroomMetadata, *, d
     Parameters
     ----------
     path : path
-        Target file; an existing one is replaced.
+        Target file; an existing file is replaced.
     metadata : PushbroomMetadata
-        SPOT 5, attitude as angles, look angles as a table that reaches from the first to the
-        last sample. Frame points are written as corners; one with id ``centre`` as
-        Scene_Center. Roll and pitch get the sign of the file.
+        Metadata of SPOT 5 with the attitude as angles. The table of look angles must reach from the
+        first to the last sample. Frame points are written as corners, the point ``centre`` as
+        Scene_Center. Roll and pitch get the signs of the file.
     dataset_name : str
-        DATASET_NAME of the file.
+        Value of DATASET_NAME.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def _look_rows(look: LookAngleTable) -> list[dict[str, Any]]:
 
 
 def _frame1(points: tuple[FramePoint, ...]) -> dict[str, Any]:
-    """Write frame points as corners and as tie points, if there are any."""
+    """Write the frame points, if there are any, as corners and as tie points."""
     if not points:
         return {}
     vertices: list[tuple[str, Any]] = [
@@ -129,7 +129,7 @@ def _write(path: str | os.PathLike[str], content: dict[str, Any]) -> None:
 
 
 def _from_1(pixel: float) -> float:
-    """Line or sample in the count of the file."""
+    """Convert a line or sample to the numbers of the file, which start at 1."""
     return float(pixel + DIMAP_FIRST_PIXEL)
 
 
@@ -138,7 +138,7 @@ def _size(metadata: PushbroomMetadata) -> dict[str, int]:
 
 
 def _time(epoch: np.datetime64, seconds: float) -> str:
-    """Print a time with all digits of the float, at least six after the point."""
+    """Format a time with all digits of the double and at least six digits after the point."""
     days, rest = divmod(Decimal(repr(float(seconds))), 86400)
     if rest < 0:
         days, rest = days - 1, rest + 86400
@@ -155,7 +155,7 @@ def _misfit(path: str | os.PathLike[str], metadata: PushbroomMetadata, needed: s
 
 
 def _states(metadata: PushbroomMetadata) -> Iterator[tuple[str, Array, Array]]:
-    """Time, position and velocity of each state vector."""
+    """Return the elements of each state vector: time, position and velocity."""
     orbit = metadata.ephemeris
     for t, position, velocity in zip(orbit.time_s, orbit.position_m, orbit.velocity_m_s, strict=True):
         yield _time(metadata.epoch, t), position, velocity

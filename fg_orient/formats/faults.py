@@ -1,7 +1,7 @@
-"""Faults of one file, collected and listed together; remarks and hints.
+"""Collect the faults of one file and report them together; also remarks and hints.
 
-Faults are listed in the order of the lines, each with file, line, column, value and remedy; see
-``docs/file-formats.md``.
+Faults are listed in the order of the lines. Each entry names file, line, column, value and remedy
+(``docs/file-formats.md``).
 """
 
 from __future__ import annotations
@@ -15,22 +15,22 @@ import numpy as np
 from factors.arrays import Array
 from fg_orient.model.errors import Finding, InputError, finding
 
-#: Faults listed per file; the rest is counted.
+#: Maximum number of faults that are listed for a file; the other faults are only counted.
 MAX_FAULTS: Final = 20
 
 
 class Faults:
-    """Collects the faults of one file, keeps the first 20 and counts the rest.
+    """Faults of one file: the first 20 are kept, the others are counted.
 
     Parameters
     ----------
     file : str
-        Name of the file, for the messages.
+        Name of the file in messages.
 
     Attributes
     ----------
     codes : set of str
-        Codes of all faults noted, listed or not.
+        Codes of all faults, also of those that are only counted.
     """
 
     def __init__(self, file: str) -> None:
@@ -40,21 +40,21 @@ class Faults:
         self.codes: set[str] = set()
 
     def add(self, code: str, *, place: object = "", value: object = "", **fields: object) -> None:
-        """Note one fault from the message catalogue."""
+        """Note a fault; its text comes from the message catalogue."""
         if len(self._problems) >= MAX_FAULTS and ": " not in code:
-            self.count(code, 1)  # a file may have millions
+            self.count(code, 1)  # only counted: a file may have millions of faults
             return
         self.take(finding(code, file=self.file, place=place, value=value, **fields))
 
     def take(self, *faults: Finding) -> None:
-        """Note faults built elsewhere."""
+        """Note faults that other code has built."""
         room = MAX_FAULTS - len(self._problems)
         self._problems.extend(faults[:room])
         self.codes.update(fault.code for fault in faults)
         self._dropped += max(0, len(faults) - room)
 
     def count(self, code: str, n: int) -> None:
-        """Count ``n`` faults that are not listed."""
+        """Count ``n`` further faults without listing them."""
         self.codes.add(code)
         self._dropped += n
 
@@ -63,14 +63,14 @@ class Faults:
 
     @property
     def problems(self) -> tuple[Finding, ...]:
-        """Listed faults, and one line that counts the others."""
+        """Return the listed faults, and one line with the number of the others."""
         if not self._dropped:
             return tuple(self._problems)
         more = finding("table.more_faults", file=self.file, value=f"{self._dropped} more")
         return (*self._problems, more)
 
     def raise_if_any(self) -> None:
-        """Raise all faults as one InputError, if there are any."""
+        """Raise one InputError with all faults, if there are any."""
         if self:
             raise InputError(*self.problems)
 
@@ -78,7 +78,7 @@ class Faults:
 def sigma_remarks(
     code: str, file: str, sigma: Array, limits: tuple[float, float], place_of: Callable[[int], str]
 ) -> tuple[Finding, ...]:
-    """Remark on standard deviations (n, k) outside plausible limits; ``place_of`` gives the place of a row."""
+    """Return remarks on standard deviations (n, k) outside plausible limits; ``place_of`` names the place of a row."""
     low, high = limits
     odd = np.flatnonzero(((sigma < low) | (sigma > high)).any(axis=1))
     if not len(odd):
@@ -88,7 +88,7 @@ def sigma_remarks(
 
 
 def did_you_mean(word: str, known: Sequence[str]) -> str:
-    """Hint "did you mean X?", or the known words (shortened)."""
+    """Return the hint "did you mean X?"; without a similar word, return the list of known words, shortened."""
     if not known:
         return "there is none"
     close = difflib.get_close_matches(word, known, n=1)

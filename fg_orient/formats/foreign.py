@@ -1,7 +1,9 @@
-"""Points and image points of a project in other programs' files, read by the readers of ``convert``.
+"""Read the points and image points of a project from files of other programs.
 
-A table of a project names the ``format`` of its file and gives the values that the file lacks. The checks are the same
-as for our own tables; coordinates of check points stay sealed until the file is read again.
+The readers are those of the command ``convert``. A table of the project file names the
+``format`` of the other file. It also gives the values that the other file does not contain. The
+data pass the same checks as data from our own tables. The coordinates of check points stay
+sealed: the file is read again to open them.
 """
 
 from __future__ import annotations
@@ -30,25 +32,25 @@ if TYPE_CHECKING:
     from fg_orient.formats.scenes import Scene
     from fg_orient.formats.schema import ObservationsEntry, PointsEntry
 
-#: Options of ``convert`` in messages, and the corresponding entries of a project.
+#: Messages of the readers name options of ``convert``. These are the corresponding entries of a project file.
 _ENTRIES: Final = {"from": "format", "accept_unverified": "accept_unverified = true"}
-#: Format whose reader needs answers for which a project has no entry.
+#: This format is refused in a project: its reader needs answers for which a project file has no entries.
 OFFICE: Final = "office"
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table of a project file that names a file of another program.
+    """Table of a project file that names a file of another program.
 
     Parameters
     ----------
     name : str
         "points" or "observations".
     paths : tuple of Path
-        The file, or both files of a format that has two.
+        The file; two files if the format consists of two.
     entry : PointsEntry or ObservationsEntry
     project : str
-        Project file, for messages.
+        Project file; used in messages.
     """
 
     name: str
@@ -58,16 +60,16 @@ class Table:
 
     @property
     def path(self) -> Path:
-        """The file that the table names."""
+        """Return the file that the table names."""
         return self.paths[-1 if self.name == "observations" else 0]
 
     @cached_property
     def absolute(self) -> tuple[Path, ...]:
-        """Absolute paths when the project was read: the files may be read again from another working directory."""
+        """Return the absolute paths of the files. They may be read again after a change of the working directory."""
         return tuple(path.absolute() for path in self.paths)
 
     def read(self, faults: Faults) -> Survey | None:
-        """Read the file; if it is unusable, note the errors and return None. Messages name entries of the project."""
+        """Read the file. If this fails, note the errors and return None; messages name entries of the project file."""
         entry, place = self.entry, f"{self.name}.format"
         try:
             format_ = format_named(entry.format, place=place)
@@ -96,9 +98,9 @@ class Table:
 
 
 def read_foreign_points(table: Table, faults: Faults, scenes: list[Scene]) -> PointFile | None:
-    """Read ground points; if the file is unusable, note the errors and return None.
+    """Read ground points. If the file cannot be used, note the errors and return None.
 
-    ``scenes`` are the footprints of the images.
+    ``scenes`` contains the footprints of the images.
     """
 
     def parse(faults: Faults) -> Survey | None:
@@ -113,7 +115,7 @@ def read_foreign_points(table: Table, faults: Faults, scenes: list[Scene]) -> Po
 
 
 def _require_whole(survey: Survey, faults: Faults) -> None:
-    """Note points with coordinates that lack a height or a standard deviation."""
+    """Note a fault for points that have coordinates but no height or no standard deviation."""
     known = survey.located
     for what, lacking, entry in (
         ("height", np.isnan(survey.coordinates[:, 2]), "height_m = METRES"),
@@ -131,10 +133,11 @@ def read_foreign_observations(
     faults: Faults,
     serials: Mapping[str, str] | None = None,
 ) -> tuple[ObservationFile, PointFile] | None:
-    """Read image points of known ground points; other points of the file become tie points.
+    """Read image points. Points of the file that have no ground point become tie points.
 
-    None, with noted errors, if anything is wrong; parameters as in
-    :func:`fg_orient.formats.points.read_observations`. ``serials``: images by the names that other programs give them.
+    If the file has a fault, the errors are noted and the result is None. For the parameters see
+    :func:`fg_orient.formats.points.read_observations`. ``serials`` contains the images by the
+    serial numbers that other programs give them.
     """
     survey = table.read(faults)
     if survey is None or sizes is None or points is None:
@@ -157,7 +160,10 @@ def read_foreign_observations(
 def _images(
     survey: Survey, known: list[str], entry: PointsEntry | ObservationsEntry, faults: Faults, serials: Mapping[str, str]
 ) -> Index:
-    """Position of each image of the file in the project: by ``images``, its name with or without suffix, its serial."""
+    """Return the position in the project of each image of the file.
+
+    An image is found by the table ``images``, by its name with or without suffix, or by its serial number.
+    """
     renamed = getattr(entry, "images", {})
     out = np.zeros(len(survey.images), np.intp)
     for k, name in enumerate(survey.images):
@@ -176,7 +182,7 @@ def _images(
 def _check_pixels(
     survey: Survey, image: Index, sizes: list[tuple[str, tuple[int, int] | None]], faults: Faults
 ) -> None:
-    """Note image points outside their image, or without a standard deviation."""
+    """Note faults of image points: outside the image, or without a standard deviation."""
     o = survey.observed
     size = np.array([n or (np.inf, np.inf) for _, n in sizes], float).reshape(-1, 2)[image[o.image]]
     for axis, values, last in (("line", o.line, size[:, 0] - 0.5), ("sample", o.sample, size[:, 1] - 0.5)):
@@ -195,7 +201,7 @@ def _place(survey: Survey, k: int) -> str:
 
 
 def _with_ties(points: PointFile, survey: Survey) -> PointFile:
-    """Return all points; points that only the image points name become tie points."""
+    """Return all points. A point that has image points but no entry among the points becomes a tie point."""
     known, old = set(points.points.ids), points.points
     seen = np.bincount(survey.observed.point, minlength=len(survey.ids)) > 0
     new = tuple(name for name, yes in zip(survey.ids, seen, strict=True) if yes and name not in known)

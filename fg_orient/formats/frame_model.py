@@ -1,8 +1,9 @@
-"""Frame images with their cameras, poses, points and image points, as bundle programs exchange them.
+"""Frame images with cameras, poses, points and image points, as bundle-adjustment programs exchange them.
 
-A :class:`FrameModel` contains the data of COLMAP's text models and of the files of Bundler and BAL, in the conventions
-of ``fg_orient.sensors.frame``: cameras look along +Z with Y down, (0, 0) is the centre of the first pixel, coordinates
-are metres (or another unit) of a local Cartesian system. :func:`frame_block` makes the block of an adjustment.
+A :class:`FrameModel` contains the data of a COLMAP text model, or of a file of Bundler or BAL.
+Its conventions are those of ``fg_orient.sensors.frame``: a camera looks along +Z, and Y points
+down; (0, 0) is the centre of the first pixel; coordinates refer to a local Cartesian system in
+metres or another unit. :func:`frame_block` converts the model to a block for an adjustment.
 """
 
 from __future__ import annotations
@@ -33,13 +34,13 @@ from fg_orient.sensors.frame import MEASURED_TO_IDEAL, FrameCamera, FrameSensor
 from fg_orient.sensors.frame_unknowns import FURTHER, NAMES, UNKNOWNS
 from fg_orient.sensors.interior import Interior
 
-#: Default unknowns of an image in the adjustment of a frame model.
+#: Default unknowns of an image when a frame model is adjusted.
 EXTERIOR: Final = UNKNOWNS[:6]
 
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """Orientation of an image.
+    """Exterior orientation of an image.
 
     Parameters
     ----------
@@ -47,7 +48,7 @@ class Pose:
     camera : str
         Key of its camera.
     rotation : (3, 3) array
-        Camera axes (X right, Y down, Z forward) from ground axes.
+        Rotates ground axes to camera axes (X right, Y down, Z forward).
     centre_m : (3,) array
         Projection centre.
     """
@@ -69,13 +70,13 @@ class FrameModel:
     point_ids : tuple of str
     points_m : (N, 3) array
     image, point : (n,) int arrays
-        Positions in ``poses`` and the points.
+        For each image point, its position in ``poses`` and in the list of points.
     line, sample : (n,) arrays
-        Pixels.
+        Image coordinates, px.
     notes : tuple of Finding
         Remarks of the reader.
     from_middle : bool
-        Pixels are counted from the middle of each image instead of its first pixel.
+        Image coordinates are relative to the middle of each image instead of its first pixel.
     """
 
     cameras: Mapping[str, Interior]
@@ -91,7 +92,7 @@ class FrameModel:
 
     @cached_property
     def sensors(self) -> tuple[FrameSensor, ...]:
-        """The sensor of each image."""
+        """Return the sensor of each image."""
         out = []
         for pose in self.poses:
             own = self.cameras[pose.camera]
@@ -103,7 +104,7 @@ class FrameModel:
         return tuple(out)
 
     def residuals_px(self) -> Array:
-        """Computed minus measured line and sample (n, 2); nan for points that are not in front of their camera."""
+        """Return computed minus measured line and sample (n, 2); nan if a point is not in front of the camera."""
         out = np.empty((len(self.image), 2))
         for k, sensor in enumerate(self.sensors):
             own = np.flatnonzero(self.image == k)
@@ -117,22 +118,26 @@ def frame_block(
     model: FrameModel, name: str, sources: tuple[Source, ...] = (), *, sigma_px: float = 1.0,
     unknowns: Sequence[str] = EXTERIOR, keep_behind: bool = True,
 ) -> Block:  # fmt: skip
-    """Make the block of a model: tie points with start values, free datum, no priors, Levenberg-Marquardt.
+    """Convert a model to a block of an adjustment.
 
-    Points that are measured in one image only are left out, because their depth is not determined.
+    All points are tie points with start values. The block has a free datum and no priors, and
+    its optimiser is Levenberg-Marquardt. Points that are measured in only one image are left
+    out, because their depth is not determined.
 
     Parameters
     ----------
     model : FrameModel
     name : str
-        Name of the block, and of its file in messages.
+        Name of the block; messages use it as the file name.
     sources : tuple of Source, optional
     sigma_px : float, optional
-        Sigma of line and sample of every image point: these files contain none.
+        Standard deviation of line and sample of every image point. The files do not contain
+        standard deviations.
     unknowns : sequence of str, optional
-        Unknowns of each image (``fg_orient.sensors.frame_unknowns``), not shared with others. All else is held fixed.
+        Unknowns of each image (``fg_orient.sensors.frame_unknowns``). Images do not share them.
+        All other parameters are held fixed.
     keep_behind : bool, optional
-        Keep points whose start values lie behind one of their cameras.
+        Keep points whose start values lie behind a camera that shows them.
     """
     n, images = len(model.points_m), []
     alone, behind = _in_one_image(model.image, model.point, n), np.zeros(n, bool)
@@ -143,7 +148,7 @@ def frame_block(
         camera = _in_pixels(sensor.camera, unknowns, model.line[own], model.sample[own], model.points_m[point])
         images.append(Image(pose.name, sensor.with_camera(camera, name)))
     used = ~(alone | behind & (not keep_behind))[model.point]
-    # the residuals of a polynomial that corrects are in stretched samples
+    # with a polynomial that corrects measured coordinates, residuals are in stretched samples
     cameras = [model.cameras[pose.camera] for pose in model.poses]
     aspects = ((camera.aspect if camera.model == MEASURED_TO_IDEAL else 0.0) for camera in cameras)
     stretch = np.array([1.0 + aspect for aspect in aspects])[model.image[used]]
@@ -159,23 +164,23 @@ def frame_block(
 
 
 def adjusted_model(model: FrameModel, corrections: Sequence[Array], ground_m: Array) -> FrameModel:
-    """Model with adjusted poses, cameras and points.
+    """Return the model with adjusted poses, cameras and points.
 
     Parameters
     ----------
     model : FrameModel
     corrections : sequence of (15,) or (k,) arrays
-        Of each image, as ``Solution.correction`` gives them; an interior orientation that was adjusted is a camera of
-        its own for each image.
+        Corrections of each image, as ``Solution.correction`` returns them. If the interior
+        orientation was adjusted, each image gets a separate camera.
     ground_m : (N, 3) array
-        Adjusted points (``Solution.ground_m``); those that are nan are left out, and a note counts them.
+        Adjusted points (``Solution.ground_m``). Points with nan are left out, and a note gives their number.
     """
     cameras, poses = dict(model.cameras), []
     for pose, sensor, correction in zip(model.poses, model.sensors, corrections, strict=True):
         full, name, interior = sensor.camera.corrected(correction), pose.camera, model.cameras[pose.camera]
         if np.any(np.asarray(correction)[6:] != 0.0):
             name = f"{pose.camera} of {pose.name}"
-            # the unit of a polynomial of measured coordinates is the focal length as given, unless it is stated
+            # if its unit is not stated, a polynomial of measured coordinates has the given focal length as unit
             cameras[name] = replace(
                 interior, focal_px=float(full[CAMERA.focal]), principal_px=full[CAMERA.principal][::-1],
                 distortion=full[CAMERA.distortion], unit_px=sensor.camera.unit_px, name=name,
@@ -195,14 +200,14 @@ def adjusted_model(model: FrameModel, corrections: Sequence[Array], ground_m: Ar
 
 
 def _further(camera: FrameCamera, correction: Array) -> dict[str, float]:
-    """Return adjusted further coefficients of a camera by name, if they are not 0."""
+    """Return the adjusted additional coefficients of a camera by name, without those that are 0."""
     change = dict(zip(FURTHER, correction[len(NAMES) - len(FURTHER) :].tolist(), strict=False))
     values = {name: camera.further.get(name, 0.0) + change.get(name, 0.0) for name in FURTHER}
     return {name: value for name, value in values.items() if value != 0.0}
 
 
 def _in_one_image(image: Index, point: Index, n_points: int) -> Mask:
-    """Points (n_points,) that are measured, but in one image only."""
+    """Return a mask (n_points,) of the points that are measured in exactly one image."""
     some, several = (np.zeros(n_points, bool) for _ in range(2))
     any_image = np.zeros(n_points, np.intp)
     some[point], any_image[point] = True, image
@@ -213,10 +218,12 @@ def _in_one_image(image: Index, point: Index, n_points: int) -> Mask:
 def _in_pixels(
     camera: FrameCamera, unknowns: Sequence[str], line: Array, sample: Array, ground_m: Array
 ) -> FrameCamera:
-    """Camera with unknowns whose units move its image points (n,) by 1 px (root of the sum of squares) at the start.
+    """Return the camera with new units of its unknowns.
 
-    Without priors the units act on the damped steps only (Moré 1978), which then do not depend on the units of the
-    file. The polynomial of the camera leads from ideal to measured coordinates.
+    At the start values, one unit of an unknown moves the image points (n,) of the camera by 1
+    px (root of the sum of squares). Without priors, the units change only the damped steps
+    (Moré 1978). With these units, the steps do not depend on the units of the file. The
+    polynomial of the camera must convert ideal to measured coordinates.
     """
     camera = replace(camera, sigma=dict.fromkeys(unknowns, 1.0))
     _, derivatives = camera.linearised(unknowns, line, sample, ground_m)

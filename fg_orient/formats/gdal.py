@@ -1,8 +1,9 @@
-"""GDAL: rasterio imported on demand, and the locale that GDAL needs.
+"""Import rasterio (GDAL) on demand, set the locale that GDAL needs, and check the files that it writes.
 
-GDAL compares names without regard to case by the C library, and so by the user's locale. In Turkish and Azerbaijani, i
-is not the lower case of I: GDAL then does not recognise its own options and writes dozens of lines to standard error.
-It also resets the decimal point of the calling program to the "C" locale (seen with 3.12, writing a GeoPackage).
+GDAL ignores upper and lower case when it compares names. It uses the C library for this, which follows the user's
+locale. In Turkish and Azerbaijani, i is not the lower case of I. GDAL then does not recognise its own options and
+writes dozens of lines to standard error. GDAL also resets the decimal point of the calling program to the "C" locale
+(observed with version 3.12 when a GeoPackage is written).
 """
 
 from __future__ import annotations
@@ -20,12 +21,12 @@ from zlib import crc32
 
 from fg_orient.model.errors import InputError
 
-#: First bytes of TIFF and BigTIFF files in both byte orders.
+#: TIFF and BigTIFF files begin with one of these, depending on the byte order.
 TIFF_MARKS: Final = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 
 
 def rasterio_of(file: object, code: str = "ortho.no_rasterio") -> Any:
-    """Import rasterio; InputError with this ``code`` for ``file``, which needs it, if it is not installed."""
+    """Import rasterio. If it is not installed, raise InputError with this ``code`` for the ``file`` that needs it."""
     try:
         import rasterio
         import rasterio.windows
@@ -35,20 +36,22 @@ def rasterio_of(file: object, code: str = "ortho.no_rasterio") -> Any:
 
 
 def opened(rasterio: Any, path: object, mode: str = "r") -> Any:
-    """Open an image without GDAL's warning that it has no map coordinates; errors are errors of rasterio."""
+    """Open an image. GDAL's warning about missing map coordinates is not shown; errors are exceptions of rasterio."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
         return rasterio.open(path, mode)
 
 
 class Written:
-    """Raster that is being written, with the checksums of its windows: GDAL does not report every failed call.
+    """Raster that is being written, with a checksum of each window.
+
+    GDAL does not report every failed call. Therefore the windows are read again and compared.
 
     Parameters
     ----------
     rasterio : module
     sink : dataset
-        Opened to be written.
+        Dataset that is open for writing.
     """
 
     def __init__(self, rasterio: Any, sink: Any) -> None:
@@ -56,12 +59,12 @@ class Written:
         self._sums: list[tuple[int, Any, int]] = []
 
     def write(self, values: Any, band: int, window: Any) -> None:
-        """Write a window of a band; no window is written twice."""
+        """Write a window of a band. A window must not be written twice."""
         self._sums.append((band, window, crc32(values.tobytes())))
         self._sink.write(values, band, window=window)
 
     def require(self, path: Path) -> None:
-        """Read the windows again, from this file or a copy; OSError if a value differs."""
+        """Read all windows again from this file or from a copy of it; raise OSError if a value differs."""
         with opened(self._rasterio, path) as source:
             for band, window, known in self._sums:
                 if crc32(source.read(band, window=window).tobytes()) != known:
@@ -69,9 +72,9 @@ class Written:
 
 
 def copy_as_cog(rasterio: Any, source: Path, target: Path, written: Written, **options: Any) -> None:
-    """Copy a raster into a cloud optimised GeoTIFF; OSError if a part of it is not as it should be.
+    """Copy a raster to a cloud optimised GeoTIFF; raise OSError if the copy is not correct.
 
-    The overviews have no checksums: the file is made twice, and both must be equal.
+    The overviews have no checksums. Therefore the file is made twice, and both files must be equal.
     """
     copy, second = import_module("rasterio.shutil").copy, target.with_suffix(".second.tif")
     try:
@@ -85,7 +88,7 @@ def copy_as_cog(rasterio: Any, source: Path, target: Path, written: Written, **o
 
 
 def encoded(picture: Any, driver: str) -> bytes:
-    """File of grey values (rows, columns) uint8 in memory, by GDAL's driver ``PNG`` or ``JPEG``."""
+    """Return the bytes of a PNG or JPEG file with grey values (rows, columns) uint8; GDAL encodes them in memory."""
     from rasterio.errors import NotGeoreferencedWarning
     from rasterio.io import MemoryFile
 
@@ -99,7 +102,7 @@ def encoded(picture: Any, driver: str) -> bytes:
 
 @contextmanager
 def plain_case() -> Iterator[None]:
-    """Use the letter case of the locale "C" while GDAL is imported or works; then restore the locale."""
+    """Use the letter case rules of the locale "C" while GDAL is imported or runs; then restore the locale."""
     before = locale.setlocale(locale.LC_ALL)
     locale.setlocale(locale.LC_CTYPE, "C")
     try:

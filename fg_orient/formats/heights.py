@@ -1,8 +1,11 @@
-"""Heights of a table above a zero level that PROJ does not have: they are converted to ellipsoidal heights on reading.
+"""Convert heights above a zero level that PROJ does not contain to ellipsoidal heights.
 
-The zero level is given by a geoid file, by a constant undulation, or by a table of points with both heights, from which
-the constant is estimated. A compound CRS whose grid PROJ does not find is converted by a file of another name in PROJ's
-folders. Then the CRS of the survey has no vertical part.
+The user gives the zero level by a geoid file, by a constant undulation, or by a table of points
+with both heights. The constant is estimated from such a table. The conversion is done when a
+table is read. The CRS of the survey then has no vertical part.
+
+If PROJ does not find the grid of a compound CRS, a file with the same grid under another name
+in PROJ's folders is used.
 """
 
 from __future__ import annotations
@@ -34,18 +37,18 @@ from fg_orient.geodesy.heights import found_grid, vertical_reference
 from fg_orient.model.block import GroundSystem
 from fg_orient.model.errors import Finding, InputError, finding
 
-#: Semi-major axis and flattening of an ellipsoid that is WGS84's within 0.1 mm.
+#: Semi-major axis and flattening: an ellipsoid with these values is treated as WGS84; the difference is below 0.1 mm.
 _WGS84: Final = (6378137.0, 1.0 / 298.2572)
 
 
 @dataclass(frozen=True)
 class ZeroLevel:
-    """Statement of a user on the zero level of the heights of a table; at most one of the three.
+    """Zero level of the heights of a table, as the user states it; at most one of the three fields is set.
 
     Parameters
     ----------
     geoid : Path, optional
-        Raster of undulations that GDAL reads.
+        Raster of undulations, in a format that GDAL reads.
     undulation_m : float, optional
         Height of the zero level above the WGS84 ellipsoid.
     both_heights : Path, optional
@@ -58,7 +61,7 @@ class ZeroLevel:
 
     @classmethod
     def of(cls, entry: object, folder: Path) -> Self:
-        """Statement of an entry of a project file; its paths are relative to ``folder``."""
+        """Read the zero level from an entry of a project file; paths are relative to ``folder``."""
         geoid, both = (getattr(entry, name, None) for name in ("geoid", "both_heights"))
         geoid, both = (None if name is None else (folder / name).absolute() for name in (geoid, both))
         return cls(geoid, getattr(entry, "undulation_m", None), both)
@@ -68,21 +71,21 @@ class ZeroLevel:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """Files that it names."""
+        """Return the files that the zero level names."""
         return tuple(path for path in (self.geoid, self.both_heights) if path is not None)
 
     def system(self, crs: str) -> GroundSystem:
-        """Return the zero level and the CRS of the table, as the block stores them."""
+        """Return the zero level together with the CRS of the table, as a block stores them."""
         constant = self.undulation_m if self.both_heights is None else estimated(self.both_heights).undulation_m
         return GroundSystem(_flat(crs) if self else crs, "" if self.geoid is None else str(self.geoid), constant)
 
     def applied(self, survey: Survey) -> Survey:
-        """Survey with ellipsoidal heights, and a note on the conversion.
+        """Return the survey with ellipsoidal heights and a note on the conversion.
 
         Raises
         ------
         InputError
-            More than one way is given, a file is unusable or does not cover a point.
+            More than one zero level is given, or a file cannot be used or does not cover a point.
         """
         if sum(value is not None for value in (self.geoid, self.undulation_m, self.both_heights)) > 1:
             raise InputError.of("heights.two_ways")
@@ -103,10 +106,11 @@ class ZeroLevel:
 
 
 def coordinates_in(system: GroundSystem, xyz_m: Array) -> tuple[Array, str]:
-    """Coordinates (n, 3) of ECEF points (n, 3), m, in the CRS and above the zero level of a table of points.
+    """Convert ECEF points (n, 3), m, to coordinates (n, 3) in the CRS of a table, with heights above its zero level.
 
-    This is the inverse of the conversion by readers. The second value describes the heights, "" if the CRS is
-    geocentric. InputError: the CRS is unknown, a geoid file or grid is missing or does not cover a point.
+    This is the inverse of the conversion by the readers. The second returned value describes
+    the heights in words; it is "" if the CRS is geocentric. InputError: the CRS is unknown, or
+    a geoid file or grid is missing or does not cover a point.
     """
     if system.crs == BODY_FIXED:
         return xyz_m, ""
@@ -129,25 +133,25 @@ def coordinates_in(system: GroundSystem, xyz_m: Array) -> tuple[Array, str]:
                 raise
             undulation = found.undulation_m(lon, lat)
     out = from_ecef(_flat(system.crs), xyz_m)[0]
-    out[:, 2] = height - undulation  # undulations refer to the WGS84 ellipsoid, for any ellipsoid of the CRS
+    out[:, 2] = height - undulation  # undulations refer to the WGS84 ellipsoid, whatever the ellipsoid of the CRS
     return out, words
 
 
 def without_vertical(survey: Survey) -> Survey:
-    """Survey whose CRS has no vertical part."""
+    """Return the survey with the horizontal part of its CRS only."""
     return replace(survey, crs=_flat(survey.crs))
 
 
 def _flat(crs: str) -> str:
-    """Code of the horizontal part of a CRS."""
+    """Return the code of the horizontal part of a CRS."""
     own = known_crs(crs) if crs and crs != BODY_FIXED else None
     return f"EPSG:{own.sub_crs_list[0].to_epsg()}" if own is not None and own.is_compound else crs
 
 
 def on_found_grid(survey: Survey) -> Survey:
-    """Survey with ellipsoidal heights if only a file of another name in PROJ's folders has the grid of its CRS.
+    """Convert a survey to ellipsoidal heights with a grid of another name, if PROJ does not find the grid of its CRS.
 
-    Otherwise it is unchanged; a note is added if its CRS does not state that heights are ellipsoidal.
+    Otherwise the survey is unchanged. A note is added if its CRS does not state that heights are ellipsoidal.
     """
     if not survey.crs or not survey.located.any() or crs_kind(survey.crs) == "geocentric":
         return survey
@@ -158,12 +162,12 @@ def on_found_grid(survey: Survey) -> Survey:
     error = lacking_operation(survey)
     grid = None if error is None else found_grid(error)
     if grid is None:
-        return survey  # refused where it is transformed
+        return survey  # the transformation to ECEF refuses it
     return _by_geoid(_noted(survey, finding("heights.found", name=name, grid=grid.path.name)), grid)
 
 
 def lacking_operation(survey: Survey) -> InputError | None:
-    """Error of the operation to ECEF, which PROJ lacks without the grid of the heights; None if there is one."""
+    """Return the error if PROJ cannot transform the CRS to ECEF without the grid of its heights; else None."""
     try:
         operation_to_ecef(survey.crs, spatial_crs(survey.crs), _places(survey)[0])
     except InputError as error:
@@ -176,13 +180,13 @@ def _noted(survey: Survey, *notes: Finding) -> Survey:
 
 
 def _places(survey: Survey) -> tuple[Array, Index]:
-    """WGS84 longitude and latitude (n, 2) degrees of the points with coordinates, and their rows (n,)."""
+    """Return WGS84 longitude and latitude (n, 2), degrees, and the rows (n,) of all points that have coordinates."""
     rows = np.flatnonzero(survey.located)
     return _lonlat(survey.crs, survey.coordinates[rows]), rows
 
 
 def _lonlat(crs: str, coordinates: Array) -> Array:
-    """WGS84 longitude and latitude (n, 2) degrees."""
+    """Transform coordinates to WGS84 longitude and latitude (n, 2), degrees."""
     if not crs or not len(coordinates):
         return np.empty((0, 2))
     if crs_kind(crs) == "geocentric":
@@ -191,7 +195,7 @@ def _lonlat(crs: str, coordinates: Array) -> Array:
 
 
 def _by_geoid(survey: Survey, grid: GeoidFile) -> Survey:
-    """Survey with the undulations of a geoid file added."""
+    """Add the undulations of a geoid file to the heights of a survey."""
     lonlat, rows = _places(survey)
     if not len(rows):
         return without_vertical(survey)
@@ -201,10 +205,11 @@ def _by_geoid(survey: Survey, grid: GeoidFile) -> Survey:
 
 
 def _raised(survey: Survey, rows: Index, lonlat: Array, undulation: Array, notes: Sequence[Finding]) -> Survey:
-    """Survey with undulations (n,) added to the heights of some rows.
+    """Add undulations (n,) to the heights of some rows of a survey.
 
-    Undulations are above the WGS84 ellipsoid. If the ellipsoid of the CRS is another one, its ellipsoidal heights
-    follow from the place in space.
+    Undulations refer to the WGS84 ellipsoid. If the CRS has another ellipsoid, the points are
+    transformed to ECEF, and the heights above that ellipsoid are computed from their positions
+    in space.
     """
     survey = _noted(without_vertical(survey), *notes)
     coordinates = survey.coordinates.copy()
@@ -217,7 +222,7 @@ def _raised(survey: Survey, rows: Index, lonlat: Array, undulation: Array, notes
 
 
 def _odd_constant(constant: float, lonlat: Array) -> tuple[Finding, ...]:
-    """Warning of a constant that is not near the undulation of the Earth's geoid at the points."""
+    """Return a warning if a constant undulation differs much from the Earth's geoid at the points."""
     apart = constant - float(np.median(world_undulation_m(*lonlat.T))) if len(lonlat) else 0.0
     if abs(apart) <= LIMIT_M:
         return ()

@@ -1,4 +1,4 @@
-"""Values of a JSON file by path, with one line of error for a value that is missing or impossible."""
+"""Read values of a JSON file by their path; a missing or impossible value gives an error of one line."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ _ABSENT: Final = object()
 
 
 class JsonFile:
-    """An object of a JSON file.
+    """Object of a JSON file.
 
     Parameters
     ----------
     path : Path
-        For messages.
+        The file; used in messages.
     values : dict
     """
 
@@ -29,12 +29,12 @@ class JsonFile:
 
     @classmethod
     def read(cls, path: Path, *, skip: int = 0) -> JsonFile:
-        """Read a file without its first ``skip`` lines.
+        """Read a JSON file after its first ``skip`` lines.
 
         Raises
         ------
         InputError
-            It cannot be read, or it is not one object in JSON.
+            The file cannot be read, or it does not contain one JSON object.
         """
         body = load_bytes(path, "json_bytes").split(b"\n", skip)[-1]
         values = parse_json(body, str(path), "json.syntax", f"below line {skip}" if skip else "")
@@ -43,7 +43,7 @@ class JsonFile:
         return cls(path, values)
 
     def value(self, place: str, default: Any = _ABSENT) -> Any:
-        """Value at a path such as ``instrument_position.positions``; null counts as missing."""
+        """Return the value at a path such as ``instrument_position.positions``; null counts as missing."""
         at: Any = self.values
         for key in place.split("."):
             at = at.get(key) if isinstance(at, dict) else None
@@ -54,7 +54,7 @@ class JsonFile:
         return at
 
     def numbers(self, place: str, *shape: int, default: Any = _ABSENT) -> Array:
-        """Finite numbers of a shape, in which -1 stands for any length above 0."""
+        """Return an array of finite numbers with a given shape; -1 allows any length above 0."""
         given = self.value(place, default)
         try:
             out = np.array(given, float)
@@ -68,18 +68,18 @@ class JsonFile:
         return out
 
     def number(self, place: str, default: Any = _ABSENT) -> float:
-        """One finite number."""
+        """Return one finite number."""
         return float(self.numbers(place, default=default))
 
     def count(self, place: str) -> int:
-        """Number of lines or samples: a whole number from 1 to a million."""
+        """Return a number of lines or samples, which must be a whole number from 1 to a million."""
         value = self.number(place)
         if value != int(value) or not 1 <= value <= 1_000_000:
             raise InputError.of("json.count", file=self.path, place=place, value=value)
         return int(value)
 
     def text(self, place: str, default: Any = _ABSENT) -> str:
-        """Text."""
+        """Return a text; raise InputError if the value is not a text."""
         value = self.value(place, default)
         if not isinstance(value, str):
             raise InputError.of("json.text", file=self.path, place=place, value=repr(value)[:60])

@@ -1,4 +1,4 @@
-"""Control features of a project: tables of lines and splines, and of the image points on them; docs/lines.md."""
+"""Read lines and splines that serve as control, and the image points on them; see docs/lines.md."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ IMAGE_SIGMAS: Final = ("sigma_line_px", "sigma_sample_px")
 
 
 def read_features(path: Path, crs: str) -> tuple[LineFeature, ...]:
-    """Read the vertices of control features, in order.
+    """Read the vertices of control features in their order.
 
-    A table has the columns feature, the coordinates of ``crs``, sigma_across_m, sigma_up_m and, if wanted, kind (line
-    or spline; default: line). A GeoPackage has a layer ``control_features`` of lines with Z and the fields feature,
-    sigma_across_m, sigma_up_m and, if wanted, kind.
+    A table has the columns feature, sigma_across_m, sigma_up_m and the coordinate columns of ``crs``. The column kind
+    (line or spline; default: line) is optional. A GeoPackage has a layer ``control_features`` of lines with Z. Its
+    fields are feature, sigma_across_m, sigma_up_m and optionally kind.
 
     Raises
     ------
     InputError
-        All faults of the table; the first fault of a GeoPackage or of a feature.
+        A table has faults: all are listed. For a GeoPackage or a single feature, only the first fault is named.
     """
     rows = _of_geopackage(path, crs) if path.suffix.lower() == ".gpkg" else _of_table(path, crs)
     names, kinds, sigma, given = rows
@@ -104,12 +104,14 @@ def _of_geopackage(path: Path, crs: str) -> tuple[list[str], list[str], Array, A
 
 
 def read_line_points(path: Path) -> LinePoints:
-    """Read image points on features: image, feature, line, sample, sigma_line_px, sigma_sample_px.
+    """Read a table of image points on control features.
+
+    Its columns are image, feature, line, sample, sigma_line_px, sigma_sample_px.
 
     Raises
     ------
     InputError
-        All faults of the table.
+        The table has faults; all are listed.
     """
     names = ("line", "sample", *IMAGE_SIGMAS)
     table = require_table(path, [("image", "feature", *names)])
@@ -121,12 +123,12 @@ def read_line_points(path: Path) -> LinePoints:
 
 
 def lined(block: Block, entry: LinesEntry, folder: Path, file: str) -> Block:
-    """Block with the control features that the table ``[lines]`` of its project names.
+    """Return the block with the control features that the table ``[lines]`` of its project names.
 
     Raises
     ------
     InputError
-        A missing file, an unusable CRS, faults of the files.
+        A file is missing or has faults, or the CRS cannot be used.
     """
     paths = [folder / name for name in (entry.file, entry.observations)]
     for path, key in zip(paths, ("file", "observations"), strict=True):

@@ -1,9 +1,10 @@
-"""Bounded loading of foreign bytes: JSON, NPZ archives, SQLite databases; conversion of a library's errors.
+"""Load untrusted files with limits on size and memory: JSON, NPZ archives and SQLite databases.
 
-Whatever the bytes, a reader of this package returns a value or raises an
-:class:`~fg_orient.model.errors.FgOrientError`. Sizes are checked before a file is read, memory before it is parsed: a
-small file may state or imply any size. The limits are in :mod:`fg_orient.model.limits`. TOML and XML have their own
-modules, which call :func:`load_bytes`.
+For any content, a reader of this package either returns a value or raises
+:class:`~fg_orient.model.errors.FgOrientError`. The size of a file is checked before it is read.
+The needed memory is checked before it is parsed, because a small file may state a very large
+size. :mod:`fg_orient.model.limits` contains the limits. TOML and XML have their own modules,
+which call :func:`load_bytes`.
 """
 
 from __future__ import annotations
@@ -26,23 +27,24 @@ from fg_orient.formats.registry import read_bytes
 from fg_orient.model.errors import FgOrientError, InputError
 from fg_orient.model.limits import exceeded, limit, within, within_memory
 
-#: Bytes of Python objects for each mark of JSON, at most: a table, a list, a value, a name.
+#: Maximum number of bytes of Python objects for each of these characters in JSON. The characters begin a table, a list,
+#: #: a further value, or the value of a name.
 _OBJECTS: Final = {b"{": 260, b"[": 90, b",": 80, b":": 80}
-#: Kinds of numpy arrays that are read: truth values, numbers, text.
+#: Kinds of numpy arrays that can be read: truth values, numbers, text.
 _KINDS: Final = "biufcU"
-#: Bytes at the beginning of a SQLite database.
+#: A SQLite database begins with these bytes.
 SQLITE_MARK: Final = b"SQLite format 3\0"
-#: Steps of SQLite's virtual machine between two checks.
+#: Number of steps of SQLite's virtual machine between two checks of the limit.
 _STEPS: Final = 10_000
-#: Hidden columns of SQLite that are computed when they are read.
+#: SQLite marks columns with these numbers if they are computed when they are read.
 _GENERATED: Final = (2, 3)
 
 
 @contextmanager
 def foreign_bytes(code: str, file: object, place: object = "") -> Iterator[None]:
-    """Convert any exception into an InputError with this code, which states the reason.
+    """Convert any exception of a block into an InputError with this code; the message states the reason.
 
-    For calls of a parser of another project: its exceptions for damaged content are not documented.
+    The block calls a parser of another project, which does not document its exceptions for damaged content.
     """
     try:
         yield
@@ -55,20 +57,20 @@ def foreign_bytes(code: str, file: object, place: object = "") -> Iterator[None]
 
 
 def load_bytes(path: str | os.PathLike[str], name: str, code: str = "table.unreadable") -> bytes:
-    """Content of a file.
+    """Return the bytes of a file; its size is limited.
 
     Parameters
     ----------
     path : path
     name : str
-        Limit of its size.
+        Name of the size limit in :mod:`fg_orient.model.limits`.
     code : str
-        Message if it cannot be read.
+        Code of the message if the file cannot be read.
 
     Raises
     ------
     InputError
-        It is missing, unreadable or larger than the limit.
+        The file is missing, unreadable or larger than the limit.
     """
     most = int(limit(name))
     data = read_bytes(path, most + 1, code)
@@ -81,25 +83,25 @@ def load_bytes(path: str | os.PathLike[str], name: str, code: str = "table.unrea
 
 
 def load_json(path: str | os.PathLike[str], code: str) -> Any:
-    """Content of a JSON file; see :func:`parse_json`."""
+    """Return the content of a JSON file; see :func:`parse_json`."""
     return parse_json(load_bytes(path, "json_bytes", code), os.fspath(path), code)
 
 
 def parse_json(data: bytes, file: object, code: str, place: object = "") -> Any:
-    """Content of JSON (RFC 8259): UTF-8, with or without byte order mark; no nan, no infinity.
+    """Parse JSON (RFC 8259) in UTF-8, with or without a byte order mark; nan and infinity are refused.
 
     Parameters
     ----------
     data : bytes
     file, place : object
-        For messages.
-    code : str
-        Message of other content than JSON.
+        File, and place in it; used in messages.
+        code : str
+            Code of the message if the content is not JSON.
 
     Raises
     ------
     InputError
-        It is not JSON, nested too deeply, or needs too much memory.
+        The content is not JSON, is nested too deeply, or needs too much memory.
     """
     data = data.removeprefix(b"\xef\xbb\xbf")
     need = sum(data.count(mark) * n_bytes for mark, n_bytes in _OBJECTS.items())
@@ -123,21 +125,21 @@ def parse_json(data: bytes, file: object, code: str, place: object = "") -> Any:
 
 
 def load_npz(source: Path | bytes, code: str, file: object = "") -> dict[str, npt.NDArray[Any]]:
-    """Arrays of an ``.npz`` archive, of numbers and text, without pickled objects.
+    """Return the arrays of an ``.npz`` archive. They may contain numbers and text, but no pickled objects.
 
     Parameters
     ----------
     source : Path or bytes
-        The file, or its content.
+        The file or its bytes.
     code : str
-        Message of a damaged archive.
+        Code of the message if the archive is damaged.
     file : object
-        Its name in messages.
+        Name of the archive in messages.
 
     Raises
     ------
     InputError
-        It cannot be read, is damaged, holds other arrays, or needs too much memory.
+        The archive cannot be read, is damaged, contains other kinds of arrays, or needs too much memory.
     """
     file = file or (source if isinstance(source, Path) else "")
     with foreign_bytes(code, file), _stream(source) as stream:
@@ -154,7 +156,7 @@ def _stream(source: Path | bytes) -> IO[bytes]:
 
 
 def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> npt.NDArray[Any]:
-    """Array of a member, whose header must state the size of the member; ValueError otherwise."""
+    """Read the array of an archive member; raise ValueError if the member has another size than its header states."""
     with archive.open(member) as stream:
         version = np.lib.format.read_magic(stream)
         if version not in ((1, 0), (2, 0)):
@@ -165,7 +167,7 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> npt.NDArray[Any
         if dtype.kind not in _KINDS or dtype.fields or min(shape, default=0) < 0 or size > member.file_size:
             raise ValueError(f"{member.filename} is {dtype} {shape} in {member.file_size} bytes")
         data = bytearray(stream.read(size))
-        if len(data) != size or stream.read(1):  # at the end its checksum is compared
+        if len(data) != size or stream.read(1):  # read(1) at the end makes zipfile compare the checksum
             raise ValueError(f"{member.filename} has another size than it states")
     found: npt.NDArray[Any] = np.ndarray(shape, dtype, data, order="F" if is_fortran else "C")
     if (
@@ -182,23 +184,25 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> npt.NDArray[Any
 
 @contextmanager
 def open_sqlite(path: Path, tables: Sequence[str], code: str) -> Iterator[sqlite3.Connection]:
-    """Open a database to read some of its tables, which may be missing.
+    """Open a SQLite database to read some of its tables.
 
-    A view, a virtual table or a computed column runs what the file's author wrote, for any time and with any memory:
-    such tables are refused. Queries are limited in steps, and their values in size.
+    Views, virtual tables and computed columns are refused. They run code of the file's author,
+    which may need any time and memory. The number of steps of a query and the size of its
+    values are limited.
 
     Parameters
     ----------
     path : Path
     tables : sequence of str
     code : str
-        Message of a damaged database.
+        Code of the message if the database is damaged.
 
     Raises
     ------
     InputError
-        It cannot be opened, is damaged or too large, or a table is not a plain one; also for errors of SQLite and wrong
-        types in the block.
+        The database cannot be opened, is damaged or is too large, or a table is not a plain
+        table. Errors of SQLite and wrong types in the ``with`` block are converted to
+        InputError, too.
     """
     steps = 0
 
@@ -229,7 +233,7 @@ def open_sqlite(path: Path, tables: Sequence[str], code: str) -> Iterator[sqlite
 
 
 def require_plain(opened: sqlite3.Connection, tables: Sequence[str]) -> None:
-    """Raise ValueError if a table is a view, virtual, or has computed columns; tables may be missing."""
+    """Raise ValueError if a table is a view, is virtual or has computed columns. A missing table is allowed."""
     for table in tables:
         found = opened.execute("SELECT type, sql FROM sqlite_master WHERE lower(name) = lower(?)", (table,)).fetchall()
         if any(kind not in ("table", "index") or "virtual" in str(text)[:30].lower() for kind, text in found):

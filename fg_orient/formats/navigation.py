@@ -1,4 +1,4 @@
-"""Navigation tables: positions and attitudes on board at the exposures of frame images; docs/gnss-ins.md."""
+"""Read navigation tables: positions and attitudes observed on board for each frame image; see docs/gnss-ins.md."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ ANGLE_SIGMAS: Final = ("sigma_roll_deg", "sigma_pitch_deg", "sigma_heading_deg")
 
 
 def read_navigation(path: Path, crs: str) -> tuple[tuple[Fix, ...], str]:
-    """Read a navigation table with positions in ``crs``, and with attitudes if it has them.
+    """Read a navigation table. Its positions are in ``crs``; attitudes are optional.
 
     Returns
     -------
     tuple of Fix
     str
-        SHA-256 of the file.
+        Hash of the file (SHA-256).
 
     Raises
     ------
     InputError
-        All faults of the table.
+        The table has faults; all are listed.
     """
     place = COORDINATE_COLUMNS[crs_kind(crs)]
     position = ("image", "strip", "time_s", *place, *POSITION_SIGMAS)
@@ -49,7 +49,7 @@ def read_navigation(path: Path, crs: str) -> tuple[tuple[Fix, ...], str]:
 
 
 def _fix(image: str, strip: str, values: Array, ecef_m: Array) -> Fix:
-    """One record: time, position and sigmas; angles and their sigmas if the table has them."""
+    """Read one record: time, position and its standard deviations; also the angles if the table has them."""
     if len(values) == 7:
         return Fix(image, strip, float(values[0]), ecef_m, values[4:7])
     (roll, pitch, heading), sigmas = np.radians(values[7:10]).tolist(), np.radians(values[10:13])
@@ -58,7 +58,7 @@ def _fix(image: str, strip: str, values: Array, ecef_m: Array) -> Fix:
 
 
 def mounting_of(entry: NavigationEntry) -> Mounting:
-    """Mounting that the table ``[navigation]`` of a project describes."""
+    """Return the mounting of the receiver and inertial unit from the table ``[navigation]`` of a project."""
 
     def rad(degrees: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
         if degrees is None:

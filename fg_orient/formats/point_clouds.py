@@ -1,8 +1,9 @@
-"""Point clouds: points with columns of numbers as LAS, LAZ or PLY.
+"""Write point clouds with columns of numbers in LAS, LAZ or PLY files.
 
-LAS 1.4 (ASPRS 2019), point format 6: coordinates are whole multiples of a tenth of a millimetre or of 1e-9 degrees, or
-of more if the extent needs it. The CRS is WKT 1; a line of text is the record "text area description". PLY (Turk 1994)
-is binary, little-endian; coordinates are doubles; the CRS and the text are comments.
+LAS has version 1.4 (ASPRS 2019), point format 6. Its coordinates are whole multiples of 0.1 mm
+or of 1e-9 degrees. The step is larger if the extent requires it. The CRS is WKT 1. A line of
+text is written as the record "text area description". PLY (Turk 1994) is binary, little-endian.
+Its coordinates are doubles; the CRS and the text are comments.
 """
 
 from __future__ import annotations
@@ -19,22 +20,22 @@ from factors.arrays import Array
 from fg_orient.formats.atomic import staged_file
 from fg_orient.model.errors import InputError
 
-#: Step of the coordinates in LAS, m or degrees, and the largest whole number.
+#: Step of the coordinates in LAS, m or degrees; below: the largest whole number.
 STEP: Final = {"metre": 1e-4, "degree": 1e-9}
 LARGEST: Final = 2**31 - 1
-#: Record of a text in LAS: "text area description".
+#: Number of the LAS record "text area description".
 TEXT_RECORD: Final = 3
-#: Names of types in PLY.
+#: Names of numpy types in PLY.
 PLY_TYPES: Final = {"f8": "double", "f4": "float", "u1": "uchar", "u2": "ushort", "u4": "uint"}
 
 Columns = Mapping[str, npt.NDArray[Any]]
 
 
 def library(file: Path) -> Any:
-    """Laspy, imported on demand; InputError if it or the compression of LAZ is missing."""
+    """Import laspy; raise InputError if laspy or the package for LAZ compression is not installed."""
     try:
         import laspy
-        import lazrs  # noqa: F401  # laspy finds it by itself
+        import lazrs  # noqa: F401  # laspy looks for it
     except ImportError as error:
         raise InputError.of("cloud.no_laspy", file=file) from error
     return laspy
@@ -43,23 +44,23 @@ def library(file: Path) -> Any:
 def write_las(
     path: Path, coordinates: Array, columns: Columns, *, wkt: str, unit: str, text: str, made: date, program: str
 ) -> None:
-    """Write LAS or LAZ, by the end of the name.
+    """Write a LAS or LAZ file; the suffix of the name decides.
 
     Parameters
     ----------
     path : Path
     coordinates : (n, 3) array
-        m; or longitude, latitude in degrees and height in m.
+        Coordinates in m; or longitude and latitude in degrees, height in m.
     columns : mapping
-        Names (at most 31 characters) and numbers (n,) of the extra dimensions, of the types of ``PLY_TYPES``.
+        Extra dimensions: names of at most 31 characters, and numbers (n,) of a type in ``PLY_TYPES``.
     wkt : str
-        Definition of the CRS; "" for none.
+        Definition of the CRS; "" if there is no CRS.
     unit : str
         Unit of the first two coordinates: ``metre`` or ``degree``.
     text : str
     made : date
     program : str
-        Program that made the points, at most 31 characters.
+        Program that computed the points; at most 31 characters.
     """
     laspy = library(path)
     header = laspy.LasHeader(point_format=6, version="1.4")
@@ -81,7 +82,7 @@ def write_las(
 
 
 def steps(coordinates: Array, unit: str) -> tuple[Array, Array]:
-    """Offsets (3,), whole numbers, and steps (3,), powers of ten, of coordinates (n, 3) in LAS."""
+    """Choose the offsets (3,), whole numbers, and the steps (3,), powers of ten, of LAS for coordinates (n, 3)."""
     low, high = coordinates.min(axis=0), coordinates.max(axis=0)
     offset = np.floor(0.5 * (low + high))
     farthest = np.maximum(high - offset, offset - low)
@@ -90,7 +91,7 @@ def steps(coordinates: Array, unit: str) -> tuple[Array, Array]:
 
 
 def write_ply(path: Path, coordinates: Array, columns: Columns, *, comments: Sequence[str]) -> None:
-    """Write binary PLY with the properties x, y, z and the columns; comments are single lines of ASCII."""
+    """Write a binary PLY file with x, y, z and the columns as properties; a comment is one line of ASCII."""
     values = {**dict(zip("xyz", coordinates.T, strict=True)), **columns}
     table = np.empty(len(coordinates), [(name, f"<{one.dtype.str[1:]}") for name, one in values.items()])
     for name, one in values.items():

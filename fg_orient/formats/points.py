@@ -1,14 +1,17 @@
-"""Ground points of a file, with the coordinates of check points sealed, and tables of image observations.
+"""Read tables of ground points and of image observations; the coordinates of check points are sealed.
 
-Reading checks every cell of every point, but the coordinates of check points do not leave this
-module until :meth:`fg_orient.model.block.WithheldCoordinates.open` reads the file again.
+The reader checks every cell of every point. However, the coordinates of check points do not leave
+this module until :meth:`fg_orient.model.block.WithheldCoordinates.open` reads the file again.
 
-Our own tables have ids, roles, coordinates in any EPSG CRS and standard deviations. Roles: **control** points enter the
-adjustment as observed (or, with the word ``fixed`` in all sigma columns, constant) points; the coordinates of **check**
-points are for comparison only; **tie** points have no known coordinates.
+Our own tables contain ids, roles, standard deviations, and coordinates in any EPSG CRS. There are three roles:
 
-A record of observations has pixels and their standard deviations: (line, sample) with (0, 0) in the centre of the first
-pixel. An image of n lines spans -0.5 .. n - 0.5.
+- **control** points are observed points of the adjustment; they are constant if all their sigma columns contain the
+  word ``fixed``;
+- **check** points have coordinates that are used for comparison only;
+- **tie** points have no known coordinates.
+
+A record of observations contains line and sample with their standard deviations, px. (0, 0) is
+the centre of the first pixel. An image of n lines extends from -0.5 to n - 0.5.
 """
 
 from __future__ import annotations
@@ -42,17 +45,17 @@ FIXED: Final = "fixed"
 def _layouts(first: Kind, incomplete: bool) -> list[tuple[str, ...]]:
     kinds: list[Kind] = sorted(COORDINATE_COLUMNS, key=lambda kind: kind != first)
     usual: list[tuple[str, ...]] = [("id", "role", *COORDINATE_COLUMNS[kind], *SIGMA_COLUMNS) for kind in kinds]
-    if incomplete:  # of layouts with the same columns of a table the first counts: the one that lacks fewest
+    if incomplete:  # if several layouts have the same columns, the first one is used: it lacks the fewest
         lacking = (("role", *SIGMA_COLUMNS), SIGMA_COLUMNS, ("role",), ())
         usual = [tuple(name for name in layout if name not in out) for out in lacking for layout in usual]
     return [*usual, ("id", "role", *COORDINATE_COLUMNS["geocentric"], *_SIGMA_XYZ)]
 
 
 def parse_points(path: Path, crs: str, faults: Faults, *, incomplete: bool = False) -> Survey | None:
-    """Read a table of ground points, check points included; see :func:`read_points`.
+    """Read a table of ground points, including the coordinates of check points; see :func:`read_points`.
 
-    An ``incomplete`` table may lack roles, heights and standard deviations: points with coordinates are control points
-    then, and the values are nan.
+    An ``incomplete`` table may lack roles, heights and standard deviations. Missing values are
+    then nan, and points with coordinates are control points.
     """
     kind = crs_kind(crs)
     table = read_table(path, _layouts(kind, incomplete), faults)
@@ -86,7 +89,7 @@ def parse_points(path: Path, crs: str, faults: Faults, *, incomplete: bool = Fal
 
 
 def _columns_fit(table: Table, kind: Kind, faults: Faults) -> bool:
-    """False, with the fault noted, if the columns belong to another kind of CRS."""
+    """Return whether the columns belong to this kind of CRS; if not, note the fault."""
     wanted = COORDINATE_COLUMNS[kind]
     if not set(wanted) <= set(table.columns):
         present = ", ".join(name for name in table.columns if name not in ("id", "role", *SIGMA_COLUMNS))
@@ -99,7 +102,10 @@ def _columns_fit(table: Table, kind: Kind, faults: Faults) -> bool:
 
 
 def _coordinates(table: Table, kind: Kind, measured: Mask, filled: Mask, incomplete: bool) -> Array:
-    """Coordinates (n, 3) of measured points; nan where refused, and for heights that an incomplete table lacks."""
+    """Read the coordinates (n, 3) of points with known coordinates.
+
+    Refused values, and heights that an incomplete table does not contain, are nan.
+    """
     columns = COORDINATE_COLUMNS[kind]
     flat = measured & filled & table.where(columns[2], "") & (incomplete and kind != "geocentric")
     empty = {"value": _id, "role": lambda row: row.cells["role"]}
@@ -118,10 +124,13 @@ def _coordinates(table: Table, kind: Kind, measured: Mask, filled: Mask, incompl
 
 
 def _sigmas(table: Table, check: Mask, measured: Mask) -> tuple[Array, Mask]:
-    """Sigmas East, North, Up (n, 3) of measured points, nan where refused; and points held fixed (n,)."""
+    """Read the standard deviations East, North, Up (n, 3), m, and a mask (n,) of the fixed points.
+
+    Refused values are nan.
+    """
     words = np.array([table.where(name, FIXED) & measured for name in SIGMA_COLUMNS])
     some, fixed = np.asarray(words.any(axis=0)), np.asarray(words.all(axis=0))
-    missing = words.argmin(axis=0)  # the first column without the word
+    missing = words.argmin(axis=0)  # the first column without the word "fixed"
     for j, name in enumerate(SIGMA_COLUMNS):
         wrong = some & ~fixed & (missing == j)
         value = lambda row, name=name: row.cells[name] or "an empty cell"  # noqa: E731
@@ -139,14 +148,14 @@ def _id(row: Row) -> str:
 
 
 def located(survey: Survey, faults: Faults) -> tuple[Coordinates, Operation | None]:
-    """Coordinates of a survey in ECEF.
+    """Transform the coordinates of a survey to ECEF.
 
     Returns
     -------
     Coordinates
         (n, 3) m; nan for points without coordinates.
     Operation or None
-        Only control points decide on it.
+        Operation of the transformation; only control points decide which one it is.
     """
     ecef, operation = np.full_like(survey.coordinates, np.nan), None
     rows = np.flatnonzero(np.isfinite(survey.coordinates).all(axis=1))
@@ -163,7 +172,7 @@ def located(survey: Survey, faults: Faults) -> tuple[Coordinates, Operation | No
     return Coordinates(ecef, survey.sigma_enu_m, survey.fixed), operation
 
 
-#: Faults after which the list of ids differs from the one that the user meant.
+#: After one of these faults, the list of ids may differ from the list that the user intended.
 LOSES_IDS: Final = {
     "table.no_records",
     "table.cell_count",
@@ -172,28 +181,29 @@ LOSES_IDS: Final = {
     "points.id_twice",
     "points.id_missing",
 }
-#: Standard deviations outside this range are more likely a wrong unit than a survey: 0.01 mm, 10 km.
+#: A standard deviation outside this range (0.01 mm to 10 km) probably has a wrong unit.
 PLAUSIBLE_SIGMA_M: Final = (1e-5, 1e4)
-#: Reads the points of a file, check points included; None, with noted errors, if it is unusable.
+#: Function that reads the points of a file, including check points. It notes errors and returns None if the file
+#: #: cannot be used.
 Parse = Callable[[Faults], Survey | None]
 
 
 @dataclass(frozen=True)
 class PointFile:
-    """Ground points as read, without the coordinates of check points.
+    """Ground points that were read from a file, without the coordinates of check points.
 
     Parameters
     ----------
     path, system, sha256 : Path, GroundSystem, str
-        Of the file.
+            The file, the reference system of its coordinates, and its hash.
     points : GroundPoints
-        All points of the file in its order.
+        All points in the order of the file.
     operation : Operation or None
-        Operation by which the coordinates became ECEF; None if no point has coordinates.
+        Operation that transformed the coordinates to ECEF; None if no point has coordinates.
     remarks : tuple of Finding
         Warnings that require no correction.
     opened : callable
-        Reads the file again and gives the coordinates of the points with these ids.
+        Function that reads the file again and returns the coordinates of the points with given ids.
     """
 
     path: Path
@@ -205,7 +215,7 @@ class PointFile:
     opened: Callable[[tuple[str, ...]], Coordinates]
 
     def withheld(self, ids: Sequence[str]) -> WithheldCoordinates:
-        """Seal the coordinates of these check points until they are opened."""
+        """Return the sealed coordinates of these check points."""
         return WithheldCoordinates(tuple(ids), partial(self.opened, tuple(ids)))
 
 
@@ -217,33 +227,33 @@ def read_points(
     Parameters
     ----------
     path : Path
-        Table: ``id, role``, three coordinate columns, three sigma columns.
+        Table with the columns ``id, role``, three coordinates and three standard deviations.
     crs : str
         EPSG code of the coordinates.
     faults : Faults
-        Receives all faults of the file.
+        Collects all faults of the file.
     scenes : sequence of Scene
-        Footprints of the images; points far from all of them are refused.
+        Footprints of the images; points that are far from all images are refused.
     level : ZeroLevel, optional
-        Zero level of the heights that replaces the vertical part of the CRS.
+        Zero level of the heights; it replaces the vertical part of the CRS.
 
     Returns
     -------
     PointFile or None
-        None if the table as a whole is unusable. With cell faults the ids and roles are
-        still right, so that other files can be checked against them.
+        None if the table cannot be used at all. If only cells have faults, ids and roles are
+        correct, and other files can be checked with them.
 
     Raises
     ------
     InputError
-        The CRS is unusable.
+        The CRS cannot be used.
     """
     where = path.absolute()  # the working directory may change before check points are opened
     return point_file(path, (where,), lambda noted: parse_points(where, crs, noted), faults, scenes, level)
 
 
 def no_points(path: Path, ties: tuple[str, ...] = ()) -> PointFile:
-    """Points of a project without a point table: tie points that its observations (``path``) name."""
+    """Return the points of a project without a point table: the tie points that its observations (``path``) name."""
 
     def nothing(names: tuple[str, ...]) -> Coordinates:
         none = np.full((len(names), 3), np.nan)
@@ -261,10 +271,10 @@ def point_file(
     scenes: Sequence[Scene] = (),
     level: ZeroLevel | None = None,
 ) -> PointFile | None:
-    """Read points of a file of any format; coordinates of check points are sealed.
+    """Read the points of a file of any format and seal the coordinates of its check points.
 
-    ``parse`` reads the ``files`` (absolute paths) now, and again to open the seal; ``level`` as in
-    :func:`read_points`.
+    ``parse`` reads the ``files`` (absolute paths) now. It reads them again when the seal is
+    opened. For ``level`` see :func:`read_points`.
     """  # fmt: skip
     given = parse(faults)
     survey = _ellipsoidal(given, level, faults)
@@ -294,7 +304,10 @@ def point_file(
 
 
 def _ellipsoidal(survey: Survey | None, level: ZeroLevel | None, faults: Faults) -> Survey | None:
-    """Survey on the ellipsoid if its zero level is not PROJ's; None, with the faults noted, if that fails."""
+    """Convert the heights to ellipsoidal heights if PROJ does not contain their zero level.
+
+    If this fails, note the faults and return None.
+    """
     if survey is None:
         return None
     try:
@@ -318,13 +331,13 @@ def _remarks(file: str, survey: Survey, operation: Operation | None) -> tuple[Fi
 
 #: Columns of a table of observations.
 COLUMNS: Final = ("image", "id", "line", "sample", "sigma_line_px", "sigma_sample_px")
-#: The same for image points: others are more likely a wrong unit than a measurement.
+#: A standard deviation of an image point outside this range, px, probably has a wrong unit.
 PLAUSIBLE_SIGMA_PX: Final = (1e-4, 1e3)
 
 
 @dataclass(frozen=True)
 class ObservationFile:
-    """Image observations as read, the SHA-256 of the file, remarks about it, and the ids of its points."""
+    """Image observations that were read from a file, with its SHA-256, remarks, and the ids of its points."""
 
     path: Path
     sha256: str
@@ -349,21 +362,21 @@ def read_observations(
     path : Path
         Table with the columns ``image, id, line, sample, sigma_line_px, sigma_sample_px``.
     sizes : mapping of str to (n_lines, n_samples) or None, or None
-        The images in the order of the block; None where the size is unknown (the pixel
-        range is then not checked); None instead of the mapping if the images are unknown.
+        Sizes of the images in the order of the block. If a size is None, the range of its
+        pixels is not checked. None instead of the mapping: the images are unknown.
     point_ids : sequence of str or None
-        Ids of the ground points; None if they are unknown (ids are then not checked).
+        Ids of the ground points. None: they are unknown and are not checked.
     faults : Faults
-        Receives all faults of the file.
+        Collects all faults of the file.
     ties : bool
-        There are no ground points: all points are tie points, in the order of the file.
+        There is no table of ground points. All points are tie points in the order of the file.
     incomplete : bool
-        The standard deviations may be left out: they are nan.
+        Standard deviations may be missing; they are then nan.
 
     Returns
     -------
     ObservationFile or None
-        None if anything is wrong; the reasons are then in ``faults``.
+        None if the file has a fault; ``faults`` then contains the reasons.
     """  # fmt: skip
     table = read_table(path, [COLUMNS[:4], COLUMNS] if incomplete else [COLUMNS], faults)
     if table is None:

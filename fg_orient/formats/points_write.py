@@ -1,8 +1,9 @@
-"""Writers of point tables, observation tables and project files in our own formats.
+"""Write point tables, observation tables and project files in our own formats.
 
-Files are written whole or not at all (:mod:`fg_orient.formats.atomic`), tables in the form of the end of their name
-(:mod:`fg_orient.formats.table_write`). All writers raise ValueError if an id or comment could not be read back or
-lengths differ, and InputError if the file cannot be written.
+Files are written completely or not at all (:mod:`fg_orient.formats.atomic`). The suffix of its
+name determines the format of a table (:mod:`fg_orient.formats.table_write`). All writers raise
+ValueError if an id or comment could not be read again, or if lengths differ. They raise
+InputError if the file cannot be written.
 """
 
 from __future__ import annotations
@@ -46,16 +47,16 @@ def write_points(
     path : str or Path
     ids, roles : sequences of length n
     coordinates : (n, 3) array
-        Longitude, latitude (degrees), height (m); easting, northing, height (m); or x, y, z (m), by ``kind``. nan rows
-        become empty cells.
+        ``kind`` determines the columns: longitude, latitude (degrees), height (m); or easting,
+        northing, height (m); or x, y, z (m). Rows of nan become empty cells.
     sigma_enu_m : (n, 3) array
-        Standard deviations East, North, Up at the point, m; nan rows become empty cells.
+        Standard deviations East, North, Up at the point, m. Rows of nan become empty cells.
     kind : str
         "geographic", "projected" or "geocentric".
     fixed : (n,) array of bool, optional
-        Points whose sigma cells get the word ``fixed``.
+        Mask of the points whose sigma cells contain the word ``fixed``.
     comments : sequence of str
-        Lines before the header, after ``#``.
+        Texts of comment lines before the header.
     """
     _require_readable(ids)
     words = {role: str(Role(role)) for role in set(roles)}
@@ -88,7 +89,7 @@ def write_observations(
     sigma_px : (n, 2) array or broadcastable to it
         Standard deviations of line and sample.
     comments : sequence of str
-        Lines before the header, after ``#``.
+        Texts of comment lines before the header.
     """
     _require_readable(image_ids)
     _require_readable(point_ids)
@@ -108,7 +109,7 @@ def write_project(
     points_seen_once: str = "error",
     comments: Sequence[str] = (),
 ) -> None:
-    """Write a project file; its paths are relative to its folder.
+    """Write a project file. The paths in it are relative to its folder.
 
     Parameters
     ----------
@@ -117,15 +118,15 @@ def write_project(
         Name of the block.
     images : sequence of (id, metadata path)
     points, observations : str or None, str
-        Paths of the tables; no table is named if ``points`` is None.
+        Paths of the tables. If ``points`` is None, the file names no point table.
     crs : str
         EPSG code of the points.
     options : Options, optional
-        Every option is written, also the defaults.
+        All options are written, also those with default values.
     points_seen_once : str
         "error" or "drop".
     comments : sequence of str
-        First lines, after ``#``.
+        Texts of comment lines at the beginning of the file.
     """
     lines = [*comment_lines(comments), *entries({"schema": 1, "name": name})]
     tables: list[tuple[str, Mapping[str, object]]] = [
@@ -140,7 +141,7 @@ def write_project(
 
 
 def _require_readable(names: Sequence[str]) -> None:
-    """Raise ValueError for an id that a reader would change or refuse."""
+    """Raise ValueError if a reader would change or refuse an id."""
     for name in set(names):
         if not name or name != name.strip() or _BREAK.search(name):
             raise ValueError(f"the id {name!r} cannot be written: it is empty, or has outer blanks or line breaks")
@@ -151,5 +152,5 @@ def _triples(values: Array) -> Array:
 
 
 def _options(options: Options, table: str) -> dict[str, object]:
-    """Options of a table of the project file by name."""
+    """Return the options of one table of the project file by their names."""
     return {name: getattr(options, name) for name, one in declared(Options).items() if one.group.table == table}

@@ -1,7 +1,7 @@
-"""Project file: reads a whole adjustment block from one TOML file and the files it names.
+"""Read a block from a project file, which is a TOML file, and from the files that it names.
 
-All faults of all files are reported in one error. ``docs/file-formats.md`` describes the format. Paths are relative
-to the project file.
+One error reports all faults of all files. ``docs/file-formats.md`` describes the format. Paths
+are relative to the project file.
 """
 
 from __future__ import annotations
@@ -48,39 +48,39 @@ from fg_orient.model.parameters import chosen_datum, eop_set_number
 if TYPE_CHECKING:
     from fg_orient.sensors.base import Sensor
 
-#: Format of our own tables.
+#: Name of the format of our own tables.
 OWN: Final = "csv"
-#: Entries of [points] for our own table.
+#: Entries of [points] that are allowed only for our own table.
 OWN_POINTS: Final = {"crs", "latitudinal", *ZeroLevel.__dataclass_fields__}
-#: Entry of the image points of a project that has only images so far.
+#: Default entry [observations] of a project that contains only images so far.
 NEW_OBSERVATIONS: Final = {"file": "observations.csv"}
-#: A remark of ``validate`` only: the adjustment gives the same warning about the points that it uses.
+#: Only ``validate`` reports this remark. The adjustment gives the same warning about the points that it uses.
 FEW_CHECK_CODE: Final = "remark.few_check"
 
 
 def read_project(path: str | Path, **overrides: object) -> Block:
-    """Read a project file and everything it names.
+    """Read a project file and all files that it names.
 
     Parameters
     ----------
     path : str or Path
         The TOML file.
     **overrides
-        Options that replace those of the file (docs/options.md).
-        None keeps the file's.
+        Options that replace options of the file (docs/options.md).
+        None keeps the option of the file.
 
     Returns
     -------
     Block
-        Images, points, observations and options; ``sources`` holds the SHA-256 of each
-        file, ``notes`` the remarks of the readers.
+        Images, points, observations and options. ``sources`` contains the SHA-256 of each
+        file, ``notes`` contains the remarks of the readers.
 
     Raises
     ------
     InputError
-        One problem per fault of any of the files.
+        The files have faults; the error contains one problem for each fault.
     TypeError
-        An override is not an option.
+        The name of an override is not the name of an option.
 
     Examples
     --------
@@ -91,7 +91,7 @@ def read_project(path: str | Path, **overrides: object) -> Block:
 
 
 def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Block, tuple[Finding, ...]]:
-    """Block as :func:`read_project` gives it, and the remarks as records."""
+    """Read a block as :func:`read_project` does; also return the remarks as records."""
     path = Path(path)
     project = _read_toml(path, overrides)
     options, problems = _options(project, str(path), overrides)
@@ -144,7 +144,7 @@ def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Bl
 
 
 class ProjectImages(NamedTuple):
-    """Images of a project, their entries, its options and tables; whether the file names no image points."""
+    """Images of a project with their entries, its options and tables, and whether the file names image points."""
 
     name: str
     images: tuple[Image, ...]
@@ -156,12 +156,14 @@ class ProjectImages(NamedTuple):
 
 
 def read_images(path: str | Path) -> ProjectImages:
-    """Read the images and options of a project; its tables may be missing, in the project file and on the disk.
+    """Read the images and options of a project.
+
+    The tables of points and observations may be missing, both in the project file and on the disk.
 
     Raises
     ------
     InputError
-        Faults of the project file and of the metadata.
+        The project file or the metadata have faults.
     """
     path = Path(path)
     content = parse_toml(path)
@@ -178,7 +180,7 @@ def read_images(path: str | Path) -> ProjectImages:
 
 
 def checked_project(path: str | Path, **overrides: object) -> tuple[Block | None, list[Finding]]:
-    """Read a project with all its files and list errors or remarks.
+    """Read a project with all its files and list its errors or remarks.
 
     Parameters
     ----------
@@ -190,9 +192,9 @@ def checked_project(path: str | Path, **overrides: object) -> tuple[Block | None
     Returns
     -------
     block : Block or None
-        None with errors.
+        None if there are errors.
     problems : list of Finding
-        Failures, for which ``adjust`` would refuse the project, or notes; empty if there are neither.
+        Errors because of which ``adjust`` would refuse the project, or notes. Empty if there are neither.
     """
     try:
         block, remarks = read_project_with_remarks(path, **overrides)
@@ -202,12 +204,15 @@ def checked_project(path: str | Path, **overrides: object) -> tuple[Block | None
 
 
 def require_files(path: str | Path, **overrides: object) -> None:
-    """Refuse a project that names a missing file, before the modules of sensors are loaded.
+    """Refuse a project that names a missing file.
+
+    This check is done before the modules of the sensors are loaded, which takes time.
 
     Raises
     ------
     InputError
-        Errors of the project file; if a file is missing, all missing files and the errors of the tables.
+        The project file has errors, or a file is missing. All missing files and the errors of
+        the tables are listed.
     """
     path = Path(path)
     project = _read_toml(path, overrides)
@@ -220,7 +225,7 @@ def require_files(path: str | Path, **overrides: object) -> None:
 
 
 def _missing(project: ProjectFile, k: int, path: Path) -> Finding | None:
-    """Error of image k if its metadata file does not exist."""
+    """Return the error of image k if its metadata file does not exist."""
     name = project.images[k].metadata
     if (path.parent / name).is_file():
         return None
@@ -229,7 +234,7 @@ def _missing(project: ProjectFile, k: int, path: Path) -> Finding | None:
 
 
 def _navigated(block: Block, project: ProjectFile, folder: Path, file: str) -> Block:
-    """Block with positions and attitudes observed on board of its frame images, if the project names them."""
+    """Add the positions and attitudes that were observed on board, if the project names them."""
     entry = project.navigation
     if entry is None:
         return block
@@ -269,12 +274,12 @@ def _read_toml(path: Path, overrides: Mapping[str, object]) -> ProjectFile:
 
 
 def _table_of(name: str) -> str:
-    """Table of an option in the project file."""
+    """Return the name of the project file's table that contains an option."""
     return declared(Options, Reading)[name].group.table
 
 
 def _blame(fault: Finding, overrides: Mapping[str, object]) -> Finding:
-    """Fault of an overriding option, with the option in place of the file."""
+    """Name the overriding option instead of the file in its fault."""
     for name, value in overrides.items():
         place = f"{_table_of(name)}.{name}"
         if value is not None and (fault.place == place or fault.place.startswith(f"{place}[")):
@@ -283,7 +288,7 @@ def _blame(fault: Finding, overrides: Mapping[str, object]) -> Finding:
 
 
 def _options(project: ProjectFile, file: str, overrides: Mapping[str, object]) -> tuple[Options, list[Finding]]:
-    """Options of the block; faults that the schema cannot detect."""
+    """Return the options of the block; note faults that the schema cannot detect."""
     problems: list[Finding] = []
     values = project.values_of(Options)
     try:
@@ -302,7 +307,7 @@ def _options(project: ProjectFile, file: str, overrides: Mapping[str, object]) -
 
 
 def _images(project: ProjectFile, folder: Path, file: str) -> tuple[dict[str, Image | None], list[Finding]]:
-    """Read the images by id, None if the metadata file is unusable; and the errors."""
+    """Read the images and return them by id, with the errors; None if a metadata file cannot be used."""
     import fg_orient.formats.sensor as sensor_reader
 
     images: dict[str, Image | None] = {}
@@ -326,7 +331,7 @@ def _images(project: ProjectFile, folder: Path, file: str) -> tuple[dict[str, Im
 
 
 def _require_body(project: ProjectFile, sensor: Sensor, file: str) -> None:
-    """Refuse an image on another body than that of the project."""
+    """Refuse an image that shows another body than the project states."""
     if project.body is None:
         return
     from fg_orient.geodesy.bodies import Body, body_named
@@ -342,7 +347,7 @@ def _require_body(project: ProjectFile, sensor: Sensor, file: str) -> None:
 
 
 def _require_crs(images: Iterable[Image | None], points: PointFile, file: str) -> None:
-    """Refuse ground coordinates of the Earth for images on another body, and the reverse."""
+    """Refuse a CRS of the Earth for images of another body, and a CRS of another body for images of the Earth."""
     body = next((image.sensor.body for image in images if image is not None and image.sensor.body is not None), None)
     crs = points.system.crs
     if crs and (body is None) == (crs == BODY_FIXED):
@@ -353,7 +358,7 @@ def _require_crs(images: Iterable[Image | None], points: PointFile, file: str) -
 def _tables(
     project: ProjectFile, folder: Path, file: str, images: Mapping[str, Image | None]
 ) -> tuple[PointFile | None, ObservationFile | None, tuple[Finding, ...]]:
-    """Points, then the observations, whose names are checked against the points; and faults of both."""
+    """Read the points, then the observations; compare their ids, and return the faults of both."""
     observation_path = folder / project.observations.file
     point_path = folder / project.points.file if project.points.file else observation_path
     point_faults, observation_faults = Faults(str(point_path)), Faults(str(observation_path))
@@ -368,7 +373,7 @@ def _tables(
             points = read_points(point_path, project.points.crs or "", point_faults, scenes, level)
         else:
             points = read_foreign_points(_foreign(project, folder, file, "points"), point_faults, scenes)
-    # names are checked only against lists without faults: no faults that follow from other faults
+    # names are compared only with lists without faults: otherwise one fault would cause others
     sizes = {name: (i.sensor.n_lines, i.sensor.n_samples) if i is not None else None for name, i in images.items()}
     known_images = sizes if len(sizes) == len(project.images) else None
     sound = points if not point_faults.codes & LOSES_IDS else None
@@ -382,13 +387,13 @@ def _tables(
         serials = {i.sensor.serial: name for name, i in images.items() if i is not None and i.sensor.serial}
         both = read_foreign_observations(table, known_images, sound, observation_faults, serials)
         observations, points = both or (None, points)
-    # both tables may name the same file of another program: its faults are listed once
+    # both tables may name the same file of another program: each of its faults is listed once
     problems = dict.fromkeys((*crs_problems, *point_faults.problems, *observation_faults.problems))
     return points, observations, tuple(problems)
 
 
 def _scenes(images: Mapping[str, Image | None], tables: Sequence[Path]) -> list[Scene]:
-    """Compute footprints of the images; none if a file is missing, to report it before kernels are compiled."""
+    """Compute footprints; none if a file is missing, so that this is reported before kernels are compiled."""
     if None in images.values() or not all(path.exists() for path in tables):
         return []
     known = [(image.id, image.sensor) for image in images.values() if image is not None]
@@ -396,14 +401,14 @@ def _scenes(images: Mapping[str, Image | None], tables: Sequence[Path]) -> list[
 
 
 def _foreign(project: ProjectFile, folder: Path, file: str, name: str) -> Table:
-    """Files of another program's table; the tables of a format with two files name one file each."""
+    """Return the files of a table of another program. If a format has two files, each table names one of them."""
     entry = project.points if name == "points" else project.observations
     paths: tuple[Path, ...] = (folder / str(entry.file),)
     of_points = project.points.file
     if of_points and project.points.format == project.observations.format and of_points != project.observations.file:
         both = (folder / of_points, folder / project.observations.file)
         paths = both if len(format_named(entry.format, place=f"{name}.format").files) > 1 else paths
-    if name == "observations" and project.points.format == entry.format:  # entries of the points apply to both
+    if name == "observations" and project.points.format == entry.format:  # the entries of [points] apply to both tables
         given: dict[str, object] = {"crs": entry.crs or project.points.crs}
         if project.points.accept_unverified:
             given["accept_unverified"] = True
@@ -412,7 +417,7 @@ def _foreign(project: ProjectFile, folder: Path, file: str, name: str) -> Table:
 
 
 def _entry_problems(project: ProjectFile, file: str) -> list[Finding]:
-    """Faults of the entries ``[points]`` and ``[observations]`` that the schema cannot detect."""
+    """Return the faults of ``[points]`` and ``[observations]`` that the schema cannot detect."""
     faults = []
     for name, entry in (("points", project.points), ("observations", project.observations)):
         if entry.format == OWN:
@@ -434,7 +439,7 @@ def _entry_problems(project: ProjectFile, file: str) -> list[Finding]:
 
 
 def _notes(images: Sequence[Image], points: PointFile, remarks: Sequence[Finding]) -> tuple[Finding, ...]:
-    """Notes for the report: remarks, notes of the sensors, and the conversion of the coordinates."""
+    """Collect the notes of the report: remarks, notes of the sensors, and the conversion of the coordinates."""
     sensor = [replace(note, place=f"image {image.id}") for image in images for note in image.sensor.notes]
     place = f"coordinates of {points.path.name}"
     if points.operation is None:

@@ -1,8 +1,10 @@
-"""Parameter Value Language (PVL): labels and control networks of ISIS.
+"""Read Parameter Value Language (PVL): labels and control networks of ISIS.
 
-A file has statements ``name = value``, and objects and groups that contain statements: ``Object = NAME .. End_Object``.
-Values are words, quoted texts or lists in parentheses; units in angle brackets are not interpreted. Names are compared
-without case. A reader of the package index reads one character after the other; networks have millions of lines.
+A file contains statements ``name = value``. Objects and groups contain further statements:
+``Object = NAME .. End_Object``. A value is a word, a quoted text or a list in parentheses.
+Units in angle brackets are not interpreted. Upper and lower case of names are equal. Networks
+have millions of lines. The existing Python package reads single characters and is too slow for
+them.
 """
 
 from __future__ import annotations
@@ -29,26 +31,26 @@ _STATEMENT: Final = re.compile(
     re.VERBOSE | re.DOTALL,
 )
 _ITEM: Final = re.compile(r'\s*("[^"]*"|[^,\s<>]+)\s*(?:<[^>]*>)?\s*(?:,|$)')
-#: Bytes of Python objects for each statement, at most.
+#: Maximum number of bytes of Python objects for each statement.
 _OBJECTS: Final = 1500
-#: A long word that goes on in the next line.
+#: A long word continues in the next line after a hyphen.
 _BROKEN: Final = re.compile(r"-\n\s*")
 
 
 @dataclass(eq=False)
 class Pvl:
-    """An object or group of a file, or the whole file.
+    """Object or group of a file, or the whole file.
 
     Parameters
     ----------
     file, kind, name : str
         ``kind`` is "object", "group" or "file".
     line : int
-        Its first line.
+        Number of its first line.
     values : dict
         Text and line of each statement, by name in lower case.
     parts : list of Pvl
-        Objects and groups in it.
+        Objects and groups that it contains.
     """
 
     file: str
@@ -59,18 +61,18 @@ class Pvl:
     parts: list[Pvl] = field(default_factory=list)
 
     def every(self, name: str) -> Iterator[Pvl]:
-        """Objects and groups with a name, of all levels."""
+        """Return all objects and groups with a name, at any depth."""
         for part in self.parts:
             if part.name.lower() == name.lower():
                 yield part
             yield from part.every(name)
 
     def has(self, name: str) -> bool:
-        """Whether there is a statement."""
+        """Return whether there is a statement with this name."""
         return name.lower() in self.values
 
     def text(self, name: str, default: str | None = None) -> str:
-        """Value without quotes; InputError if it is missing and there is no default."""
+        """Return a value without quotes; raise InputError if it is missing and no default is given."""
         if name.lower() not in self.values:
             if default is None:
                 raise InputError.of("pvl.missing", file=self.file, place=f"line {self.line}, {self.name}", value=name)
@@ -78,11 +80,11 @@ class Pvl:
         return _BROKEN.sub("", self.values[name.lower()][0]).strip("\"'")
 
     def is_true(self, name: str) -> bool:
-        """Whether a value is true; False if it is missing."""
+        """Return whether a value is true; a missing value is False."""
         return self.text(name, "").lower() in ("true", "yes", "1")
 
     def numbers(self, name: str, count: int) -> Array:
-        """List of ``count`` finite numbers; InputError for anything else."""
+        """Return a list of ``count`` finite numbers; raise InputError for any other value."""
         text = self.text(name)
         items = _ITEM.findall(text.strip("(){}")) if text.startswith(("(", "{")) else [text]
         try:
@@ -95,17 +97,17 @@ class Pvl:
         return out
 
     def number(self, name: str) -> float:
-        """One finite number."""
+        """Return one finite number."""
         return float(self.numbers(name, 1)[0])
 
 
 def read_pvl(path: Path) -> Pvl:
-    """Read a file, or the label at the beginning of a cube.
+    """Read a PVL file, or the PVL label at the beginning of an ISIS cube.
 
     Raises
     ------
     InputError
-        It cannot be read, a value is not complete, or an object does not end.
+        The file cannot be read, a value is incomplete, or the end of an object is missing.
     """
     data = load_bytes(path, "pvl_bytes")
     within_memory(data.count(b"=") * _OBJECTS, len(data), file=path)

@@ -1,7 +1,8 @@
-"""Pixels of the images: the file of an image, windows of it, and a reduced picture, read without the whole raster.
+"""Read pixels of the images: find the raster of an image, read windows of it, or read a reduced picture.
 
-Pixels are (line, sample) of the sensor. A raster may be a part of the scene: its first pixel is then at an offset,
-which the geotransform of the file gives if it has pixel size 1 and no CRS.
+The whole raster is never in memory. Pixels are (line, sample) of the sensor. A raster may be
+only a part of the scene. Its first pixel then has an offset. The geotransform of the file gives
+the offset if it has pixel size 1 and no CRS.
 """
 
 from __future__ import annotations
@@ -17,16 +18,19 @@ from fg_orient.formats.gdal import opened, rasterio_of
 from fg_orient.model.errors import InputError, finding
 
 Grey = npt.NDArray[np.float32]
-#: Ends of names of rasters.
+#: Suffixes of raster files.
 ENDS: Final = (".tif", ".tiff", ".ntf", ".jp2", ".vrt", ".img", ".png", ".jpg", ".jpeg")
-#: Ends of names of metadata beside a raster of the same name.
+#: A metadata file may have the name of its raster plus one of these endings.
 _METADATA_ENDS: Final = ("_rpc", ".rpc", "_rpb", "_metadata")
-#: Cache of GDAL for blocks of a file, bytes.
+#: Size of GDAL's cache for blocks of a file, bytes.
 CACHE_BYTES: Final = 32_000_000
 
 
 def raster_beside(metadata: Path) -> Path | None:
-    """Find the raster of a metadata file: the file itself, or the only raster of its name beside it; else None."""
+    """Find the raster of a metadata file; None if it is not unique.
+
+    The raster is the file itself, or the only raster with the same name in the same folder.
+    """
     if metadata.suffix.lower() in ENDS:
         return metadata
     folder = metadata.parent
@@ -47,16 +51,16 @@ def raster_beside(metadata: Path) -> Path | None:
 
 @dataclass(frozen=True)
 class Place:
-    """Raster of an image and its position in the scene.
+    """Size of a raster and its position in the scene.
 
     Parameters
     ----------
     path : str
     line, sample : float
-        Sensor pixel of the centre of the raster's first pixel.
+        Line and sample of the sensor at the centre of the first pixel of the raster.
     rows, columns : int
     nodata : float or None
-        Value of empty pixels; without one in the file it is 0.
+        Value of empty pixels; 0 if the file does not state it.
     """
 
     path: str
@@ -68,17 +72,17 @@ class Place:
 
     @property
     def centre(self) -> tuple[float, float]:
-        """Line and sample of its middle."""
+        """Return line and sample at the middle of the raster."""
         return self.line + 0.5 * (self.rows - 1), self.sample + 0.5 * (self.columns - 1)
 
 
 def place_of(path: Path, origin: tuple[float, float] | None, image: str, project: str) -> Place:
-    """Size and position of a raster.
+    """Read the size and position of a raster.
 
     Raises
     ------
     InputError
-        rasterio is missing, or the file cannot be read.
+        The package rasterio is not installed, or the file cannot be read.
     """
     rasterio = rasterio_of(path, "match.no_rasterio")
     try:
@@ -96,7 +100,7 @@ def place_of(path: Path, origin: tuple[float, float] | None, image: str, project
 
 
 class Raster:
-    """Windows of a raster; the file is opened once in each process."""
+    """Raster from which windows are read; each process opens the file once."""
 
     def __init__(self, place: Place) -> None:
         self.place = place
@@ -106,7 +110,7 @@ class Raster:
             self._source = opened(self._rasterio, place.path)
 
     def window(self, row: int, column: int, rows: int, columns: int) -> Grey:
-        """Grey values (rows, columns) from a first pixel of the raster; nan outside the raster and at nodata."""
+        """Read grey values (rows, columns) from a first pixel on; pixels outside the raster or without data are nan."""
         out = np.full((rows, columns), np.nan, np.float32)
         top, left = max(row, 0), max(column, 0)
         bottom, right = min(row + rows, self.place.rows), min(column + columns, self.place.columns)
@@ -118,7 +122,7 @@ class Raster:
         return out
 
     def reduced(self, factor: int) -> Grey:
-        """Means of ``factor`` x ``factor`` pixels of the whole raster; incomplete means at its end are left out."""
+        """Return the whole raster as means of ``factor`` x ``factor`` pixels, without incomplete means at its ends."""
         rows, columns = self.place.rows // factor, self.place.columns // factor
         out = np.empty((rows, columns), np.float32)
         strip = max(1, 2_000_000 // (self.place.columns * factor))
@@ -129,12 +133,15 @@ class Raster:
         return out
 
     def decoded(self, factor: float) -> float:
-        """Return the number of decoded pixels for a picture reduced by a factor: the pixels of the overview used."""
+        """Return how many pixels must be decoded for a picture that is reduced by a factor.
+
+        These are the pixels of the overview that is used.
+        """
         overview = max((f for f in self._source.overviews(1) if f <= factor), default=1)
         return self.place.rows * self.place.columns / overview**2
 
     def decimated(self, rows: int, columns: int) -> Grey:
-        """Picture of the whole raster with few pixels, from the overviews of the file where it has them."""
+        """Return a picture of the whole raster with few pixels; use the overviews of the file if there are any."""
         average = self._rasterio.enums.Resampling.average
         with self._env:
             values = self._source.read(1, out_shape=(rows, columns), out_dtype="float32", resampling=average)
@@ -151,5 +158,5 @@ class Raster:
 
 
 def missing(image: str, project: str, metadata: Path) -> Any:
-    """Finding of an image without pixels."""
+    """Return the finding that an image has no pixels."""
     return finding("match.no_pixels", file=project, place=f"image {image}", value=metadata)

@@ -1,7 +1,8 @@
-"""Registry of file formats: one record per format, made by the module that reads and writes it.
+"""Registry of file formats. The module that reads and writes a format contains its record.
 
-A :class:`Format` in a module of ``formats.exchange`` (points, frame models), ``formats.rpc`` or ``formats.metadata``
-(images) is found without a list. A user's own file calls :func:`register_format`.
+No list of formats is needed: a :class:`Format` in a module of ``formats.exchange`` (points,
+frame models), ``formats.rpc`` or ``formats.metadata`` (images) is found automatically. A user's
+own file calls :func:`register_format`.
 """
 
 from __future__ import annotations
@@ -29,12 +30,12 @@ if TYPE_CHECKING:
     from fg_orient.formats.rpc.fields import Reading
     from fg_orient.sensors.rpc import RpcModel
 
-#: Packages of formats, by the contents of their files.
+#: Package in which the formats with these contents are searched for.
 Contents = Literal["points", "rpc", "image"]
 _PACKAGES: Final[dict[Contents, str]] = {
     "points": "fg_orient.formats.exchange", "rpc": "fg_orient.formats.rpc", "image": "fg_orient.formats.metadata",
 }  # fmt: skip
-#: Bytes at the beginning of a file from which its format is recognised.
+#: The format of a file is recognised from this number of bytes at its beginning.
 HEAD_BYTES: Final = 2**16
 _ROOT: Final = re.compile(r"<([A-Za-z_][\w.-]*)")
 
@@ -61,7 +62,7 @@ class Holds(StrEnum):
     VERTICAL_CRS = "the vertical CRS"
 
 
-#: Contents of files of tie points alone, and of tables of ground points and image points.
+#: Contents of files with tie points only; below: contents of tables with ground points and image points.
 TIES_ONLY: Final = frozenset({Holds.IMAGE, Holds.IMAGES, Holds.TIES})
 POINTS_AND_MARKS: Final = TIES_ONLY | {
     Holds.GROUND, Holds.IDS, Holds.UNMEASURED, Holds.HEIGHTS, Holds.SIGMA_GROUND, Holds.SIGMA_UP
@@ -70,24 +71,24 @@ POINTS_AND_MARKS: Final = TIES_ONLY | {
 
 @dataclass(frozen=True)
 class Settings:
-    """Values from the user that a file lacks.
+    """Values that a file does not contain and that the user gives.
 
     Parameters
     ----------
     crs : str
         CRS of the coordinates, ``EPSG:n`` or ``EPSG:n+m``; "" if the file states it.
     image : str
-        Image of a format that contains one image without its name.
+        Name of the image, for formats that contain one image without its name.
     sigma_axes : str
-        "ecef" or "enu": axes of the standard deviations in ASP's .gcp.
+        "ecef" or "enu": axes of the standard deviations in .gcp files of ASP.
     image_sizes : mapping of str to (n_lines, n_samples)
-        Sizes of the images, for formats that count from another corner or from the middle.
+        Sizes of the images, for formats with the origin in another corner or in the middle.
     incomplete : bool
-        Our own tables may lack roles, heights and standard deviations, which the user gives.
+        Our own tables may lack roles, heights and standard deviations; the user gives them.
     office : Office, optional
-        What the user states about tables of unknown form.
+        Statements of the user about tables of unknown form.
     sensors : mapping of str to Sensor
-        Images into which the points of such tables are projected.
+        Sensors of the images into which the points of such tables are projected.
     """
 
     crs: str = ""
@@ -99,7 +100,7 @@ class Settings:
     sensors: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
     def require_images(self, names: Sequence[str], file: object) -> None:
-        """Raise InputError for sizes of images that a file does not have; it names the first one."""
+        """Raise InputError if ``image_sizes`` names an image that the file does not contain."""
         for name in self.image_sizes:
             if name not in names:
                 known = ", ".join(names[:10]) + (", ..." if len(names) > 10 else "")
@@ -108,53 +109,60 @@ class Settings:
 
 @dataclass(frozen=True, kw_only=True)
 class Format:
-    """Registration record of a format.
+    """Record of a file format in the registry.
 
     Parameters
     ----------
     name : str
-        For options and project files; unique.
+        Unique name for options and project files.
     title : str
-        In words, with its program.
+        Title in words, with the name of the program.
     help : str
-        Description of the files; default: the docstring of the module of its functions.
+        Description of the files. Default: the docstring of the module that contains its functions.
     suffixes : tuple of str
-        Lower-case ends of its file names. They identify the format if no other format has them.
+        Lower-case suffixes of its file names. They identify the format if no other format has them.
     sniff : callable, optional
-        ``sniff(path, head)`` recognises a file by its name and its first 64 kB as text (bytes one to one; "" if there
-        is no such file). It must not raise. If it is None, the suffix is sufficient.
+        ``sniff(path, head)`` returns whether a file has this format. ``head`` is the text of
+        its first 64 kB, one character for each byte, or "" if the file does not exist. The
+        function must not raise exceptions. If it is None, the suffix is sufficient.
     files : tuple of str
-        Contents of each of its files; the second is named after the first and this word.
+        Contents of each file. The name of a second file is the name of the first one and this word.
     first_pixel : tuple of float or None
-        Line and sample of the centre of the first pixel in the format; None if it holds no image points.
+        Line and sample of the centre of the first pixel in this format; None if it contains no image points.
     pixel_axes, ground_axes : str
         Order, direction and unit of the coordinates in words.
     holds : frozenset of Holds
-        Information that it can hold.
+        Information that the format can contain.
     needs : frozenset of Holds
-        Information that it requires for every point with coordinates, or image point.
+        Information that the format requires for every image point, or for every point with coordinates.
     evidence : str
-        Foreign files that the reader was tried on; "" makes the format unverified.
+        Files of other programs with which the reader was tested; "" makes the format unverified.
     crs : str
-        The CRS that the format demands; "" if any is allowed.
+        CRS that the format requires; "" if any CRS is allowed.
     read, write : callables, optional
-        Reader and writer of points: files and settings to survey; survey, files and settings to further losses.
+        Reader and writer of points. The reader takes files and settings and returns a survey.
+        The writer takes a survey, files and settings and returns a list of further information
+        that is lost.
     read_model, write_model : callables, optional
-        The same of a whole frame model. The writer takes the path, the model and whether to overwrite; it gives the
-        losses in words.
+        Reader and writer of a whole frame model. The writer takes the path, the model and
+        whether to overwrite. It returns the lost information in words.
     read_rpc, write_rpc : callables, optional
-        Path and ``Reading`` to ``RpcModel``; path and model.
+        The reader takes the path and a ``Reading`` and returns an ``RpcModel``. The writer
+        takes the path and the model.
     read_image : callable, optional
-        Path to the sensor of an image; the keywords ``extrapolate_attitude_s`` and ``light`` are
-        passed if ``extrapolates`` and ``chooses_light``.
+        The reader takes the path and returns the sensor of the image. It receives the keyword
+        ``extrapolate_attitude_s`` only if ``extrapolates`` is true, and ``light`` only if
+        ``chooses_light`` is true.
     write_image : callable, optional
-        Path, sensor and correction (None without one) to a record of the differences of the file from the image.
+        The writer takes the path, the sensor and its correction or None. It returns a record of
+        the differences between the file and the image.
     extrapolates : bool
-        ``read_image`` takes the keyword ``extrapolate_attitude_s``.
+        Whether ``read_image`` accepts the keyword ``extrapolate_attitude_s``.
     chooses_light : bool
-        ``read_image`` takes the keyword ``light``: names of effects on light (``fg_orient.sensors.light_sizes``).
+        Whether ``read_image`` accepts the keyword ``light``: names of effects on light
+        (``fg_orient.sensors.light_sizes``).
     beside_rpc : bool
-        Its files may also contain an RPC, which the model "rpc" chooses.
+        Whether its files may also contain an RPC; the user selects it with the model "rpc".
     """
 
     name: str
@@ -184,12 +192,12 @@ class Format:
 
     @property
     def verified(self) -> bool:
-        """Whether the reader was tested with a file of another program, or another program has read our file."""
+        """Return whether the reader was tested with another program's file, or another program has read our file."""
         return bool(self.evidence)
 
     @property
     def contents(self) -> frozenset[Contents]:
-        """Contents of its files."""
+        """Return the contents of its files."""
         points = self.read or self.write or self.read_model or self.write_model
         given: dict[Contents, object] = {
             "points": points, "rpc": self.read_rpc or self.write_rpc, "image": self.read_image,
@@ -197,23 +205,23 @@ class Format:
         return frozenset(kind for kind, function in given.items() if function)
 
     def paths(self, first: Path) -> tuple[Path, ...]:
-        """Names of all files of the format: ``scene.csv``, ``scene_observations.csv``."""
+        """Return the names of all files of the format, for example ``scene.csv`` and ``scene_observations.csv``."""
         others = (first.with_name(f"{first.stem}_{word}{first.suffix}") for word in self.files[1:])
         return (first, *others)
 
 
 _REGISTRY: dict[str, Format] = {}
-#: Fields of a format that are functions; they are asked for thousands of times.
+#: Names of the fields that are functions. They are computed once, because they are used thousands of times.
 _FUNCTIONS: Final = tuple(f.name for f in fields(Format) if f.name.startswith(("read", "write")))
 
 
 def register_format(format_: Format) -> Format:
-    """Add a format.
+    """Add a format to the registry.
 
     Raises
     ------
     ValueError
-        Another format has its name.
+        Another format has the same name.
     """
     format_ = replace(format_, help=format_.help or sys.modules[_sources(format_)[0][0]].__doc__ or "")
     present = _REGISTRY.get(format_.name, format_)
@@ -224,18 +232,21 @@ def register_format(format_: Format) -> Format:
 
 
 def _sources(format_: Format) -> list[tuple[str, str]]:
-    """Module and name of each function: both are the same if a user's file is loaded again."""
+    """Return the module and name of each function. They are unchanged if a user's file is loaded again."""
     values = (getattr(format_, name) for name in _FUNCTIONS)
     return [(value.__module__, value.__qualname__) for value in values if value is not None]
 
 
 def formats(contents: Contents = "points") -> dict[str, Format]:
-    """All formats of files with these contents by name, in alphabetical order."""
+    """Return all formats with these contents by name, in alphabetical order."""
     return dict(sorted((f.name, f) for f in _each(contents)))
 
 
 def _each(contents: Contents) -> Iterator[Format]:
-    """Formats with these contents: users' own, then ours; each module is imported just before its formats."""
+    """Yield the formats with these contents: formats of the user first, then ours.
+
+    Each module is imported just before its formats are yielded.
+    """
     seen: set[str] = set()
     package = import_module(_PACKAGES[contents])
     for module in ("", *sorted(info.name for info in iter_modules(package.__path__))):
@@ -250,7 +261,7 @@ def _each(contents: Contents) -> Iterator[Format]:
 
 
 def format_named(name: str, contents: Contents = "points", *, place: object = "format") -> Format:
-    """Return the format of this name; InputError if it is unknown."""
+    """Return the format with this name; raise InputError if it is unknown."""
     known = formats(contents)
     if name not in known:
         raise InputError.of("interchange.format", place=place, value=name, hint=did_you_mean(name, list(known)))
@@ -258,7 +269,10 @@ def format_named(name: str, contents: Contents = "points", *, place: object = "f
 
 
 def format_of(path: Path, *, place: object) -> Format:
-    """Format of points whose suffix the file has, the longest if several match; InputError if it is not unique."""
+    """Return the format of points that has the suffix of the file; the longest matching suffix decides.
+
+    InputError: no format or several formats have this suffix.
+    """
     name, known = path.name.lower(), formats()
     fit = {f: max((len(s) for s in f.suffixes if name.endswith(s)), default=0) for f in known.values()}
     longest = [f for f, length in fit.items() if length and length == max(fit.values())]
@@ -269,7 +283,7 @@ def format_of(path: Path, *, place: object) -> Format:
 
 
 def format_claiming(path: Path, contents: Contents) -> Format | None:
-    """Return the first format that recognises a file, else None; InputError if the file cannot be read."""
+    """Return the first format that recognises a file, else None; raise InputError if the file cannot be read."""
     head = read_bytes(path, HEAD_BYTES).removeprefix(BOM_UTF8).decode("latin-1") if path.is_file() else ""
     for one in _each(contents):
         if one.sniff(path, head) if one.sniff else path.name.lower().endswith(one.suffixes):
@@ -281,12 +295,12 @@ def format_claiming(path: Path, contents: Contents) -> Format | None:
 
 
 def read_bytes(path: str | os.PathLike[str], size: int, code: str = "rpc.unreadable") -> bytes:
-    """First bytes of a file; ``code`` is the message if it cannot be read.
+    """Read the first bytes of a file; ``code`` is the code of the message if this fails.
 
     Raises
     ------
     InputError
-        It does not exist or cannot be read.
+        The file does not exist or cannot be read.
     """
     file = os.fspath(path)
     try:
@@ -301,7 +315,7 @@ def read_bytes(path: str | os.PathLike[str], size: int, code: str = "rpc.unreada
 
 
 def xml_root(head: str) -> str:
-    """Name of the root element of an XML file, "" if the file is not XML."""
+    """Return the name of the root element of an XML file; "" if the file is not XML."""
     if not head.lstrip().startswith("<"):
         return ""
     bare = re.sub(r"<\?.*?\?>|<!--.*?-->", "", head, flags=re.DOTALL)
@@ -310,6 +324,6 @@ def xml_root(head: str) -> str:
 
 
 def has_line(pattern: str) -> Callable[[Path, str], bool]:
-    """Sniffing function of a text format: a line begins with the pattern, blanks aside."""
+    """Make the ``sniff`` function of a text format: it looks for a line that begins with the pattern after blanks."""
     compiled = re.compile(rf"^\s*{pattern}", re.MULTILINE)
     return lambda _, head: "\0" not in head and compiled.search(head) is not None

@@ -1,10 +1,9 @@
-"""Footprints of the images, and refusal of ground points far from all of them.
+"""Refuse ground points that are far from the footprints of all images.
 
-Points that lie in no image are refused. The usual causes are exchanged columns and a wrong CRS.
-Both move a point far outside every footprint, so the test is coarse: a point is refused if its
-distance from every image centre exceeds 1.5 diagonals of the image. Direct orientation is
-accurate to some hundred metres, and relief shifts a footprint by a few kilometres; the test
-tolerates both.
+The usual causes of such points are exchanged columns and a wrong CRS. Both move a point far
+outside every footprint. Therefore a coarse test is sufficient: a point is refused if its distance
+from every image centre is larger than 1.5 diagonals of the image. Direct orientation has errors of
+some hundred metres, and relief shifts a footprint by a few kilometres. The test accepts both.
 """
 
 from __future__ import annotations
@@ -23,13 +22,13 @@ from fg_orient.model.errors import InputError
 if TYPE_CHECKING:
     from fg_orient.geodesy.bodies import Body
 
-#: Largest distance of a plausible ground point from the image centre, in diagonals of the footprint.
+#: Maximum distance of a plausible ground point from the image centre, as a multiple of the footprint's diagonal.
 REACH: Final = 1.5
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Centre (3,) ECEF m and diagonal (m) of an image's footprint at height 0."""
+    """Footprint of an image at height 0: its centre (3,), ECEF m, and its diagonal, m."""
 
     image: str
     centre_m: Array
@@ -37,7 +36,7 @@ class Scene:
 
     @classmethod
     def from_footprint(cls, image: str, footprint_deg: Array, body: Body | None = None) -> Scene:
-        """Scene of four corners (4, 2), longitude and latitude in degrees on a body, None for the Earth."""
+        """Compute the scene from four corners (4, 2): longitude and latitude, degrees. The body None is the Earth."""
         zero = np.zeros(len(footprint_deg))
         if body is not None:
             corners = body.body_fixed(np.column_stack([footprint_deg, zero]))
@@ -50,20 +49,22 @@ class Scene:
 def check_positions(
     scenes: Sequence[Scene], crs: str, given: Array, ecef_m: Array, place: Callable[[int], str], faults: Faults
 ) -> None:
-    """Note points far from every image; or that two columns are exchanged, if the exchange moves most into images.
+    """Note points that are far from every image.
+
+    If an exchange of two columns would move most of them into images, note exchanged columns instead.
 
     Parameters
     ----------
     scenes : sequence of Scene
-        One per image; nothing is checked if there is none.
+        One scene for each image; nothing is checked if there is no scene.
     crs : str
         CRS of ``given``.
     given, ecef_m : (n, 3) array
-        Coordinates as in the file and in ECEF m; nan rows are skipped.
+        Coordinates as in the file, and in ECEF, m. Rows of nan are skipped.
     place : callable
-        Place of point k in its file.
+        Function that gives the place of point k in its file.
     faults : Faults
-        Receives the faults.
+        Collects the faults.
     """
     rows = np.flatnonzero(np.isfinite(ecef_m).all(axis=1))
     if not scenes or not len(rows):
@@ -91,13 +92,13 @@ def check_positions(
 
 
 def _in_reach(scenes: Sequence[Scene], ecef_m: Array) -> Array:
-    """Smallest ratio of distance to allowed distance over the images: (n,)."""
+    """Return the distance divided by the allowed distance, as the smallest value (n,) over all images."""
     ratios = [np.linalg.norm(ecef_m - scene.centre_m, axis=1) / (REACH * scene.diagonal_m) for scene in scenes]
     return np.asarray(np.min(ratios, axis=0))
 
 
 def _exchanged(scenes: Sequence[Scene], crs: str, given: Array) -> Mask:
-    """Points that lie in an image if their first two coordinates are exchanged."""
+    """Return the points that lie in an image if their first two coordinates are exchanged."""
     exchanged = np.zeros(len(given), bool)
     for k, (first, second, third) in enumerate(given):
         try:

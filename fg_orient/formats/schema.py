@@ -1,7 +1,8 @@
-"""Contents of the project file and of files of constraints as pydantic models.
+"""Pydantic models of the project file and of constraint files.
 
-Unknown keys, wrong types, nan and infinity are refused, all in one error. The ``description`` of a field is the
-expected value in its messages. Entries of options are made from their declaration (``fg_orient.model.options``).
+Unknown keys, wrong types, nan and infinity are refused; one error lists all of them. The
+``description`` of a field is its expected value in messages. The entries of options are made
+from the declaration in ``fg_orient.model.options``.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from fg_orient.model.options import Options, Reading
 
 Text = Annotated[str, Field(strict=True), StringConstraints(min_length=1, strip_whitespace=True)]
 Positive = Annotated[float, Field(strict=True, gt=0.0, allow_inf_nan=False)]
-#: A length or standard deviation of a measurement.
+#: Type of a length or standard deviation of a measurement.
 Size = Annotated[float, Field(strict=True, ge=SMALLEST, le=LARGEST)]
 Three = tuple[Positive, Positive, Positive]
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
@@ -36,7 +37,7 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def _with_codes(crs: str) -> str:
-    """CRS with codes in place of names; an unknown name, which the reader refuses, is unchanged."""
+    """Replace the names of a CRS by codes; an unknown name is not changed, and the reader refuses it."""
     from fg_orient.geodesy.crs import with_codes  # not above: it loads PROJ
 
     try:
@@ -49,7 +50,7 @@ Crs = Annotated[Text, AfterValidator(_with_codes)]
 
 
 class Table(BaseModel):
-    """A table of a TOML file: unknown keys, nan and infinity are refused."""
+    """Table of a TOML file; unknown keys, nan and infinity are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -67,7 +68,7 @@ class ImageEntry(Table):
 
 
 class _Foreign(Table):
-    """Entries of a table about another program's file."""
+    """Entries of a table that may name a file of another program."""
 
     format: Text = Field(default="csv", description='the name of a format, such as "metashape-xml" (docs/formats)')
     image: str = Field(default="", description="the image of a format that contains one image without its name")
@@ -99,7 +100,7 @@ class ObservationsEntry(_Foreign):
 
 
 def _rotation(value: tuple[Row, Row, Row] | None) -> tuple[Row, Row, Row] | None:
-    """Refuse a matrix that is not a rotation: columns that are not orthonormal, or a reflection."""
+    """Refuse a matrix that is not a rotation: its columns are not orthonormal, or it is a reflection."""
     if value is not None:
         from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation  # not above: it loads numba
 
@@ -109,7 +110,7 @@ def _rotation(value: tuple[Row, Row, Row] | None) -> tuple[Row, Row, Row] | None
 
 
 class NavigationEntry(Table):
-    """The ``[navigation]`` table: observations of a receiver and an inertial unit on board of frame images."""
+    """The ``[navigation]`` table: positions and attitudes observed on board for frame images."""
 
     file: Text = Field(description="the path of the navigation table in quotes")
     crs: Crs = Field(description='an EPSG code in quotes, such as "EPSG:4979"')
@@ -134,7 +135,7 @@ class LinesEntry(Table):
 
 
 class ConstraintEntry(Table):
-    """One ``[[constraints]]`` table, of a project file or of a file of constraints."""
+    """One ``[[constraints]]`` table of a project file or of a constraint file."""
 
     kind: Text = Field(description='what it is, such as "distance" or "horizontal circle"')
     members: tuple[Text, ...] = Field(min_length=1, description='ids of points (or names of photos): ["1", "2"]')
@@ -153,7 +154,7 @@ _TYPES: Final[dict[Any, Any]] = {
 
 
 def _entry(option: Option) -> Any:
-    """Type and default of an option in a project file; its declaration checks the value."""
+    """Return the type and default of an option in a project file. The declaration of the option checks the value."""
 
     def check(value: Any) -> Any:
         if not option.allows(value):
@@ -167,7 +168,7 @@ def _entry(option: Option) -> Any:
 
 
 def options_table(table: str, *records: type) -> type[Table]:
-    """Model of a table of the project file with the declared options of its groups."""
+    """Make the model of a project-file table that contains the declared options of some groups."""
     entries = {name: _entry(one) for name, one in declared(*records).items() if one.group.table == table}
     return create_model(table.title(), __base__=Table, **entries)
 
@@ -197,29 +198,29 @@ class ProjectFile(Table):
     adjustment: Adjustment = Field(default_factory=Adjustment, description="a table [adjustment]")
 
     def values_of(self, record: type) -> dict[str, Any]:
-        """Values of the options that a dataclass declares."""
+        """Return the values of those options that a dataclass declares."""
         values = {**dict(self.orientation), **dict(self.adjustment)}
         return {name: values[name] for name in declared(record)}
 
 
 def read_toml(path: str | Path, model: type[Model]) -> Model:
-    """Read a TOML file as a pydantic model.
+    """Read a TOML file and check it with a pydantic model.
 
     Raises
     ------
     InputError
-        The file cannot be read, or all faults of it.
+        The file cannot be read, or it has faults; all are listed.
     """
     return validate(parse_toml(Path(path)), str(path), model)
 
 
 def validate(content: dict[str, Any], file: str, model: type[Model]) -> Model:
-    """Make a pydantic model of a parsed TOML file.
+    """Check a parsed TOML file with a pydantic model.
 
     Raises
     ------
     InputError
-        All faults, with place and remedy.
+        The file has faults; all are listed with place and remedy.
     """
     try:
         return model.model_validate(content)
@@ -232,7 +233,7 @@ def validate(content: dict[str, Any], file: str, model: type[Model]) -> Model:
         if detail["type"] == "too_short" and any(o["loc"][: len(loc)] == loc and o["loc"] != loc for o in details):
             continue  # pydantic calls an array too short if its items have errors
         fault = _problem(detail["type"], loc, detail["input"], file, model)
-        places.setdefault(fault.place, fault)  # a union reports one fault per member
+        places.setdefault(fault.place, fault)  # pydantic reports a fault for each member of a union
     raise InputError(*places.values())
 
 
@@ -250,7 +251,7 @@ def _problem(kind: str, loc: tuple[int | str, ...], value: object, file: str, ro
 
 
 def _walk(loc: tuple[int | str, ...], root: type[BaseModel]) -> tuple[str, FieldInfo | None, list[str]]:
-    """Path such as ``images[1].metadata``, the field's definition and the names of its table."""
+    """Return a path such as ``images[1].metadata``, the definition of the field, and the names in its table."""
     path, field, siblings = "", None, list[str]()
     table: type[BaseModel] | None = root
     for step in loc:
@@ -267,7 +268,7 @@ def _walk(loc: tuple[int | str, ...], root: type[BaseModel]) -> tuple[str, Field
 
 
 def _table_of(field: FieldInfo | None) -> type[BaseModel] | None:
-    """Model of a field, or of the items of its array; None for a plain value."""
+    """Return the model of a field or of the items of its array; None for a plain value."""
     annotation = field.annotation if field is not None else None
     for candidate in (annotation, *getattr(annotation, "__args__", ())):
         if isinstance(candidate, type) and issubclass(candidate, BaseModel):
@@ -279,18 +280,18 @@ def _table_of(field: FieldInfo | None) -> type[BaseModel] | None:
 
 
 class ConstraintFile(Table):
-    """A whole file of constraints."""
+    """Whole constraint file."""
 
     constraints: tuple[ConstraintEntry, ...] = Field(min_length=1, description="at least one [[constraints]] table")
 
 
 def read_constraints(path: Path) -> tuple[Constraint, ...]:
-    """Read a file of constraints.
+    """Read a constraint file.
 
     Raises
     ------
     InputError
-        All faults of the file.
+        The file has faults; all are listed.
     """
     stated, faults = constraints_of(read_toml(path, ConstraintFile).constraints, str(path))
     if faults:
@@ -301,9 +302,10 @@ def read_constraints(path: Path) -> tuple[Constraint, ...]:
 def constraints_of(
     entries: Sequence[ConstraintEntry], file: str, surplus: int = 0
 ) -> tuple[tuple[Constraint, ...], list[Finding]]:
-    """Constraints of a file, and faults with the number of their entry.
+    """Return the constraints of a file, and the faults with the numbers of their entries.
 
-    ``surplus``: smallest difference between the numbers of residuals and unknowns of a figure.
+    ``surplus`` is the smallest allowed difference between the number of residuals and the
+    number of unknowns of a figure.
     """
     stated, faults = list[Constraint](), list[Finding]()
     for k, e in enumerate(entries):

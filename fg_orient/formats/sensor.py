@@ -1,4 +1,4 @@
-"""Sensors from metadata files of any format."""
+"""Make sensors from metadata files of any format."""
 
 from __future__ import annotations
 
@@ -23,26 +23,27 @@ def read_sensor(
     path : str or Path
         ``METADATA.DIM`` of a SPOT 1-5 level 1A scene, ``DIM_*.XML`` of a Pléiades or SPOT 6/7 sensor product, a
         PHR_DIMAP; a file with RPC (see :func:`fg_orient.formats.rpc.read_rpc`); a sensor description
-        (TOML, :mod:`fg_orient.formats.metadata.pushbroom`), whose states are never extrapolated; a frame image
-        (TOML, :mod:`fg_orient.formats.metadata.frame`); a file of a user's registered format.
+        (TOML, :mod:`fg_orient.formats.metadata.pushbroom`); its states are never extrapolated; a frame image
+        (TOML, :mod:`fg_orient.formats.metadata.frame`); a file of a format that the user has registered.
     model : {"auto", "rigorous", "rpc"}
-        Model of the file; ``"auto"``: the rigorous model if the file contains it.
+        Model to use. ``"auto"`` selects the rigorous model if the file contains it.
     extrapolate_attitude_s : float
-        Maximum time, s, by which attitudes that do not cover the image are extrapolated with the
-        last rate (:class:`fg_orient.sensors.pushbroom.PushbroomSensor`); RPC have none.
+        If attitudes do not cover the image, they are extrapolated with the last rate by at most
+        this time, s (:class:`fg_orient.sensors.pushbroom.PushbroomSensor`). RPC ignore it.
     light : tuple of str
-        Effects on light ("aberration", "light_time", "refraction", or "none") in place of the usual ones of the format.
-        Formats whose effects are fixed ignore it.
+        Effects on light that replace the default effects of the format: "aberration",
+        "light_time", "refraction", or "none". Formats with fixed effects ignore it.
 
     Returns
     -------
     PushbroomSensor, RpcSensor, FrameSensor, or the sensor of a user's format
-        Pixels (line, sample) with (0, 0) = centre of the first pixel, ECEF metres.
+        Its pixels are (line, sample); (0, 0) is the centre of the first pixel. Ground coordinates are ECEF, m.
 
     Raises
     ------
     InputError
-        The file is not usable, or does not contain such a model; the message names file, line, value and remedy.
+        The file cannot be used or does not contain the requested model. The message names file,
+        line, value and remedy.
     """
     path = Path(path)
     if model not in MODELS:
@@ -65,11 +66,11 @@ def read_sensor(
         return RpcSensor(read_rpc(path))
     from fg_orient.formats.metadata.dimap import read_sensor as read_dimap_sensor
 
-    return read_dimap_sensor(path)  # raises: it names the kind of the file
+    return read_dimap_sensor(path)  # raises an error that names the kind of the file
 
 
 def _read(form: Format, path: Path, extrapolate_attitude_s: float, light: tuple[str, ...]) -> Any:
-    """Read an image; unexpected exceptions of a user's own reader are reported with its file and line."""
+    """Read an image. If a user's own reader raises an unexpected exception, the error names its file and line."""
     assert form.read_image is not None  # a format of images
     how: dict[str, Any] = {"extrapolate_attitude_s": extrapolate_attitude_s} if form.extrapolates else {}
     how |= {"light": light} if form.chooses_light else {}

@@ -1,10 +1,10 @@
-"""Hidden files and folders that are being written: held by a lock of their process, removed when it is gone.
+"""Hidden files and folders for outputs that are being written, protected by lock files.
 
-Each one is named ``.NAME.TOKEN.tmp``, with a lock file ``.NAME.TOKEN.lock`` beside it that is made first and removed
-last; it contains machine and process. The process that writes holds the lock (flock). The system releases it when the
-process ends, whatever ends it: the next run in this folder can take the lock and removes what was left. An output that
-was being replaced is put back if the new one had not taken its place. Where locks are not available, as on some network
-file systems, nothing is removed.
+A hidden output has the name ``.NAME.TOKEN.tmp``. Its lock file ``.NAME.TOKEN.lock`` lies in the same folder. It is
+created first and removed last, and it contains the names of machine and process. The writing process owns the lock
+(flock). When the process ends for any reason, the system releases the lock. The next run in this folder can then take
+the lock and removes the remaining files. If an old output was moved away and the new output is not yet in its place,
+the old output is restored. Some network file systems have no locks; nothing is removed there.
 """
 
 from __future__ import annotations
@@ -28,31 +28,33 @@ from typing import Any, Final
 
 _fcntl: Any = import_module("fcntl") if find_spec("fcntl") else None  # not on Windows
 
-#: Names of locks; longer names of outputs are cut.
+#: Pattern of the names of lock files; below: maximum length of the output's name in it.
 _LOCK: Final = re.compile(r"\.(.+)\.([0-9a-f]{12})\.lock")
 LONGEST: Final = 200
-#: Age of a lock of another machine from which it is swept, s.
+#: A lock of another machine is removed when it is older than this, s.
 FOREIGN_S: Final = 7 * 86_400.0
-#: Locks that are tried until one was not swept between its making and its locking.
+#: Maximum number of attempts. Another run may remove a new lock file before it is locked.
 TRIES: Final = 100
-#: ``renameat2`` of Linux: exchange two paths; refuse an existing target.
+#: Flags of ``renameat2`` of Linux: exchange two paths; refuse an existing target. Below: the current directory.
 _EXCHANGE: Final = 2
 _NO_REPLACE: Final = 1
 _HERE: Final = -100
-#: Errors of file systems and systems without these renamings or without locks.
+#: A system or file system without these functions reports one of these errors.
 _NOT_THERE: Final = (errno.ENOSYS, errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK)
 
 
 @contextlib.contextmanager
 def held(target: Path, suffix: str = "") -> Iterator[Path]:
-    """Hidden sibling of an output, whose file or folder is made by the caller; removed at the end if it still exists.
+    """Give the name of a hidden file or folder beside an output; remove it at the end if it still exists.
+
+    The caller creates the file or folder.
 
     Parameters
     ----------
     target : Path
         The output; its folder must exist.
     suffix : str
-        End of the hidden name, for writers that depend on it.
+        Suffix of the hidden name, for writers that require a certain suffix.
 
     Raises
     ------
@@ -72,9 +74,9 @@ def held(target: Path, suffix: str = "") -> Iterator[Path]:
 
 @contextlib.contextmanager
 def scratch_folder(parent: Path) -> Iterator[Path]:
-    """New folder for files of a run, which only this user can read; removed at the end, or by a later run.
+    """Give a new temporary folder that only this user can read.
 
-    OSError: it cannot be made.
+    It is removed at the end, or by a later run. OSError: the folder cannot be created.
     """
     sweep_once(parent)
     with held(parent / "fg-orient") as folder:
@@ -83,7 +85,7 @@ def scratch_folder(parent: Path) -> Iterator[Path]:
 
 
 def _locked(target: Path) -> tuple[Path, int]:
-    """Make a lock and take it: path and descriptor."""
+    """Create a lock file, lock it, and return its path and descriptor."""
     for _ in range(TRIES):
         path = target.with_name(f".{target.name[:LONGEST]}.{secrets.token_hex(6)}.lock")
         descriptor = os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o666)
@@ -94,12 +96,12 @@ def _locked(target: Path) -> tuple[Path, int]:
         except BaseException:
             _release(path, descriptor)
             raise
-        os.close(descriptor)  # another run has swept it
+        os.close(descriptor)  # another run has removed the lock file
     raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
 
 
 def _release(lock: Path, descriptor: int) -> None:
-    """Remove a lock and give it up; in this order, where the system removes open files."""
+    """Remove a lock file and release it; where a system cannot remove open files, it is released first."""
     if _fcntl is None:
         os.close(descriptor)
     with contextlib.suppress(OSError):
@@ -109,7 +111,7 @@ def _release(lock: Path, descriptor: int) -> None:
 
 
 def _take(descriptor: int) -> bool:
-    """Take a lock without waiting; False if it is held or locks are not available."""
+    """Try to take a lock without waiting; False if another process owns it or locks are not available."""
     if _fcntl is None:
         return False
     try:
@@ -120,7 +122,7 @@ def _take(descriptor: int) -> bool:
 
 
 def _is(path: Path, descriptor: int) -> bool:
-    """Whether a path is still the open file."""
+    """Return whether a path still names the open file."""
     try:
         there, own = path.stat(), os.fstat(descriptor)
     except OSError:
@@ -129,7 +131,7 @@ def _is(path: Path, descriptor: int) -> bool:
 
 
 def remove(path: Path) -> None:
-    """Remove a file or folder if it exists; never follow a link."""
+    """Remove a file or folder if it exists; links are not followed."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
     else:
@@ -141,7 +143,7 @@ def remove(path: Path) -> None:
 
 
 def sweep(folder: Path) -> None:
-    """Remove what processes that are gone have left in a folder; put back outputs that they were replacing."""
+    """Remove the hidden files that ended processes have left in a folder; restore outputs that they had moved away."""
     try:
         names = sorted(entry.name for entry in os.scandir(folder) if entry.name.endswith(".lock"))
     except OSError:
@@ -160,7 +162,10 @@ def sweep(folder: Path) -> None:
 
 
 def _ours(descriptor: int) -> bool:
-    """Whether the lock is of this machine, or a week old: some file systems lock for each machine alone."""
+    """Return whether a lock may be removed: it belongs to this machine, or it is more than a week old.
+
+    On some file systems a lock is valid on one machine only.
+    """
     host = os.read(descriptor, 1000).decode("utf-8", "replace").partition(" ")[0]
     return host in ("", platform.node()) or time.time() - os.fstat(descriptor).st_mtime > FOREIGN_S
 
@@ -174,12 +179,12 @@ def _remove_all(folder: Path, *beginnings: str) -> None:
 
 @lru_cache(maxsize=256)
 def sweep_once(folder: Path) -> None:
-    """Sweep a folder at the first output of this process in it: some commands write thousands of files."""
+    """Call :func:`sweep` once for each folder; some commands write thousands of files to a folder."""
     sweep(folder)
 
 
 def _clear(folder: Path, target: str, stem: str) -> None:
-    """Remove the files and folders of a lock, and the lock."""
+    """Remove the files and folders of a lock, then the lock file."""
     old = folder / f"{stem}.old"
     if old.exists() and not os.path.lexists(folder / target) and len(target) < LONGEST:
         old.rename(folder / target)
@@ -191,16 +196,16 @@ def _clear(folder: Path, target: str, stem: str) -> None:
 
 
 def publish(staging: Path, target: Path, *, replace: bool) -> None:
-    """Rename a complete folder to its target; an existing target takes its hidden name.
+    """Rename a complete folder to its target. An existing target gets the hidden name.
 
-    Where the system cannot exchange two folders, the old one has the end ``.old`` for a moment.
+    If the system cannot exchange two folders, the old folder has the suffix ``.old`` for a moment.
 
     Raises
     ------
     FileExistsError
         The target exists, and ``replace`` is False.
     OSError
-        The renaming failed; the old target is there as before.
+        The renaming failed; the old target is unchanged.
     """
     if not os.path.lexists(target) and _renamed(staging, target, _NO_REPLACE):
         return
@@ -222,7 +227,7 @@ def publish(staging: Path, target: Path, *, replace: bool) -> None:
 
 
 def _renamed(source: Path, target: Path, how: int) -> bool:
-    """Rename by ``renameat2``; False if the target's existence does not allow it, or the system cannot do it."""
+    """Rename with ``renameat2``; return False if the target prevents it or the system does not have it."""
     function: Any = None
     if sys.platform.startswith("linux"):
         function = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
@@ -241,7 +246,7 @@ def _renamed(source: Path, target: Path, how: int) -> bool:
 
 
 def linked(file: Path, name: Path) -> None:
-    """Give a file a second name; a copy where the file system has no links."""
+    """Give a file a second name; if the file system has no links, copy the file."""
     try:
         os.link(file, name)
     except OSError as error:

@@ -1,7 +1,8 @@
-"""The writer of tables: columns of text and numbers to the form of the end of the file name.
+"""Write tables of text and numbers; the suffix of the file name determines the format.
 
-In CSV, numbers have the fewest digits that read back to the same double. A value that is not finite is an empty cell.
-Texts that a spreadsheet would interpret as a formula begin with an apostrophe, which our readers remove.
+In CSV, a number has the fewest digits from which the same double can be read again. A value
+that is not finite becomes an empty cell. If a spreadsheet would interpret a text as a formula,
+an apostrophe is written before it. Our readers remove this apostrophe.
 """
 
 from __future__ import annotations
@@ -19,20 +20,21 @@ from factors.arrays import Array
 from fg_orient.formats.atomic import in_all_forms, staged_file
 from fg_orient.formats.columns import ROWS, rows_of_numbers
 
-#: Values of a column: an array of numbers, or a sequence of text, numbers, truth values and None.
+#: Type of a column's values: an array of numbers, or a sequence of texts, numbers, truth values and None.
 Column = npt.NDArray[Any] | Sequence[Any]
-#: Ends of the names of binary files.
+#: Suffixes of binary tables.
 BINARY: Final = (".parquet", ".feather", ".arrow")
-#: Columns of text; all others contain numbers.
+#: Names of columns that contain text; all other columns contain numbers.
 WORDS: Final = frozenset((
     "id", "role", "image", "photo", "strip", "parameter", "component", "unit", "sigma_scale", "per_line_unit", "shared",
     "quantity", "part", "test", "inseparable", "left_out_with_it",
 ))  # fmt: skip
-#: Columns of whole numbers, with empty cells.
+#: Names of columns that contain whole numbers and may have empty cells.
 WHOLE: Final = frozenset(("degree", "n_rays", "round", "dimension", "readmitted"))
-#: Marks of cells, each after a NUL, that may need quotes or an apostrophe.
+#: Cells are joined with NUL between them. If the result contains one of these marks, a cell may need quotes or an
+#: #: apostrophe.
 _ODD: Final = (*',"#\r\n', "\0=", "\0+", "\0@", "\0-", "\0\t", "\0'")
-#: Begin of a text that spreadsheets interpret as a formula, after any apostrophes; not of signed numbers.
+#: Spreadsheets interpret a text that begins like this as a formula. Signed numbers are excluded.
 _FORMULA: Final = re.compile(r"'*(?:[=@\t]|[+-](?![0-9.]+(?:e[+-]?[0-9]+)?\Z))")
 
 
@@ -43,14 +45,14 @@ def write_table(path: Path, columns: Mapping[str, Column], comments: Sequence[st
     ----------
     path : Path
     columns : mapping
-        Name to values, in the order of the file, all of one length.
+        Values by the name of the column, in the order of the file; all columns have the same length.
     comments : sequence of str
-        Lines before the header, after ``#``.
+        Texts of comment lines before the header.
 
     Raises
     ------
     ValueError
-        Columns of different lengths, or a comment of several lines.
+        Columns have different lengths, or a comment has several lines.
     """
     if len(set(map(len, columns.values()))) > 1:
         raise ValueError("the columns have different lengths")
@@ -66,12 +68,12 @@ def write_table(path: Path, columns: Mapping[str, Column], comments: Sequence[st
 
 
 def is_binary(path: Path) -> bool:
-    """Return whether the file name has the suffix of Parquet or Arrow files."""
+    """Return whether the file name has a suffix of Parquet or Arrow files."""
     return path.suffix.lower() in BINARY
 
 
 def require_writer(path: Path) -> None:
-    """Raise InputError if the package that writes files with this name is not installed; call it before computing."""
+    """Raise InputError if the package that writes this kind of file is not installed; call this before computing."""
     if is_binary(path):
         from fg_orient.formats.arrow import library
 
@@ -79,40 +81,40 @@ def require_writer(path: Path) -> None:
 
 
 def table_file(folder: Path, table: str) -> Path:
-    """Return the file of a table in a folder, in any form; the CSV file if there is no file."""
+    """Return the file of a table in a folder, in any format; if there is no file, the name of a CSV file."""
     files = [folder / name for name in in_all_forms(table)]
     return next((file for file in files if file.is_file()), files[0])
 
 
 def save_table(path: str | Path, columns: Mapping[str, Column], comments: Sequence[str] = ()) -> None:
-    """Write a table as :func:`write_table` does, whole or not at all; InputError if the file cannot be written."""
+    """Write a table completely or not at all; raise InputError if the file cannot be written."""
     with staged_file(path, suffix=Path(path).suffix, durable=True) as temporary:
         write_table(temporary, columns, comments)
 
 
 def csv_table(columns: Mapping[str, Column]) -> bytes:
-    """Text of a CSV table as :func:`write_table` writes it."""
+    """Return the text of a CSV table as :func:`write_table` writes it."""
     return b"".join(_csv(columns))
 
 
 def comment_lines(comments: Sequence[str]) -> list[str]:
-    """Comments as lines of a text file; ValueError for a comment of several lines."""
+    """Convert comments to lines of a text file; raise ValueError if a comment has several lines."""
     if any("\n" in line or "\r" in line for line in comments):
         raise ValueError("a comment must fit one line")
     return [f"# {line}" for line in comments]
 
 
 def _csv(columns: Mapping[str, Column]) -> Iterator[bytes]:
-    """Parts of the UTF-8 text: header and rows."""
+    """Yield the parts of the UTF-8 text: the header, then groups of rows."""
     yield (",".join(map(quoted, columns)) + "\n").encode()
     for start in range(0, len(next(iter(columns.values()))), ROWS):
         cells = list(_cells(columns, slice(start, start + ROWS)))
-        row = b",".join([b"%b"] * len(cells)) + b"\n"  # in less than half of the time of a join of each row
+        row = b",".join([b"%b"] * len(cells)) + b"\n"  # twice as fast as joining each row
         yield b"".join(map(row.__mod__, zip(*cells, strict=True)))
 
 
 def _cells(columns: Mapping[str, Column], part: slice) -> Iterator[Sequence[bytes]]:
-    """Texts of some rows: of each column, or of neighbouring columns of numbers together."""
+    """Convert some rows to texts; neighbouring columns of numbers are converted together."""
     run = list[Array]()
     for name, values in columns.items():
         cells = values[part]
@@ -128,20 +130,20 @@ def _cells(columns: Mapping[str, Column], part: slice) -> Iterator[Sequence[byte
 
 
 def are_numbers(cells: Column) -> bool:
-    """Whether all cells are floating-point numbers."""
+    """Return whether all cells are floating-point numbers."""
     if isinstance(cells, np.ndarray) and cells.dtype.kind != "O":
         return cells.dtype.kind == "f"
     return all(isinstance(cell, float) for cell in cells)
 
 
 def texts(values: Column, whole: bool = False) -> list[str]:
-    """Texts of the values of a column of text, whole numbers or truth values."""
+    """Convert the values of a column of text, whole numbers or truth values to texts."""
     items = values.tolist() if isinstance(values, np.ndarray) else values
     return [item if isinstance(item, str) else _text(item, whole) for item in items]
 
 
 def _text(value: Any, whole: bool = False) -> str:
-    """Return the text of one value; empty for None, words of JSON for truth values."""
+    """Convert one value to text: "" for None, ``true`` or ``false`` for truth values."""
     if not isinstance(value, float):
         return "" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
     return "" if not math.isfinite(value) else str(int(value)) if whole else repr(float(value))
@@ -154,21 +156,21 @@ def _quoted(cells: list[str]) -> list[bytes]:
 
 
 def _is_odd(cells: str) -> bool:
-    """Whether one of these cells, with a NUL between them, may need quotes; a hundredth of the time of a pattern."""
+    """Return whether one of these cells, joined by NUL, may need quotes; 100 times faster than a pattern."""
     text = f"\0{cells}"
     return any(mark in text for mark in _ODD)
 
 
 def quoted(cell: str) -> str:
-    """Text of a cell of CSV; in quotes if a reader would misinterpret it."""
+    """Return a CSV cell; it is in quotes if a reader would otherwise misinterpret it."""
     return '"' + cell.replace('"', '""') + '"' if any(mark in cell for mark in ',"#\r\n') else cell
 
 
 def own_cell(cell: str) -> str:
-    """Text of a cell of our own tables, which no spreadsheet takes for a formula; see :func:`cell_text`."""
+    """Return a cell of our own tables that no spreadsheet interprets as a formula; see :func:`cell_text`."""
     return quoted(f"'{cell}" if _FORMULA.match(cell) else cell)
 
 
 def cell_text(cell: str) -> str:
-    """Inverse of :func:`own_cell`, quotes aside: the text without the apostrophe before what looks like a formula."""
+    """Remove the apostrophe that :func:`own_cell` adds before a formula; quotes are not changed."""
     return cell[1:] if cell[:1] == "'" and _FORMULA.match(cell, 1) else cell

@@ -1,8 +1,9 @@
-"""Tables, read strictly: every cell is text until a number is read from it.
+"""Read tables with strict checks. Cells are text until a number is read from them.
 
-A CSV table is UTF-8 (a byte order mark is fine) with commas, one header line that names the columns, and one record per
-line. Lines starting with ``#`` and blank lines are skipped. Ids stay text: ``01`` is not ``1``. The columns of Parquet
-and Arrow files (``fg_orient.formats.arrow``) go through the same checks.
+A CSV table is UTF-8 text with commas; a byte order mark is allowed. One header line names the
+columns, and each further line is a record. Blank lines and lines that begin with ``#`` are
+skipped. Ids remain text: ``01`` is not ``1``. The columns of Parquet and Arrow files
+(``fg_orient.formats.arrow``) pass the same checks.
 """
 
 from __future__ import annotations
@@ -24,41 +25,41 @@ from fg_orient.formats.faults import MAX_FAULTS, Faults, did_you_mean
 from fg_orient.formats.table_write import cell_text, is_binary
 from fg_orient.formats.text_files import delimited, read_text
 
-#: Texts that are read as numbers, and numbers with a decimal comma.
+#: Pattern of texts that are read as numbers; below: pattern of numbers with a decimal comma.
 NUMBER: Final = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 DECIMAL_COMMA: Final = re.compile(r"[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)?")
 
 
 @dataclass(frozen=True)
 class Row:
-    """One record: its line (or row) in the file, from 1, and the text of its cells by column."""
+    """One record: its line or row in the file, counted from 1, and the text of its cells by column."""
 
     line: int
     cells: dict[str, str]
     unit: str = "line"
 
     def place(self, column: str = "") -> str:
-        """Place of this record, or of one of its cells, for messages."""
+        """Return the place of this record or of one of its cells, for messages."""
         return f"{self.unit} {self.line}, column {column}" if column else f"{self.unit} {self.line}"
 
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """A table as read.
+    """Table that was read from a file; its cells are still text.
 
     Parameters
     ----------
     columns : tuple of str
     cells : dict of str to Cells
-        Text of the records in file order, by column.
+        Texts of the records in the order of the file, by column.
     lines : (n,) int array
-        Line of each record in the file, from 1.
+        Line of each record in the file, counted from 1.
     file : str
-        Name of the file, for messages.
+        Name of the file in messages.
     header : str
-        Place of the names of the columns, for messages.
+        Place of the column names in messages.
     unit : str
-        "line"; "row" of a file without lines.
+        "line", or "row" if the file has no lines.
     """
 
     columns: tuple[str, ...]
@@ -73,15 +74,18 @@ class Table:
         return len(self.lines)
 
     def row(self, k: int) -> Row:
-        """One record."""
+        """Return one record."""
         return Row(int(self.lines[k]), {name: self.cells[name][k] for name in self.columns}, self.unit)
 
     def where(self, column: str, text: str) -> Mask:
-        """Records (n,) whose cell is this text."""
+        """Return a mask (n,) of the records whose cell is equal to this text."""
         return self.cells[column].are(text)
 
     def numbers(self, *columns: str, rows: Mask | None = None) -> Array:
-        """Columns as finite numbers (n, k); nan where a cell, then refused, is not a number, and in other ``rows``."""
+        """Return columns as finite numbers (n, k).
+
+        If a cell is not a number, it is refused, and its value is nan. Rows that are not in ``rows`` are nan.
+        """
         out = np.full((len(self), len(columns)), np.nan)
         wanted = np.ones(len(self), bool) if rows is None else rows
         for j, name in enumerate(columns):
@@ -99,9 +103,10 @@ class Table:
         return out
 
     def positions(self, column: str, known: Sequence[str] | None, code: str) -> Index:
-        """Return the position (n,) of each cell in ``known``; other cells get larger positions and are refused once.
+        """Return the position (n,) of each cell in the list ``known``.
 
-        No cell is refused if ``known`` is None.
+        Other cells get larger positions, and each of them is refused once. If ``known`` is
+        None, no cell is refused.
         """
         cells, place = self.cells[column], {name: k for k, name in enumerate(known or ())}
         try:
@@ -120,22 +125,23 @@ class Table:
         return out
 
     def completed(self, *columns: str) -> Table:
-        """Table that has these columns, with empty cells where it lacks them."""
+        """Return the table with all these columns; missing columns get empty cells."""
         empty = Cells([""] * len(self))
         lacking = tuple(name for name in columns if name not in self.columns)
         return replace(self, columns=self.columns + lacking, cells=self.cells | dict.fromkeys(lacking, empty))
 
     def refuse(self, wrong: npt.ArrayLike, code: str, column: str, **fields: Any) -> None:
-        """Refuse records (n,) for the text of a cell, which is the value of the message by default.
+        """Refuse the records of a mask (n,) because of one of their cells.
 
-        ``fields`` of the message are constants, arrays (n,), or functions of the :class:`Row`.
+        By default, the text of the cell is the value of the message. The other ``fields`` of
+        the message are constants, arrays (n,), or functions of the :class:`Row`.
         """
         rows = np.flatnonzero(np.asarray(wrong, bool))
         if len(rows):
             self._refused.append((rows, code, column, {"value": lambda row: row.cells[column], **fields}))
 
     def refuse_repeated(self, keys: Sequence[Hashable] | Index, code: str, column: str, **fields: Any) -> None:
-        """Refuse records whose key an earlier record has; field ``first`` is the place of that record."""
+        """Refuse records with the key of an earlier record; the field ``first`` of the message names its place."""
         distinct = np.diff(np.sort(keys)).all() if isinstance(keys, np.ndarray) else len(set(keys)) == len(keys)
         if not distinct:
             place: dict[Hashable, int] = {}
@@ -157,14 +163,14 @@ class Table:
         self._refused.clear()
 
     def require_valid(self) -> None:
-        """Raise InputError with the refused records, if there are any."""
+        """Raise InputError if records were refused."""
         faults = Faults(self.file)
         self.report(faults)
         faults.raise_if_any()
 
 
 def number(row: Row, column: str, faults: Faults) -> float:
-    """Read a cell as a finite number; nan, with the fault noted, if it is not a number."""
+    """Read a cell as a finite number; if it is not a number, note the fault and return nan."""
     text = row.cells[column]
     code = _number_fault(text)
     if code:
@@ -174,7 +180,7 @@ def number(row: Row, column: str, faults: Faults) -> float:
 
 
 def _number_fault(text: str) -> str:
-    """Message code of a text that is not a finite number, "" if it is one."""
+    """Return the message code for a text that is not a finite number; "" for a finite number."""
     if not text:
         return "table.cell_empty"
     if not NUMBER.fullmatch(text):
@@ -184,9 +190,9 @@ def _number_fault(text: str) -> str:
 
 # --- files ------------------------------------------------------------------------------------------
 
-#: A longer line than this is not a record of ours.
+#: Maximum number of characters of a line.
 MAX_LINE: Final = 100_000
-#: Lines that start otherwise are neither blank nor a comment.
+#: A line that begins with another character is neither blank nor a comment.
 _ODD_STARTS: Final = frozenset(("", "#", " ", "\t", ","))
 
 
@@ -196,16 +202,16 @@ def read_table(path: Path, columns: Sequence[Sequence[str]], faults: Faults) -> 
     Parameters
     ----------
     path : Path
-        The file; its name ends with .parquet, .feather or .arrow, or it is CSV.
+        The file. It is read as CSV, unless its suffix is .parquet, .feather or .arrow.
     columns : sequence of sequences of str
-        The allowed layouts, each a complete set of column names; their order in the file is free.
+        The allowed layouts. Each is a complete set of column names; the file may have them in any order.
     faults : Faults
-        Receives the faults.
+        Collects the faults.
 
     Returns
     -------
     Table or None
-        None if the file as a whole is unusable. Records with a wrong number of cells are left out, and noted.
+        None if the file cannot be used at all. Records with a wrong number of cells are noted and left out.
     """
     extra = "leave it out" if is_binary(path) else "put remarks into lines that begin with #"
 
@@ -226,11 +232,12 @@ def read_columns(
     Parameters
     ----------
     path, faults
-        See :func:`read_table`; records are not required.
+        See :func:`read_table`; the table may have no records.
     check : callable
-        Called with the place and the names of the columns before the records are read; notes faults.
+        Function that checks the column names and notes faults. It is called with their place
+        and the names before the records are read.
     wanted : sequence of str
-        Columns that the message about an empty file names.
+        Names of the columns for the message about an empty file.
 
     Returns
     -------
@@ -250,7 +257,7 @@ def read_columns(
         return None
     table = regular(text, MAX_LINE)
     if table is not None:
-        del text  # its bytes are in the columns
+        del text  # the columns contain its bytes
         if _refused(table.line, table.header, check, faults):
             return None
         lines_of = table.line + 1 + np.arange(len(table.columns[0]))
@@ -272,7 +279,7 @@ def read_columns(
 def _refused(
     line: int, names: Sequence[str], check: Callable[[str, Sequence[str]], None], faults: Faults
 ) -> bool:  # fmt: skip
-    """Whether the header of a CSV file is unusable; its faults are noted."""
+    """Return whether the header of a CSV file has faults; they are noted."""
     before = len(faults.problems)
     if len(names) == 1 and any(mark in names[0] for mark in ";\t|"):
         faults.add("table.delimiter", place=f"line {line}", value=names[0])
@@ -282,16 +289,16 @@ def _refused(
 
 
 def require_table(path: Path, layouts: Sequence[Sequence[str]]) -> Table:
-    """Read a table as :func:`read_table` does; InputError with its faults if it is unusable."""
+    """Read a table as :func:`read_table` does; raise InputError with all faults."""
     faults = Faults(str(path))
     table = read_table(path, layouts, faults)
     faults.raise_if_any()
-    assert table is not None  # else there is a fault
+    assert table is not None  # otherwise an error was raised
     return table
 
 
 def read_numbers(path: Path, layouts: Sequence[Sequence[str]], words: Sequence[str] = ()) -> tuple[Array, Table]:
-    """Read numbers of a table.
+    """Read the numbers of a table.
 
     Parameters
     ----------
@@ -299,18 +306,18 @@ def read_numbers(path: Path, layouts: Sequence[Sequence[str]], words: Sequence[s
     layouts : sequence of sequences of str
         As in :func:`read_table`.
     words : sequence of str
-        Columns of text.
+        Names of the columns that contain text.
 
     Returns
     -------
     (n, k) array
-        The other columns in the order of the layout.
+        Numbers of the other columns in the order of the layout.
     Table
 
     Raises
     ------
     InputError
-        All faults of the file.
+        The file has faults; all are listed.
     """
     table = require_table(path, layouts)
     layout = next(one for one in layouts if set(one) == set(table.columns))
@@ -320,7 +327,7 @@ def read_numbers(path: Path, layouts: Sequence[Sequence[str]], words: Sequence[s
 
 
 def _lines(text: str, faults: Faults) -> tuple[list[int], list[str]]:
-    """Numbers and text of the lines that are neither blank nor a comment."""
+    """Return the numbers and texts of all lines that are neither blank nor comments."""
     lines = text.split("\n")
     kept = [
         n for n, line in enumerate(lines, start=1)
@@ -337,7 +344,10 @@ def _lines(text: str, faults: Faults) -> tuple[list[int], list[str]]:
 def _records(
     numbers: list[int], lines: list[str], names: Sequence[str], faults: Faults
 ) -> tuple[list[int], dict[str, Cells]]:
-    """Line numbers and cells by column of the records; records with a wrong number of cells are left out and noted."""
+    """Return the line numbers of the records, and their cells by column.
+
+    Records with a wrong number of cells are noted and left out.
+    """
     width = len(names)
     split = {n: delimited(n, line, faults, width) for n, line in zip(numbers, lines, strict=True)}
     rows = {n: list(map(cell_text, cells)) for n, cells in split.items() if cells is not None}
@@ -347,7 +357,7 @@ def _records(
 def _check_names(
     place: str, names: Sequence[str], layouts: Sequence[Sequence[str]], extra: str, faults: Faults
 ) -> None:
-    """Note names of columns that do not fit the layouts; ``extra``: what to do with an unknown column."""
+    """Note column names that do not fit the layouts; ``extra`` is the remedy for an unknown column."""
     note_repeated(place, names, faults)
     layout = max(layouts, key=lambda one: len(set(one) & set(names)))
     everything = sorted({name for one in layouts for name in one})
@@ -364,6 +374,6 @@ def _check_names(
 
 
 def note_repeated(place: str, names: Sequence[str], faults: Faults) -> None:
-    """Note each name that several columns have."""
+    """Note each name that more than one column has."""
     for name in sorted({name for name in names if names.count(name) > 1}):
         faults.add("table.column_twice", place=place, value=name or "an unnamed column")

@@ -1,4 +1,4 @@
-"""Text of a file: decoded, split into cells; and its SHA-256."""
+"""Read text files, split lines into cells, and compute the SHA-256 of files."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from fg_orient.formats.faults import Faults
 from fg_orient.model.errors import InputError
 from fg_orient.model.limits import within_memory
 
-#: Memory of a line and its cells, bytes.
+#: Memory that a line and its cells need, bytes.
 LINE_BYTES = 250
 
 
 def read_data(path: Path, faults: Faults, size: int = -1) -> bytes | None:
-    """Read the bytes of a file, or the first bytes; if it cannot be read, note the error and return None."""
+    """Read all bytes or the first bytes of a file; if it cannot be read, note the error and return None."""
     try:
         with path.open("rb") as stream:
             return stream.read(size)
@@ -27,7 +27,10 @@ def read_data(path: Path, faults: Faults, size: int = -1) -> bytes | None:
 
 
 def read_text(path: Path, faults: Faults) -> str | None:
-    """Text of a UTF-8 file without byte order mark, with LF as line end; None, with the fault noted, if unusable."""
+    """Read a UTF-8 file; the text has no byte order mark, and its lines end with LF.
+
+    If the file cannot be used, note the fault and return None.
+    """
     data = read_data(path, faults)
     if data is None:
         return None
@@ -54,12 +57,12 @@ def read_text(path: Path, faults: Faults) -> str | None:
 
 
 def require_lines(text: str, file: object) -> None:
-    """Raise InputError if a text has so many short lines that their cells need too much memory."""
+    """Raise InputError if the cells of a text need too much memory because it has very many short lines."""
     within_memory(LINE_BYTES * text.count("\n"), len(text), file=file)
 
 
 def sha256_of(*paths: Path) -> str:
-    """Compute the SHA-256 of a file; for several files, or a folder, of the names and contents of the files."""
+    """Compute the SHA-256 of a file. For a folder or several files, it includes their names and contents."""
     files = [f for p in paths for f in (sorted(q for q in p.rglob("*") if q.is_file()) if p.is_dir() else [p])]
     if len(files) == 1 and not paths[0].is_dir():
         return _digest(files[0]).hex()
@@ -75,9 +78,10 @@ def _digest(file: Path) -> bytes:
 
 
 def delimited(number: int, line: str, faults: Faults, width: int | None = None, *, mark: str = ",") -> list[str] | None:
-    """Return stripped cells of a line; None, with a noted error, if quotes or the number of cells are wrong.
+    """Split a line into cells without outer blanks.
 
-    Empty cells after the last column are left out.
+    If the quotes or the number of cells are wrong, note the error and return None. Empty cells
+    after the last column are left out.
     """
     try:
         cells = [cell.strip() for cell in next(csv.reader([line], delimiter=mark, strict=True))]

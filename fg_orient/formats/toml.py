@@ -1,4 +1,4 @@
-"""Reader of TOML files, with faults as input errors, and their lines for writers."""
+"""Read TOML files and make lines of TOML for writers; faults of a file are input errors."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ from fg_orient.model.declaration import toml
 from fg_orient.model.errors import FgOrientError, InputError
 from fg_orient.model.limits import exceeded, limit
 
-#: Part of a dotted key, and what follows it: the time and memory to read such a key grow with the square of its parts.
+#: Part of a dotted key and the blanks after it. The number of parts is limited: the time and memory to read a key grow
+#: #: with the square of this number.
 _PART: Final = r"""(?<![\w"'-])(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+"""
 
 
 def no_project_file(path: Path) -> FgOrientError:
-    """Error of a path that does not exist, or is a folder; then it names a project file in it."""
+    """Return the error for a path that does not exist or is a folder; for a folder, it names a project file in it."""
     if path.is_dir():
         inside = next(iter(sorted(path.glob("*.toml"))), path / "project.toml")
         return InputError.of("project.folder", file=path, inside=inside)
@@ -27,16 +28,16 @@ def no_project_file(path: Path) -> FgOrientError:
 
 
 def parse_toml(path: Path) -> dict[str, Any]:
-    """Content of a TOML file.
+    """Return the content of a TOML file.
 
     Raises
     ------
     InputError
-        It cannot be read, is not TOML, or exceeds a limit.
+        The file cannot be read, is not TOML, or exceeds a limit.
     """
     try:
         is_file = path.is_file()
-    except OSError as error:  # a name that is too long
+    except OSError as error:  # the name is too long
         raise InputError.of("project.unreadable", file=path, value=error.strerror) from None
     if not is_file:
         raise no_project_file(path)
@@ -56,7 +57,7 @@ def parse_toml(path: Path) -> dict[str, Any]:
     except tomllib.TOMLDecodeError as error:
         message, _, place = str(error).rstrip(")").rpartition(" (at ")
         raise InputError.of("project.syntax", file=path, place=place, value=message or place) from None
-    except ValueError as error:  # a number with thousands of digits
+    except ValueError as error:  # a number has thousands of digits
         raise InputError.of("project.syntax", file=path, value=error) from None
     except RecursionError:
         raise exceeded("toml_depth", "nested arrays or tables", file=path, unit="levels") from None
@@ -65,7 +66,7 @@ def parse_toml(path: Path) -> dict[str, Any]:
 
 
 def _refuse_long(content: dict[str, Any], path: Path) -> None:
-    """Refuse whole numbers of more than 64 bits, which TOML does not have: they have no floating-point value."""
+    """Refuse whole numbers of more than 64 bits: TOML does not allow them, and a float may not represent them."""
     level: list[object] = [content]
     while level:
         for item in level:
@@ -76,5 +77,5 @@ def _refuse_long(content: dict[str, Any], path: Path) -> None:
 
 
 def entries(values: Mapping[str, object]) -> list[str]:
-    """Lines of a table; a value that is None is left out."""
+    """Return the lines of a TOML table; values that are None are left out."""
     return [f"{name} = {toml(value)}" for name, value in values.items() if value is not None]

@@ -1,9 +1,10 @@
-"""Hardened reading of XML and typed access to its elements.
+"""Read XML files safely, and read values of given types from their elements.
 
-Metadata files come from outside: a file is parsed without network, DTD, entities or recovery, and is refused if it
-contains a DOCTYPE or exceeds a size limit. Readers request every value by path, unit and type. A value that is missing,
-doubled, empty, not a number or in an unknown unit becomes one :class:`~fg_orient.model.errors.InputError` that names
-file, line, element, value and remedy.
+Metadata files may come from untrusted sources. A file is parsed without network access, DTD,
+entities and recovery. It is refused if it contains a DOCTYPE or exceeds a size limit. Readers
+request each value by path, unit and type. If a value is missing, doubled, empty, not a number
+or in an unknown unit, an :class:`~fg_orient.model.errors.InputError` names file, line, element,
+value and remedy.
 """
 
 from __future__ import annotations
@@ -27,14 +28,14 @@ from fg_orient.formats.tables import DECIMAL_COMMA, NUMBER
 from fg_orient.model.errors import InputError
 from fg_orient.model.limits import within_memory
 
-#: No quantity of a metadata file is larger; beyond it squares overflow.
+#: Largest allowed number in a metadata file; squares of much larger numbers would overflow.
 LARGEST = 1e30
-#: Bytes of a parsed document for each mark: half of an element with its texts, an attribute.
+#: Bytes of a parsed document for each of these characters. An element has two "<", an attribute has one "=".
 _OBJECTS = {b"<": 200, b"=": 200}
 
 _NOT_FINITE = re.compile(r"[+-]?(?:nan|inf|infinity)", re.IGNORECASE)
 _TIME = re.compile(r"([0-9]{4}-[0-9]{2}-[0-9]{2})T([0-9]{2}):([0-9]{2}):([0-9]{2}(?:\.[0-9]+)?)Z?")
-# possessive repetition: a hostile prolog cannot make the search backtrack
+# possessive repetition: a malicious prolog cannot make the search slow by backtracking
 _DOCTYPE = re.compile(rb"(?:\xef\xbb\xbf)?(?:\s|(?><\?.*?\?>)|(?><!--.*?-->))*+<!DOCTYPE", re.DOTALL | re.IGNORECASE)
 _HTML = re.compile(rb"(?:\xef\xbb\xbf)?\s*<(?:!doctype\s+html|html)\b", re.IGNORECASE)
 _MAGIC = {
@@ -45,7 +46,7 @@ _MAGIC = {
 
 @dataclass(frozen=True)
 class Quantity:
-    """Kind of a number: its units with their factors to SI; ``default`` is the unit if the file names no unit."""
+    """Kind of a number: its units and their factors to SI; ``default`` is used if the file does not name a unit."""
 
     name: str
     default: str
@@ -66,17 +67,18 @@ METRES = Quantity("length", "m", {"m": 1.0, "metre": 1.0, "meter": 1.0, "km": 1e
 METRES_PER_SECOND = Quantity("speed", "m/s", {"m/s": 1.0, "m.s-1": 1.0, "km/s": 1e3})
 RADIANS = Quantity("angle", "rad", _ANGLES)
 RADIANS_PER_SECOND = Quantity("angular speed", "rad/s", {f"{unit}/s": f for unit, f in _ANGLES.items()})
-#: Geographic coordinates stay in degrees, as in the records of the readers.
+#: Geographic coordinates are not converted to radians: the records of the readers contain degrees.
 DEGREES = Quantity("geographic angle", "deg", {"deg": 1.0, "degree": 1.0, "degrees": 1.0})
 PURE = Quantity("pure number", "1", {"1": 1.0, "none": 1.0, "tan": 1.0, "pixel": 1.0})
 
 
 @dataclass(frozen=True, slots=True)
 class XmlNode:
-    """Element with its file; paths are child names joined by "/".
+    """XML element with its file. A path consists of names of child elements, joined by "/".
 
-    Methods that read raise InputError for the first fault: an element that is missing or doubled, or a text that is
-    empty, of another type, in an unknown unit, out of range or not finite.
+    Methods that read values raise InputError for the first fault. An element may be missing or
+    doubled. A text may be empty, of another type, in an unknown unit, out of range or not
+    finite.
     """
 
     element: etree._Element
@@ -84,23 +86,23 @@ class XmlNode:
 
     @property
     def tag(self) -> str:
-        """Name of the element without namespace."""
+        """Return the name of the element without its namespace."""
         return etree.QName(self.element).localname
 
     @property
     def place(self) -> str:
-        """Line number and path below the root, for messages."""
+        """Return the line number and the path below the root, for messages."""
         names = [str(a.tag) for a in self.element.iterancestors()][-2::-1]
         return f"line {self.element.sourceline}, {'/'.join([*names, self.tag])}"
 
     def fault(self, code: str, value: object = "", **fields: object) -> InputError:
-        """Build the error of this element."""
+        """Make the InputError for a fault of this element."""
         return InputError.of(code, file=self.file, place=self.place, value=value, **fields)
 
     # --- elements ----------------------------------------------------------------------------
 
     def maybe(self, path: str) -> XmlNode | None:
-        """Element at ``path``, or None."""
+        """Return the element at ``path``, or None if it does not exist."""
         node = self
         for name in path.split("/"):
             nodes = list(node.element.iterchildren(name))
@@ -112,14 +114,14 @@ class XmlNode:
         return node
 
     def one(self, path: str) -> XmlNode:
-        """Element at ``path``."""
+        """Return the only element at ``path``."""
         node = self.maybe(path)
         if node is None:
             raise self.fault("xml.missing_element", element=path)
         return node
 
     def every(self, path: str, at_least: int = 1) -> list[XmlNode]:
-        """All elements at ``path``; only its last step may repeat."""
+        """Return all elements at ``path``; only the last name of the path may occur several times."""
         *steps, last = path.split("/")
         parent = self.one("/".join(steps)) if steps else self
         nodes = [XmlNode(e, self.file) for e in parent.element.iterchildren(last)]
@@ -128,25 +130,26 @@ class XmlNode:
         return nodes
 
     def children(self) -> Iterator[XmlNode]:
-        """Child elements (no comments) in file order."""
+        """Return the child elements in the order of the file, without comments."""
         return (XmlNode(e, self.file) for e in self.element.iterchildren("*"))
 
     def table(self, tag: str, columns: Mapping[str, tuple[Quantity, float, float]], at_least: int = 1) -> Array:
-        """Numbers of the elements ``tag``, one row each.
+        """Read numbers of all elements ``tag``; each element gives one row.
 
-        Plain elements are read together, in a sixth of the time; other elements are read one by one.
+        Elements without attributes and further children are read together, which is six times
+        faster. Other elements are read one by one.
 
         Parameters
         ----------
         tag : str
         columns : mapping of str to (Quantity, low, high)
-            Children, with the range of their values.
+            Quantity and range of each child element.
         at_least : int
 
         Returns
         -------
         (n, k) array
-            SI units.
+            Numbers in SI units.
         """
         quantities, low, high = zip(*columns.values(), strict=True)
         values = self._plain_numbers(tag, tuple(columns))
@@ -158,15 +161,16 @@ class XmlNode:
         return values
 
     def _plain_numbers(self, tag: str, names: tuple[str, ...]) -> Array | None:
-        """Numbers (n, k) of n elements ``tag``, read at once.
+        """Read the numbers (n, k) of n simple elements ``tag`` together.
 
-        None unless this element has no other children, each of them has just the children ``names``, in this order,
-        without attributes, and their texts are plain finite numbers.
+        The result is None if this element has other children, or if an element is not simple. A
+        simple element has exactly the children ``names`` in this order, without attributes, and
+        their texts are finite numbers.
         """
         text, n, k = etree.tostring(self.element, with_tail=False), len(self.element), len(names)
         cells = r"\s*".join(rf"<{name}>\s*([^<\s]+)\s*</{name}>" for name in names)
         rows = re.findall(rf"<{tag}>\s*{cells}\s*</{tag}>".encode(), text)
-        if len(rows) != n or text.count(b"<") != 2 + n * (2 + 2 * k):  # as many tags: there are no others
+        if len(rows) != n or text.count(b"<") != 2 + n * (2 + 2 * k):  # no others
             return None
         values = finite((b" ".join(rows) if k == 1 else b" ".join(chain.from_iterable(rows))).decode().split())
         return values.reshape(n, k) if values is not None and np.abs(values).max(initial=0.0) <= LARGEST else None
@@ -174,7 +178,7 @@ class XmlNode:
     # --- values ------------------------------------------------------------------------------
 
     def text(self) -> str:
-        """Text of an element without children, stripped."""
+        """Return the text of an element without children; outer blanks are removed."""
         if len(self.element):
             raise self.fault("xml.not_plain", self.element[0].tag)
         text = (self.element.text or "").strip()
@@ -183,7 +187,7 @@ class XmlNode:
         return text
 
     def number(self, quantity: Quantity = PURE, low: float = -math.inf, high: float = math.inf) -> float:
-        """Finite number in the SI unit of ``quantity``, inside [low, high]."""
+        """Return a finite number between ``low`` and ``high``, in the SI unit of ``quantity``."""
         value = self._parse(self.text()) * self._factor(quantity)
         if not low <= value <= high or not math.isfinite(value):
             si = next(unit for unit, factor in quantity.factors.items() if factor == 1.0)
@@ -191,14 +195,14 @@ class XmlNode:
         return value
 
     def integer(self, low: int, high: int) -> int:
-        """Whole number inside [low, high]."""
+        """Return a whole number between ``low`` and ``high``."""
         value = self.number(PURE, low, high)
         if not value.is_integer():
             raise self.fault("xml.not_whole", self.text())
         return int(value)
 
     def vector(self, size: int, quantity: Quantity = PURE) -> Array:
-        """Numbers separated by blanks: (size,), SI unit of ``quantity``."""
+        """Return numbers (size,) that are separated by blanks, in the SI unit of ``quantity``."""
         words = self.text().split()
         if len(words) != size:
             raise self.fault("xml.wrong_count", f"{len(words)} numbers", expected=size)
@@ -208,7 +212,7 @@ class XmlNode:
         return values
 
     def time(self) -> tuple[np.datetime64, Decimal]:
-        """UTC day and exact seconds of the day of an ISO 8601 time."""
+        """Return the UTC day of an ISO 8601 time, and its exact seconds of the day."""
         text = self.text()
         match = _TIME.fullmatch(text)
         if match is None:
@@ -223,7 +227,7 @@ class XmlNode:
         return date, 3600 * int(hour) + 60 * int(minute) + Decimal(second)
 
     def seconds_since(self, epoch: np.datetime64) -> float:
-        """Seconds from 0 h UTC of the day ``epoch`` to the time of this element."""
+        """Return the seconds from 0 h UTC of the day ``epoch`` to the time of this element."""
         date, seconds = self.time()
         days = int((date - epoch) / np.timedelta64(1, "D"))
         return float(days * 86400 + seconds)
@@ -247,15 +251,15 @@ class XmlNode:
 
 
 def element(name: str, content: Any) -> etree._Element:
-    """Make an element.
+    """Make an XML element.
 
     Parameters
     ----------
     name : str
-        Its name, followed by its attributes as ``version=1.1``.
+        Name of the element; attributes may follow, for example ``version=1.1``.
     content : mapping, list of pairs, or value
-        Children by name, in their order: a list of contents repeats the child. Other values are text, floats with the
-        digits that identify them.
+        Children by name, in their order. A list of contents repeats the child. Other values
+        become text; floats have all digits that identify them.
     """
     tag, *attributes = name.replace('"', "").split()
     made = etree.Element(tag, dict(word.split("=") for word in attributes))
@@ -269,12 +273,12 @@ def element(name: str, content: Any) -> etree._Element:
 
 
 def read_xml(path: str | os.PathLike[str]) -> XmlNode:
-    """Parse a file with the hardened parser and give its root; messages show the path as given.
+    """Parse a file with the safe parser and return its root element; messages show the path as given.
 
     Raises
     ------
     InputError
-        The file is missing, unreadable, too large, not XML, malformed, or holds a DOCTYPE.
+        The file is missing, unreadable, too large, not XML or malformed, or it contains a DOCTYPE.
     """
     file = os.fspath(path)
     data = load_bytes(path, "xml_bytes", "xml.unreadable")

@@ -1,1 +1,1 @@
-"""Record of a result: made from a solution, written to a folder, read from it, turned into a page and tables."""
+"""Record of a result: made from a solution, written to a folder and read again, converted to a page and tables."""

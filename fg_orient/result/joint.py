@@ -1,7 +1,9 @@
-"""Joint cofactors of the images and ground points of a result, with the names of their unknowns.
+"""Joint cofactor matrix of the images and ground points of a result, with the names of their unknowns.
 
-The next adjustment of the same images uses them as a prior (``fg_orient.orientation.earlier``). They contain the
-priors of the images and the control coordinates, which that adjustment observes again: the record lists both.
+The next adjustment of the same images uses it as a prior (``fg_orient.orientation.earlier``).
+The matrix already contains the priors of the images and the control coordinates. The next
+adjustment observes both again. Therefore the record lists them, so that they are not counted
+twice.
 """
 
 from __future__ import annotations
@@ -18,32 +20,33 @@ from factors.arrays import Array, Index
 if TYPE_CHECKING:
     from fg_orient.orientation.solution import Solution
 
-#: Unknowns up to which the file is written: 18 MB. Beyond it the tie points are left out, then the whole file.
+#: Maximum number of unknowns in the file (18 MB). If there are more, the tie points are left out; if there are still
+#: #: too many, the file is not written.
 LIMIT: Final = 1500
 _AXES: Final = "xyz"
 
 
 @dataclass(frozen=True, eq=False)
 class JointCofactors:
-    """Adjusted values of image and point unknowns with their joint cofactors.
+    """Adjusted values of the unknowns of images and points, with their joint cofactor matrix.
 
     Parameters
     ----------
     names : tuple of str
-        "image:left.roll_0", "shared:CAMERA.focal" (an unknown that images share under an id), "point:12.x"; the three
-        unknowns of a point follow each other.
+        Names such as "image:left.roll_0", "shared:CAMERA.focal" and "point:12.x". Images share
+        an unknown "shared" under an id. The three unknowns of a point follow each other.
     values : (u,) array
         Corrections of the images in physical units; ECEF coordinates of the points, m.
     cofactors : (u, u) array
-        Physical units, prior scale (sigma0 = 1).
+        Cofactor matrix in physical units, prior scale (sigma0 = 1).
     prior_sigma : (u,) array
-        Prior sigmas of image unknowns; nan without priors, and for points.
+        Prior standard deviations of image unknowns. nan if there is no prior, and for points.
     control : tuple of str
-        Ids of the points with control coordinates that are no constants.
+        Ids of the control points whose coordinates are observed, not constant.
     control_m : (c, 3) array
-        These coordinates, ECEF m.
+        Their control coordinates, ECEF m.
     control_information : (c, 3, 3) array
-        Inverse of their covariance, ECEF, 1 / m^2.
+        Inverse covariance matrices of these coordinates, ECEF, 1 / m^2.
     """
 
     names: tuple[str, ...]
@@ -55,13 +58,13 @@ class JointCofactors:
     control_information: Array
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
-        """Content of ``covariance.npz``."""
+        """Return the content of ``covariance.npz``."""
         own = vars(self).items()
         return {name: np.array(part, dtype=str) if isinstance(part, tuple) else part for name, part in own}
 
     @staticmethod
     def of_arrays(arrays: Mapping[str, npt.NDArray[Any]]) -> JointCofactors:
-        """Read the content of ``covariance.npz``; KeyError or ValueError if it is another file."""
+        """Read the content of ``covariance.npz``; raise KeyError or ValueError if it is another file."""
         names, control = (tuple(map(str, arrays[name])) for name in ("names", "control"))
         shapes = {"values": (u := len(names),), "cofactors": (u, u), "prior_sigma": (u,),
                   "control_m": (c := len(control), 3), "control_information": (c, 3, 3)}  # fmt: skip
@@ -70,13 +73,19 @@ class JointCofactors:
 
 
 def unknown_names(image: str, names: tuple[str, ...], shared: tuple[str, ...]) -> tuple[str, ...]:
-    """Return names of the unknowns of an image; ``shared``: the shared id of each unknown, "" if not shared, or ()."""
+    """Return the names of the unknowns of an image.
+
+    ``shared`` contains the shared id of each unknown, "" if it is not shared; () if no unknown is shared.
+    """
     owners = [f"shared:{group}" if group else f"image:{image}" for group in shared or ("",) * len(names)]
     return tuple(f"{owner}.{name}" for owner, name in zip(owners, names, strict=True))
 
 
 def points_within(solution: Solution, limit: int, common: Index | None = None) -> Index | None:
-    """Select unknown points (of ``common``) up to a number of unknowns: all points, control points only, or None."""
+    """Select unknown points (of ``common``) for a maximum number of unknowns.
+
+    The result contains all points, or the control points only; it is None if these are still too many.
+    """
     problem = solution.problem
     among = np.ones(len(problem.active), bool) if common is None else np.isin(np.arange(len(problem.active)), common)
     for wanted in (problem.active & among, problem.observed & among):
@@ -86,9 +95,10 @@ def points_within(solution: Solution, limit: int, common: Index | None = None) -
 
 
 def joint_cofactors_of(solution: Solution, points: Index) -> JointCofactors | None:
-    """Joint cofactors of all images and of some unknown points; None if the covariance cannot be a prior.
+    """Return the joint cofactors of all images and some unknown points; None if they cannot serve as a prior.
 
-    With inner constraints the cofactors are singular: they refer to a datum, not to the Earth.
+    With inner constraints, the cofactor matrix is singular. It then refers to a datum of the
+    block, not to the Earth.
     """
     from factors.conditions.control import POINT
 

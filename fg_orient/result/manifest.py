@@ -1,9 +1,9 @@
-"""Manifest of a result folder: the size and SHA-256 of each file, and the run that wrote them.
+"""Manifest of a result folder: size and SHA-256 of each file, and the run that wrote the files.
 
-A folder is copied, edited and renamed by people and programs. Commands that read a result compare it with
-``manifest.json``, and distinguish: a part of a folder, a changed file, files of another run, and a folder of a version
-without manifest (0.1), which is read without this check. The page and the figures are made of the other files; they are
-not listed.
+People and programs copy, edit and rename folders. Therefore commands that read a result compare
+it with ``manifest.json``. They report if files are missing, if a file was changed, or if files
+belong to another run. Version 0.1 wrote no manifest; its folders are read without this check.
+The page and the figures are made from the other files and are not listed.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from fg_orient.result.plain import dumps, plain
 from fg_orient.result.provenance import MANIFEST_SCHEMA
 
 MANIFEST_FILE: Final = "manifest.json"
-#: Last bytes of a complete file, in the last bytes of a file; others end with a line end.
+#: A complete file of these kinds contains these bytes at its end. Files of other kinds end with a line end.
 _END: Final = {".npz": b"PK\x05\x06", ".parquet": b"PAR1", ".arrow": b"ARROW1"}
 _TAIL: Final = 22
-#: Files that are made of the others.
+#: Files that are made from the other files.
 _DERIVED: Final = ("report.html", "figures/*")
 
 
 def run_of(record: Mapping[str, Any]) -> str:
-    """Identifier of a run: the SHA-256 of its provenance, which names inputs, options, versions and time."""
+    """Return the identifier of a run: the SHA-256 of its provenance (inputs, options, versions and time)."""
     text = json.dumps(plain(record.get("provenance")), sort_keys=True, allow_nan=False)
     return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
 
@@ -46,7 +46,7 @@ def write_manifest(folder: Path, record: Mapping[str, Any]) -> None:
 
 
 def _names(folder: Path) -> list[str]:
-    """Files of a result in a folder, without those that are made of the others."""
+    """Return the names of the result files in a folder, without those that are made from other files."""
     found = {
         path.relative_to(folder).as_posix() for pattern in RESULT.names if pattern not in _DERIVED
         for path in folder.glob(pattern) if path.is_file()
@@ -55,12 +55,13 @@ def _names(folder: Path) -> list[str]:
 
 
 def read_manifest(folder: Path) -> Mapping[str, Any] | None:
-    """Content of the manifest of a folder that has all of its files; None without one.
+    """Read the manifest of a folder and check that all its files exist; None if there is no manifest.
 
     Raises
     ------
     InputError
-        It is damaged, of a later version, or lists a file that is missing, or out of the folder.
+        The manifest is damaged or has a later version. Or it lists a file that is missing or
+        outside the folder.
     """
     path = folder / MANIFEST_FILE
     if not path.is_file():
@@ -88,7 +89,7 @@ def read_manifest(folder: Path) -> Mapping[str, Any] | None:
 
 
 def _is_cut(folder: Path, files: Mapping[str, tuple[int, str]], name: str = RESULT.mark) -> bool:
-    """Whether a file is shorter than the run wrote it, without the end that a complete file has."""
+    """Return whether a file was truncated: it is too short, and the usual end of a complete file is missing."""
     path = folder / name
     size = path.stat().st_size
     if size >= files[name][0]:
@@ -100,25 +101,25 @@ def _is_cut(folder: Path, files: Mapping[str, tuple[int, str]], name: str = RESU
 
 
 def _is_plain(name: str) -> bool:
-    """Whether a name is one of a file of a result, which never leaves its folder."""
+    """Return whether a name can be the name of a result file, that is, whether it stays inside the folder."""
     return ".." not in name.split("/") and any(PurePosixPath(name).match(pattern) for pattern in RESULT.names)
 
 
 def require_run(folder: Path, stated: Mapping[str, Any] | None, record: Mapping[str, Any]) -> None:
-    """Refuse a folder whose files are not those of its run.
+    """Refuse a folder with files that its run did not write.
 
     Parameters
     ----------
     folder : Path
     stated : mapping or None
-        From :func:`read_manifest`.
+        Manifest from :func:`read_manifest`.
     record : mapping
-        Content of its ``result.json``.
+        Content of ``result.json``.
 
     Raises
     ------
     InputError
-        The manifest is missing or of another run, or a file was cut, changed or added.
+        The manifest is missing or belongs to another run, or a file was truncated, changed or added.
     """
     provenance = record.get("provenance")
     if stated is None:

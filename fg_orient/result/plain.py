@@ -1,7 +1,8 @@
-"""Plain values as files: strict JSON, and tables that are written and read column by column.
+"""Write and read plain values: strict JSON, and tables that are stored by columns.
 
-Numbers have the fewest digits that read back to the same double. A value that is not finite is null in JSON and an
-empty cell in a table; the warnings of a record state the reason (``fg_orient.result.summary``).
+A number has the fewest digits from which the same double can be read again. A value that is not
+finite is null in JSON and an empty cell in a table. The warnings of the record state the reason
+(``fg_orient.result.summary``).
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from fg_orient.model.errors import InputError
 
 
 def plain(value: Any) -> Any:
-    """Convert a value to types of JSON; numbers that are not finite become None."""
+    """Convert a value to JSON types; numbers that are not finite become None."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, str) or value is None or isinstance(value, bool):
@@ -39,19 +40,19 @@ def plain(value: Any) -> Any:
 
 
 def dumps(value: Any, indent: int | None = None) -> str:
-    """Write JSON with every double to its last digit and without nan."""
+    """Return a value as JSON text: doubles have all their digits, and nan does not occur."""
     return json.dumps(plain(value), allow_nan=False, ensure_ascii=False, indent=indent)
 
 
 @dataclass(frozen=True, repr=False)
 class Table:
-    """Table of a result.
+    """Table of a result, stored by columns.
 
     Parameters
     ----------
     columns : dict
-        Name to the values of a column, all of one length, in the order of the file. Text is a list of str; numbers are
-        an array, nan where there is none.
+        Values by the name of the column, in the order of the file. All columns have the same
+        length. Text is a list of str. Numbers are an array; missing numbers are nan.
     """
 
     columns: dict[str, Column]
@@ -65,27 +66,27 @@ class Table:
 
     @cached_property
     def words(self) -> dict[str, list[str]]:
-        """Columns of text."""
+        """Return the columns of text."""
         return {name: list(values) for name, values in self.columns.items() if name in WORDS}
 
     @cached_property
     def figures(self) -> dict[str, Array]:
-        """Columns of numbers."""
+        """Return the columns of numbers."""
         return {name: np.asarray(values, float) for name, values in self.columns.items() if name not in WORDS}
 
     @cached_property
     def values(self) -> dict[str, list[str] | Array]:
-        """All columns, in the order of the file."""
+        """Return all columns in the order of the file."""
         both: dict[str, list[str] | Array] = {**self.words, **self.figures}
         return {name: both[name] for name in self.columns}
 
     def numbers(self, *names: str, rows: Index | slice = slice(None)) -> Array:
-        """Some columns of numbers, (n, k), of all rows or some; nan where the table does not have them."""
+        """Return some columns of numbers as an array (n, k), for all rows or some; missing columns are nan."""
         missing = np.broadcast_to(np.nan, len(self))
         return np.stack([self.figures.get(name, missing)[rows] for name in names], axis=1)
 
     def codes(self, name: str, words: Sequence[str]) -> Index:
-        """Index of each cell of a column of text in a list of its values."""
+        """Return the position of each cell of a text column in a list of possible values."""
         place = {word: k for k, word in enumerate(words)}
         return np.fromiter(map(place.__getitem__, self.words[name]), np.intp, len(self))
 
@@ -100,12 +101,15 @@ def table_of_rows(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
 
 
 def of_axes(name: str, axes: Iterable[str], values: Array) -> dict[str, Array]:
-    """Columns of an array (n, k) by names that contain the axis in place of ``{}``."""
+    """Split an array (n, k) into columns; the name of the axis replaces ``{}`` in the column names."""
     return {name.format(axis): column for axis, column in zip(axes, values.T, strict=True)}
 
 
 def rows_of(columns: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Records of columns of n values; "{}" in a name: an array (n, k) with the axes x, y, z in its place."""
+    """Convert columns of n values to n records.
+
+    If a name contains "{}", its value is an array (n, k), and the axes x, y, z replace "{}".
+    """
     flat: dict[str, Any] = {}
     for name, values in columns.items():
         flat |= of_axes(name, "xyz"[: values.shape[1]], values) if "{}" in name else {name: values}
@@ -118,7 +122,7 @@ def write_rows(path: Path, names: Sequence[str], rows: Iterable[Sequence[Any]]) 
 
 
 def csv_of_records(records: Sequence[Mapping[str, Any]]) -> bytes:
-    """Text of a CSV table of records with the same keys; empty without records."""
+    """Return a CSV table of records with the same keys; "" if there are no records."""
     if not records:
         return b""
     return csv_table(table_of_rows(tuple(records[0]), (tuple(record.values()) for record in records)).columns)
@@ -130,20 +134,21 @@ def write_records(path: Path, records: Sequence[Mapping[str, Any]]) -> None:
 
 
 def read_table(path: Path, *required: str, code: str = "report.damaged") -> Table:
-    """Read a table of ours.
+    """Read a table that this program has written.
 
     Parameters
     ----------
     path : Path
     *required : str
-        Columns that the table must have.
+        Names of columns that the table must have.
     code : str
-        Message if the table cannot be read.
+        Code of the message if the table cannot be read.
 
     Raises
     ------
     InputError
-        The first fault of the file: it is missing or damaged, a column is missing, a cell is not a number.
+        The file is missing or damaged, a column is missing, or a cell is not a number. Only the
+        first fault is named.
     """
 
     def check(place: str, names: Sequence[str]) -> None:

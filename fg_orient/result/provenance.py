@@ -1,6 +1,6 @@
-"""Provenance of a run: inputs by SHA-256, versions, options, command, time.
+"""Provenance of a run: inputs with their SHA-256, versions, options, command and time.
 
-No absolute path is recorded: a result folder may be passed on.
+No absolute path is recorded, because a result folder may be given to other people.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from fg_orient.model.block import Block
     from fg_orient.sensors.correction import HeightSurface
 
-#: Version of ``manifest.json``, which a folder with this record has.
+#: Version of ``manifest.json`` in folders with this record.
 MANIFEST_SCHEMA: Final = 1
-#: Files of an earlier result that an adjustment starts from.
+#: Files of an earlier result from which an adjustment can start.
 EARLIER: Final = ("result.json", *in_all_forms("eop", "points"), "covariance.npz")
 
 
@@ -33,7 +33,7 @@ def provenance(block: Block, folder: Path, command: Sequence[str]) -> dict[str, 
     ----------
     block : Block
     folder : Path
-        The project's folder; inputs are named relative to it.
+        Folder of the project; inputs are named relative to it.
     command : sequence of str
         Words of the command line.
 
@@ -53,7 +53,10 @@ def provenance(block: Block, folder: Path, command: Sequence[str]) -> dict[str, 
 
 
 def ground_system(block: Block, folder: Path) -> dict[str, Any]:
-    """Entry ``ground`` of the record: CRS and zero level of the points, a file relative to the result folder."""
+    """Return the entry ``ground`` of the record: CRS and zero level of the points.
+
+    A file of the zero level is named relative to the result folder.
+    """
     one = block.ground
     geoid = Path(os.path.relpath(Path(one.geoid).resolve(), folder.resolve())).as_posix() if one.geoid else None
     return {"ground": {"crs": one.crs or None, "geoid": geoid, "undulation_m": one.undulation_m}}
@@ -66,26 +69,27 @@ def how_to_repeat(
     dem_control: tuple[HeightSurface, float] | None,
     earlier: tuple[Path, bool] | None = None,
 ) -> dict[str, Any]:
-    """Arguments of a run in addition to its project file; ``fg_orient.orientation.replay`` reads them.
+    """Return all arguments of a run except its project file; ``fg_orient.orientation.replay`` reads them.
 
     Parameters
     ----------
     folder : Path
-        The project's folder.
+        Folder of the project.
     options : mapping
-        Options that replaced those of the project file; None did not.
+        Options that replaced options of the project file; a value None did not replace one.
     execution : mapping
-        ``parts``, ``workers``, ``cluster``: the numbers depend on the parts only.
+        ``parts``, ``workers`` and ``cluster``. The numbers of the result depend only on ``parts``.
     dem_control : (HeightSurface, float), optional
         See :func:`fg_orient.orientation.run.run_project`.
     earlier : (Path, bool), optional
-        Folder of an earlier result, and whether its covariance is a prior.
+        Folder of an earlier result, and whether its covariance matrix is a prior.
 
     Returns
     -------
     dict
-        ``options``, ``parts``, ``in_parts``, ``dem_control`` (file, sha256, sigma_m, vertical_crs; or None), and only
-        with an earlier result ``start`` (folder, prior, files: their SHA-256).
+        ``options``, ``parts``, ``in_parts``, and ``dem_control`` (file, sha256, sigma_m,
+        vertical_crs; or None). With an earlier result also ``start`` (folder, prior, and files
+        with their SHA-256).
     """
     dem = None
     if dem_control is not None:
@@ -107,6 +111,6 @@ def how_to_repeat(
 
 
 def relative(path: str, folder: Path) -> str:
-    """Name a file relative to a folder, or by its last part."""
+    """Return the path of a file relative to a folder; if this is not possible, return the name of the file."""
     full, base = Path(path).absolute(), folder.absolute()
     return full.relative_to(base).as_posix() if full.is_relative_to(base) else full.name

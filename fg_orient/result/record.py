@@ -1,7 +1,8 @@
-"""Result of an adjustment as one record: ``result.json``, tables, iterations and arrays of a result folder.
+"""Result of an adjustment as one record: the JSON record, tables, iterations and arrays of a result folder.
 
-A run makes it from a solution (``fg_orient.result.summary.result_of``), writes it to a folder and makes the page of it;
-:func:`read_result` reads it again. The page from the folder is the page from memory.
+A run makes the result from a solution (``fg_orient.result.summary.result_of``), writes it to a
+folder and makes the page from it. :func:`read_result` reads the folder again. A page that is
+made from the folder is equal to the page that the run made.
 """
 
 from __future__ import annotations
@@ -30,15 +31,15 @@ from fg_orient.result.plain import Table, dumps, plain, read_table, table_of_row
 if TYPE_CHECKING:
     import pandas
 
-#: File that marks a result folder.
+#: A folder that contains this file is a result folder.
 RESULT_FILE: Final = RESULT.mark
 ITERATIONS_FILE: Final = "iterations.jsonl"
 ARRAYS_FILE: Final = "arrays.npz"
 COVARIANCE_FILE: Final = "covariance.npz"
-#: Start values of the points: the only table where nothing was adjusted.
+#: Table of the start values of the points. If the block was not adjusted, it is the only table.
 START_POINTS: Final = "start_points"
 _ENU: Final = ("east_m", "north_m", "up_m")
-#: Tables of a result and the columns that each must have.
+#: Names of the tables of a result, and the columns that each table must have.
 TABLES: Final = {
     "points": ("id", "role", "lon_deg", "lat_deg", "x_m", "y_m", "z_m", "sigma_scale",
                *(f"sigma_{axis}" for axis in _ENU), *(f"difference_{axis}" for axis in _ENU)),
@@ -46,29 +47,30 @@ TABLES: Final = {
     "eop": ("image", "parameter", "component", "degree", "unit", "value_per_tau", "sigma", "prior_sigma"),
     START_POINTS: ("id", "role", "n_rays", "lon_deg", "lat_deg"),
 }  # fmt: skip
-#: First letters of the names of accuracy figures in the record.
+#: The names of accuracy figures in the record begin with one of these.
 _ACCURACY: Final = ("n", "rmse_", "mean_", "sd_", "max_", "ce9", "le9")
 
 
 @dataclass(frozen=True, repr=False)
 class Result:
-    """Result of an adjustment.
+    """Result of an adjustment: the content of a result folder.
 
     Parameters
     ----------
     record : dict
         Content of ``result.json`` (docs/results.md).
     tables : dict
-        Tables by the names of their files: ``points``, ``residuals``, ``eop`` and, after a search for gross errors,
-        ``outliers``; ``start_points`` alone where nothing was adjusted.
+        Tables by the names of their files: ``points``, ``residuals``, ``eop``. After a search
+        for gross errors also ``outliers``. If the block was not adjusted, only
+        ``start_points``.
     iterations : tuple of dict
         One record per iteration.
     arrays : dict
         Content of ``arrays.npz``.
     files : dict
-        Further files by their names in the folder: corrected RPC.
+        Further files (corrected RPC) by their names in the folder.
     joint : JointCofactors or None
-        Joint cofactors of images and points, content of ``covariance.npz``.
+        Joint cofactors of images and points: the content of ``covariance.npz``.
     """
 
     record: dict[str, Any]
@@ -80,54 +82,57 @@ class Result:
 
     @property
     def points(self) -> Table:
-        """Ground points; their start values if the block was not adjusted."""
+        """Return the table of ground points; if the block was not adjusted, it contains their start values."""
         return self.tables["points" if self.adjusted else START_POINTS]
 
     @property
     def residuals(self) -> Table:
-        """Image points and their residuals."""
+        """Return the table of image points and their residuals."""
         return self.tables["residuals"]
 
     @property
     def eop(self) -> Table:
-        """Orientation unknowns of the images."""
+        """Return the table of the orientation unknowns of the images."""
         return self.tables["eop"]
 
     @property
     def accuracy(self) -> Table:
-        """Figures of the accuracy assessment, one a row."""
+        """Return the table of the accuracy assessment with one figure in each row."""
         rows = [(role, name, np.nan if value is None else value)
                 for role, figures in self.record["accuracy"].items()
                 for name, value in figures.items() if name.startswith(_ACCURACY)]  # fmt: skip
         return table_of_rows(("role", "quantity", "value"), rows)
 
     def file(self, table: str) -> str:
-        """Name of the file of a table in the result folder; the option ``tables`` decides on its form."""
+        """Return the file name of a table in the result folder; the option ``tables`` determines its format."""
         options = self.record.get("provenance", {}).get("options", {})
         return f"{table}.{options.get('tables', TABLE_FORM)}"
 
     @property
     def adjusted(self) -> bool:
-        """Whether the unknowns were determined; else there are no coordinates and no orientation."""
+        """Return whether the block was adjusted; if not, the result has no adjusted coordinates and no orientation."""
         return self.record.get("status") != Status.RANK_DEFICIENT
 
     @property
     def images(self) -> list[str]:
-        """Ids of the images."""
+        """Return the ids of the images."""
         return [str(image["id"]) for image in self.record["images"]]
 
     @cached_property
     def rows(self) -> dict[str, Index]:
-        """Rows of ``residuals`` by image, in the order of the record."""
+        """Return the rows of the table ``residuals`` for each image, in the order of the record."""
         image = self.residuals.codes("image", self.images)
         return {name: np.flatnonzero(image == k) for k, name in enumerate(self.images)}
 
     @cached_property
     def normalised(self) -> tuple[Array, bool]:
-        """Residuals (n, 2) of line and sample over their own standard deviations, or over those of the observations.
+        """Return normalised residuals (n, 2) of line and sample.
 
-        The first, ``w = v / (sigma sqrt(r))``, are standard normal if the model is correct. Without redundancy numbers
-        only the second values are known, which scatter less. nan where the others do not check an observation.
+        With redundancy numbers r, a residual is divided by its own standard deviation: ``w = v
+        / (sigma sqrt(r))``. These values have a standard normal distribution if the model is
+        correct. Without redundancy numbers, a residual is divided by the standard deviation of
+        its observation. These values scatter less. A value is nan if no other observation
+        checks this one.
         """
         w = self.residuals.numbers("w_line", "w_sample")
         if np.isfinite(w).any():
@@ -137,18 +142,21 @@ class Result:
 
     @cached_property
     def cofactors(self) -> dict[str, Array]:
-        """Cofactors (k, k) of each image's unknowns in physical units, prior scale; empty without ``arrays.npz``."""
+        """Return the cofactor matrix (k, k) of each image's unknowns, in physical units and prior scale.
+
+        The result is empty if the folder has no ``arrays.npz``.
+        """
         return self._of_images("image_cofactors")
 
     def _of_images(self, name: str) -> dict[str, Array]:
-        """Square matrices of the images' unknowns by image."""
+        """Return, for each image, the square matrix of its unknowns."""
         if not self.arrays:
             return {}
         counts, stacked = self.arrays["n_parameters"].tolist(), np.asarray(self.arrays[name], float)
         return {image: q[:n, :n] for image, n, q in zip(self.images, counts, stacked, strict=True)}
 
     def residual_summary(self) -> list[dict[str, Any]]:
-        """Root mean square, largest residual (px) and largest v/sigma per image."""
+        """Return for each image the root mean square and the largest residual, px, and the largest v/sigma."""
         table = self.residuals
         v, sigma = table.numbers("v_line_px", "v_sample_px"), table.numbers("sigma_line_px", "sigma_sample_px")
         out = []
@@ -164,7 +172,7 @@ class Result:
         return out
 
     def write(self, folder: Path) -> None:
-        """Write all files into an existing folder, except for the page and the manifest."""
+        """Write all files except the page and the manifest to an existing folder."""
         tables = {**self.tables, "accuracy": self.accuracy} if self.adjusted else self.tables
         for name, table in tables.items():
             table.write(folder / self.file(name))
@@ -180,13 +188,14 @@ class Result:
         write_record(folder, self.record)
 
     def to_frame(self, table: str = "points") -> pandas.DataFrame:
-        """Give a table as ``pandas.DataFrame`` (extra "tables").
+        """Return a table as ``pandas.DataFrame`` (extra "tables").
 
         Parameters
         ----------
         table : str
-            ``points``, ``residuals``, ``unknowns`` (``eop``), ``accuracy``, ``outliers``, ``iterations``, or
-            ``covariances``: of the unknowns of each image, indexed by image and parameter.
+            ``points``, ``residuals``, ``unknowns`` (``eop``), ``accuracy``, ``outliers``,
+            ``iterations``, or ``covariances``. The last one contains the covariance matrix of
+            the unknowns of each image; its index is image and parameter.
 
         Raises
         ------
@@ -212,9 +221,10 @@ class Result:
         return pandas.DataFrame(found.values).astype(whole)
 
     def to_geo(self) -> dict[str, Any]:
-        """Give the points as a GeoJSON FeatureCollection (RFC 7946): longitude, latitude (degrees, WGS 84).
+        """Return the points as a GeoJSON FeatureCollection (RFC 7946): longitude and latitude (degrees, WGS 84).
 
-        The properties are all columns of the table of points. Points without geographic coordinates are left out.
+        The properties of a point are all columns of the table of points. Points without
+        geographic coordinates are left out.
         """
         require_earth(self, self.record["out"])
         table = self.points
@@ -234,14 +244,14 @@ class Result:
 
 
 def require_earth(result: Result, file: object, *, option: str = "") -> None:
-    """Refuse a result on another body than the Earth, where coordinates are WGS 84."""
+    """Refuse a result on another body than the Earth; callers need WGS 84 coordinates."""
     body = result.record.get("body")
     if body is not None:
         raise InputError.of("body.earth", file=file, option=option, value=body["name"])
 
 
 def overview(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Most important figures of a record."""
+    """Return the most important figures of a record."""
     check = (record.get("accuracy") or {}).get("check") or {}
     rmse = [check.get(f"rmse_{axis}") for axis in _ENU]
     return {
@@ -258,12 +268,12 @@ def _texts_of(figures: Mapping[str, Any]) -> dict[str, str]:
 
 
 def one_line(kind: str, figures: Mapping[str, Any]) -> str:
-    """Short representation of an object, below 300 characters."""
+    """Return a short text for an object, below 300 characters."""
     return f"<{kind}: {', '.join(f'{key} {text[:60]}' for key, text in _texts_of(figures).items())}"[:290] + ">"
 
 
 def html_table(kind: str, figures: Mapping[str, Any]) -> str:
-    """Table of two columns for notebooks."""
+    """Return an HTML table of two columns for notebooks."""
     rows = (f"<tr><th>{escape(key)}</th><td>{escape(text)}</td></tr>" for key, text in _texts_of(figures).items())
     return f"<table><caption>{escape(kind)}</caption>{''.join(rows)}</table>"
 
@@ -277,12 +287,13 @@ def write_record(folder: Path, record: Mapping[str, Any]) -> None:
 
 
 def read_record(folder: Path) -> dict[str, Any]:
-    """Read ``result.json`` of a result folder whose files are those of its run.
+    """Read ``result.json`` of a result folder, and check that all files belong to its run.
 
     Raises
     ------
     InputError
-        It is missing or damaged; the folder is a part of a result, or was changed (``fg_orient.result.manifest``).
+        The file is missing or damaged. Or the folder is incomplete or was changed
+        (``fg_orient.result.manifest``).
     """
     path = folder / RESULT_FILE
     stated = read_manifest(folder)
@@ -296,12 +307,12 @@ def read_record(folder: Path) -> dict[str, Any]:
 
 
 def read_result(folder: str | Path) -> Result:
-    """Read a result folder of ``fg-orient adjust`` or ``Solution.save``.
+    """Read a result folder that ``fg-orient adjust`` or ``Solution.save`` wrote.
 
     Raises
     ------
     InputError
-        A file is missing or damaged, or nothing was adjusted.
+        A file is missing or damaged, or the block was not adjusted.
     """
     result = read_any_result(Path(folder))
     if not result.adjusted:
@@ -312,7 +323,7 @@ def read_result(folder: str | Path) -> Result:
 
 @contextmanager
 def _damaged(file: Callable[[], Path]) -> Iterator[None]:
-    """Errors of content that is not that of a result, as InputErrors of a file."""
+    """Convert errors that wrong content of a file causes to InputErrors that name the file."""
     try:
         yield
     except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError) as error:
@@ -320,7 +331,7 @@ def _damaged(file: Callable[[], Path]) -> Iterator[None]:
 
 
 def read_any_result(folder: Path) -> Result:
-    """Read a result folder, also the folder of a block whose unknowns were not determined.
+    """Read a result folder, even if the block was not adjusted because unknowns were not determined.
 
     Raises
     ------
@@ -347,7 +358,7 @@ def read_any_result(folder: Path) -> Result:
 
 
 def _read_arrays(path: Path, n_images: int) -> dict[str, npt.NDArray[Any]]:
-    """Return the arrays of a result; empty if the file does not exist."""
+    """Return the arrays of a result; the result is empty if the file does not exist."""
     if not path.is_file():
         return {}
     arrays = load_npz(path, "report.damaged")

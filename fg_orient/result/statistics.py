@@ -1,4 +1,7 @@
-"""Redundancy, reliability, correlations and tests of a result: sections of the record, columns, reasons of absence."""
+"""Redundancy, reliability, correlations and tests of a result.
+
+The functions make sections of the record and columns of the tables. They also state why figures are missing.
+"""
 
 from __future__ import annotations
 
@@ -26,25 +29,25 @@ if TYPE_CHECKING:
     from fg_orient.quality.rejection import Search
 from fg_orient.quality.reliability import BlockReliability, Reliability
 
-#: Observations and correlations that are named.
+#: Maximum number of observations or correlations that are listed.
 MAX_NAMED: Final = 20
-#: Correlations from here on are named.
+#: Correlations of at least this size are listed.
 HIGH: Final = 0.95
-#: Image unknowns up to which correlations between images are computed, too.
+#: Correlations between different images are computed only up to this number of image unknowns.
 JOINT_UNKNOWNS: Final = 600
-#: Columns of ``outliers.csv``; errors in the order of ``_ERRORS``.
+#: Columns of ``outliers.csv``; the columns of estimated errors have the order of ``_ERRORS``.
 OUTLIER_COLUMNS: Final = (
     "round", "part", "image", "id", "line", "sample", "test", "dimension", "statistic", "limit", "probability", "level",
     "error_line_px", "error_sample_px", "error_east_m", "error_north_m", "error_up_m", "inseparable",
     "left_out_with_it", "readmitted", "statistic_without", "probability_without",
 )  # fmt: skip
 _PIXEL: Final = ("line", "sample")
-#: Places of the error of each part among the five columns of errors.
+#: For each part of an observation, the numbers of its columns among the five columns of estimated errors.
 _ERRORS: Final = {"image": (0, 1), "position": (2, 3), "height": (4,), "point": ()}
 
 
 def unavailable(solution: Solution, *figures: str) -> Finding | None:
-    """Return the reason why redundancy numbers and dependent figures are unavailable; None if they are available."""
+    """Return why redundancy numbers and figures that depend on them are unavailable; None if they are available."""
     problem, chosen = solution.problem, solution.block.options.statistics
     if solution.cofactors is None:
         return finding("absent.covariance", figures=figures)
@@ -58,12 +61,12 @@ def unavailable(solution: Solution, *figures: str) -> Finding | None:
 
 
 def reliability_of(solution: Solution) -> BlockReliability | None:
-    """Return the reliability for the results; None if it is unavailable, or with a loss."""
+    """Return the reliability figures; None if they are unavailable or if a loss is used."""
     return None if unavailable(solution) or solution.weights is not None else solution.reliability()
 
 
 def missing(solution: Solution) -> list[Finding]:
-    """Reasons why figures of reliability and correlations are null."""
+    """Return the reasons why figures of reliability and correlations are null."""
     if solution.cofactors is None:
         own = ["figures"] if has_constraints(solution.problem.block) else []
         return [finding("absent.covariance", figures=["reliability", "correlations", *own])]
@@ -74,7 +77,7 @@ def missing(solution: Solution) -> list[Finding]:
 
 
 def reliability_record(solution: Solution) -> dict[str, Any] | None:
-    """The section ``reliability`` of the record."""
+    """Return the section ``reliability`` of the record."""
     found = reliability_of(solution)
     if found is None:
         return None
@@ -100,7 +103,10 @@ def reliability_record(solution: Solution) -> dict[str, Any] | None:
 
 
 def unseen_record(solution: Solution) -> dict[str, Any] | None:
-    """Return the number of points with unseen errors, median and largest shift by one pixel, m; None if no point."""
+    """Summarise the points on which an image error can act without being seen; None if there are none.
+
+    Return their number, and the median and the largest shift of a point by an error of one pixel, m.
+    """
     if unavailable(solution):
         return None
     length = np.linalg.norm(solution.unseen_shifts, axis=1)
@@ -113,7 +119,7 @@ def unseen_record(solution: Solution) -> dict[str, Any] | None:
 
 
 def _least(solution: Solution, found: BlockReliability) -> dict[str, Any]:
-    """Coordinate with the smallest redundancy number."""
+    """Return the coordinate with the smallest redundancy number."""
     best: dict[str, Any] = {"redundancy": None, "name": None}
     axes = (_PIXEL, solution.problem.axis_names)
     for part, names in zip((found.image, found.control), axes, strict=True):
@@ -128,12 +134,12 @@ def _least(solution: Solution, found: BlockReliability) -> dict[str, Any]:
 
 
 def _control_id(solution: Solution, row: int) -> str:
-    """Id of a weighted control point by its number among them."""
+    """Return the id of a weighted control point; the argument is its number among the weighted control points."""
     return solution.block.points.ids[int(np.flatnonzero(solution.problem.observed)[row])]
 
 
 def _control_unchecked(solution: Solution, control: Reliability) -> list[dict[str, Any]]:
-    """Coordinates of control points that no other observation checks, smallest redundancy first."""
+    """Return control coordinates that no other observation checks; the smallest redundancy is first."""
     rows, axes = np.nonzero(control.redundancy < CHECKABLE)
     out = []
     for k in np.argsort(control.redundancy[rows, axes], kind="stable")[:MAX_NAMED].tolist():
@@ -148,7 +154,10 @@ def _control_unchecked(solution: Solution, control: Reliability) -> list[dict[st
 
 
 def _image_unchecked(solution: Solution, image: Reliability, rays: Index) -> list[dict[str, Any]]:
-    """Image points with an unchecked direction: points with other than two rays first, smallest redundancy first."""
+    """Return image points that have an unchecked direction.
+
+    Points with a number of rays other than two are first, then the smallest redundancy is first.
+    """
     rows = np.flatnonzero(image.not_checkable)
     order = np.lexsort((np.round(image.least[rows], 9), rays[rows] == 2))[:MAX_NAMED]
     o, block, out = solution.problem.observations, solution.block, []
@@ -166,12 +175,12 @@ def _image_unchecked(solution: Solution, image: Reliability, rays: Index) -> lis
 
 
 def _undetected(bias: float, unit: str) -> str:
-    """Size of the errors that the test does not detect, in words."""
+    """Describe in words how large errors can be that the test does not detect."""
     return "an error of any size stays unseen" if np.isnan(bias) else f"errors below {bias:.3g} {unit} stay unseen"
 
 
 def _largest(solution: Solution, image: Reliability) -> list[dict[str, Any]]:
-    """Checkable image points with the largest minimal detectable biases, in sigmas."""
+    """Return the checked image points with the largest minimal detectable biases, in standard deviations."""
     rows = np.flatnonzero(~image.not_checkable)
     o, block = solution.problem.observations, solution.block
     worst = rows[np.argsort(image.least[rows], kind="stable")[:MAX_NAMED]]
@@ -205,13 +214,16 @@ def correlation_record(solution: Solution) -> dict[str, Any] | None:
 
 
 def _high(matrix: NamedMatrix) -> list[tuple[float, str, str]]:
-    """High correlations of a matrix, with the names."""
+    """Return the high correlations of a matrix with the names of the unknowns."""
     r = np.triu(matrix.correlations, 1)
     return [(float(r[a, b]), matrix.names[a], matrix.names[b]) for a, b in np.argwhere(np.abs(r) > HIGH).tolist()]
 
 
 def image_columns(solution: Solution) -> dict[str, Column]:
-    """Return columns of ``residuals.csv``: under a loss only the redundancy numbers; empty if they are unavailable."""
+    """Return the statistical columns of ``residuals.csv``; none if the statistics are unavailable.
+
+    With a loss, these are only the redundancy numbers.
+    """
     found = reliability_of(solution)
     if found is not None:
         image = found.image
@@ -227,10 +239,12 @@ def image_columns(solution: Solution) -> dict[str, Column]:
 
 
 def point_columns(solution: Solution) -> dict[str, Column]:
-    """Return columns of ``points.csv``: reliability of control points, and effects of undetected errors on each point.
+    """Return the statistical columns of ``points.csv``.
 
-    ``external_m`` is empty if an observation of the point has no minimal detectable bias: the effect then has no bound.
-    ``unseen_east_m`` ...: see ``Solution.unseen_shifts``; under a loss, too, which leaves out the other columns.
+    They contain the reliability of control points and the effects of undetected errors on each
+    point. ``external_m`` is empty if an observation of the point has no minimal detectable
+    bias, because the effect then has no bound. For ``unseen_east_m`` etc. see
+    ``Solution.unseen_shifts``. With a loss, only these columns exist.
     """
     if unavailable(solution):
         return {}
@@ -254,7 +268,7 @@ def point_columns(solution: Solution) -> dict[str, Column]:
 
 
 def _unbounded(values: Array) -> Array:
-    """Largest of each row, inf where one is not known."""
+    """Return the largest value of each row; inf if a value of the row is unknown."""
     return np.asarray(np.where(np.isnan(values).any(axis=1), np.inf, np.nan_to_num(values).max(axis=1, initial=0.0)))
 
 
@@ -262,12 +276,12 @@ def _unbounded(values: Array) -> Array:
 
 
 def tests_of(solution: Solution) -> OutlierTests | None:
-    """Return tests of all observations with the options of the block; None if unavailable, or with a loss."""
+    """Test all observations with the options of the block; None if this is impossible or if a loss is used."""
     return None if unavailable(solution) or solution.weights is not None else solution.outlier_tests()
 
 
 def outlier_records(solution: Solution) -> dict[str, Any]:
-    """Give the entries of the record about outlier tests: of all observations, and of the searches."""
+    """Return the record's entries on outlier tests: the test of all observations, and the searches."""
     tests = tests_of(solution)
     judged = solution.weights is None and np.isfinite(solution.sigma0_interval[0])  # not with variance components
     whole = solution.global_test() if judged else None
@@ -285,7 +299,7 @@ def outlier_records(solution: Solution) -> dict[str, Any]:
 
 
 def missing_tests(solution: Solution) -> list[Finding]:
-    """Reasons why figures of the outlier tests are null."""
+    """Return the reasons why figures of the outlier tests are null."""
     whole, single = "global_test", ("outlier_tests", "suspicious_observations")
     if solution.weights is not None:
         return [finding("absent.loss", figures=[whole, *single])]
@@ -297,7 +311,7 @@ def missing_tests(solution: Solution) -> list[Finding]:
 
 
 def _test_record(test: GroupTest) -> dict[str, Any]:
-    """One test."""
+    """Return the record of one test."""
     return {
         "image": test.image or None, "id": test.point, "part": test.part, "error": test.error.tolist(),
         "symbol": test.symbol, "statistic": test.statistic, "limit": test.critical, "probability": test.probability,
@@ -306,7 +320,7 @@ def _test_record(test: GroupTest) -> dict[str, Any]:
 
 
 def search_record(solution: Solution) -> dict[str, Any] | None:
-    """Return the rounds of the search and the observations that it excluded; None without a search."""
+    """Return the rounds of the search and the observations that it excluded; None if there was no search."""
     search = solution.snooping
     if search is None:
         return None
@@ -323,7 +337,7 @@ def search_record(solution: Solution) -> dict[str, Any] | None:
 
 
 def outlier_table(search: Search) -> Table:
-    """Table ``outliers``: every observation that was ever excluded, in the order of its exclusion."""
+    """Return the table ``outliers``: all observations that were excluded at any time, in the order of exclusion."""
     rows = []
     for one in search.found:
         test, error = one.test, np.full(5, np.nan)

@@ -1,7 +1,7 @@
-"""Record of an adjustment: the content of ``result.json``.
+"""Make the record of an adjustment, which is the content of ``result.json``.
 
-The keys are stable (docs/results.md); lengths are metres, times seconds. A figure that does not
-exist is null, and a finding gives the reason.
+The keys do not change between versions (docs/results.md). Lengths are in metres, times in
+seconds. A figure that does not exist is null, and a finding gives the reason.
 """
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ if TYPE_CHECKING:
 
 
 SCHEMA_VERSION: Final = 1
-#: Number of image points named in the record, those with the smallest weights.
+#: Maximum number of image points listed in the record; those with the smallest weights are listed.
 MAX_NAMED: Final = 50
-#: Singular values of a block that the record keeps: the smallest ones.
+#: Maximum number of singular values in the record; the smallest ones are kept.
 KEPT: Final = 1000
 
 
@@ -61,13 +61,13 @@ def result_of(
     solution: Solution, models: Mapping[str, Corrected], *, folder: Path = Path(), out: str = "",
     command: Sequence[str] = (),
 ) -> Result:  # fmt: skip
-    """Make the record of a solution; a run adds its own options and the times of its phases.
+    """Make the result of a solution. A run adds its own options and the times of its phases.
 
     Parameters
     ----------
     solution : Solution
     models : mapping
-        Corrected RPC by image; see :func:`fg_orient.rpc.files.corrected_models`.
+        Corrected RPC of each image; see :func:`fg_orient.rpc.files.corrected_models`.
     folder : Path
         Folder of the project; inputs are named relative to it.
     out : str
@@ -101,7 +101,10 @@ def result_of(
 def deficient_result(
     error: RankDeficientError, problem: Problem, folder: Path, out: str, command: Sequence[str]
 ) -> Result:
-    """Make the record of a block whose unknowns are not determined: directions, spectra and start values."""
+    """Make the result of a block whose unknowns are not determined.
+
+    It contains the undetermined directions, the singular values and the start values.
+    """
     evidence = error.evidence
     assert isinstance(evidence, Evidence)
     images, view = evidence.observability or judge_observability(evidence.problem), evidence.view
@@ -117,7 +120,7 @@ def deficient_result(
 
 
 def _about(problem: Problem, folder: Path, out: str, command: Sequence[str]) -> dict[str, Any]:
-    """Part of a record that describes the block."""
+    """Return the part of a record that describes the block."""
     block = problem.block
     return {
         "out": out,
@@ -148,7 +151,7 @@ def file_stems(names: Iterable[str]) -> dict[str, str]:
 
 
 def summary(solution: Solution) -> dict[str, Any]:
-    """Record of a solution; the run adds ``seconds`` and ``out``.
+    """Make the record of a solution. The run adds ``seconds`` and ``out``.
 
     Parameters
     ----------
@@ -157,8 +160,8 @@ def summary(solution: Solution) -> dict[str, Any]:
     Returns
     -------
     dict
-        The keys of ``result.json``; numbers may be nan, which :mod:`fg_orient.result.plain`
-        turns into null.
+        Content of ``result.json``. Numbers may be nan; :mod:`fg_orient.result.plain` converts
+        them to null.
     """
     problem, options, choice = solution.problem, solution.block.options, solution.reduced_system
     n, iterations = len(problem.observations), solution.iterations
@@ -212,7 +215,7 @@ def summary(solution: Solution) -> dict[str, Any]:
 
 
 def robust_record(solution: Solution) -> dict[str, Any] | None:
-    """Observations down-weighted by the loss, smallest weight first; null without a loss."""
+    """Return the observations that the loss down-weights, smallest weight first; None without a loss."""
     weights, problem = solution.weights, solution.problem
     if weights is None:
         return None
@@ -236,7 +239,7 @@ def robust_record(solution: Solution) -> dict[str, Any] | None:
 
 
 def _parallax(solution: Solution) -> dict[str, Any]:
-    """Return the y-parallaxes before and after a relative adjustment; empty for other adjustments."""
+    """Return the y-parallaxes before and after a relative adjustment; {} for other adjustments."""
     if solution.block_view is None or not solution.block_view.relative:
         return {}
     problem = solution.problem
@@ -246,7 +249,7 @@ def _parallax(solution: Solution) -> dict[str, Any]:
 
 
 def _check(points: PointDifferences) -> dict[str, Any]:
-    """Statistics of the check points, the suspicious points and the largest differences."""
+    """Return statistics of the check points, suspicious points and the largest differences."""
     suspicious = [
         {"id": name, "axis": axis, "difference_m": difference, "ratio": ratio}
         for name, axis, difference, ratio in points.suspicious()
@@ -261,7 +264,10 @@ def _check(points: PointDifferences) -> dict[str, Any]:
 
 
 def _prediction(solution: Solution) -> dict[str, Any]:
-    """Test of the predicted accuracy (null where it is impossible), the reason, and tests of bias, drift and tilt."""
+    """Return the test of the predicted accuracy, and the tests of bias, drift and tilt.
+
+    If the first test is impossible, it is None, and the reason is given.
+    """
     from fg_orient.quality.accuracy import trend_tests
 
     test, trend, unavailable = None, None, None
@@ -273,7 +279,7 @@ def _prediction(solution: Solution) -> dict[str, Any]:
 
 
 def _missing(solution: Solution) -> list[Finding]:
-    """Reasons why figures are null."""
+    """Return the reasons why figures are null."""
     out, interval = [], ["sigma0_interval_99_9"]
     if solution.redundancy <= 0:
         out.append(finding("absent.no_redundancy", figures=["sigma0"]))
@@ -291,19 +297,19 @@ def _missing(solution: Solution) -> list[Finding]:
 
 
 def deficient_summary(error: RankDeficientError, block: Block) -> dict[str, Any]:
-    """Record of a block whose unknowns are determined neither by observations nor by priors.
+    """Make the record of a block with unknowns that neither observations nor priors determine.
 
     Parameters
     ----------
     error : RankDeficientError
-        Each of its problems names one undetermined direction.
+        Error of the adjustment; each of its problems names one undetermined direction.
     block : Block
         Block that could not be adjusted.
 
     Returns
     -------
     dict
-        The keys of :func:`summary` that exist without a solution, and ``errors``.
+        Those entries of :func:`summary` that exist without a solution, and ``errors``.
     """
     sentences = [p.place for p in error.problems if p.code in DEFICIENT]
     return {
@@ -328,7 +334,7 @@ def deficient_summary(error: RankDeficientError, block: Block) -> dict[str, Any]
 
 
 def _choices(options: Options) -> dict[str, Any]:
-    """Options that decide on the result."""
+    """Return the options that influence the numbers of the result."""
     return {
         **{name: getattr(options, name) for name, one in declared(Options).items() if one.recorded},
         "eop_set_name": EOP_SETS[options.eop_set].name,

@@ -1,6 +1,7 @@
-"""Tables and arrays of the result folder; every number to its last digit.
+"""Tables and arrays of the result folder; numbers have all their digits.
 
-RMSE, sigma0 and redundancy can be recomputed from ``points.csv``, ``residuals.csv``, ``eop.csv`` and the input::
+RMSE, sigma0 and redundancy can be recomputed from ``points.csv``, ``residuals.csv``,
+``eop.csv`` and the input::
 
     chi2 = sum weight (v/sigma)^2                residuals.csv, both coordinates
          + sum weight (difference/own sigma)^2   points.csv, East, North, Up of control points not fixed
@@ -8,12 +9,13 @@ RMSE, sigma0 and redundancy can be recomputed from ``points.csv``, ``residuals.c
                                               the same word in column shared one row counts
          + sum of extra observations          in no table: squared whitened residuals of Block.extra
 
-Control points that are ``fixed`` are constants: they have no residual (their own sigma is 0) and count neither as
-observation nor as unknown. The columns ``weight`` are there under a robust loss only; else all weights are 1.
+Control points that are ``fixed`` are constants. They have no residual, because their standard
+deviation is 0. They count neither as observations nor as unknowns. The columns ``weight`` exist
+only with a robust loss. Otherwise all weights are 1.
 
-Standard deviations are posterior, ``sqrt(cofactor) sigma0``, where there is redundancy and no loss; else in prior
-scale. The column ``sigma_scale`` names the scale. The option ``statistics`` requests columns of redundancy and
-reliability (``fg_orient.result.statistics``).
+Standard deviations are posterior, ``sqrt(cofactor) sigma0``, if there is redundancy and no
+loss. Otherwise they are in prior scale. The column ``sigma_scale`` names the scale. The option
+``statistics`` adds columns of redundancy and reliability (``fg_orient.result.statistics``).
 """
 
 from __future__ import annotations
@@ -40,12 +42,15 @@ EOP_COLUMNS: Final = (
     "per_line_value", "per_line_sigma", "per_line_unit", "shared",
 )  # fmt: skip
 _ENU = ("east", "north", "up")
-#: Rows and columns of the covariances East-North, East-Up, North-Up.
+#: Rows and columns of the covariances East-North, East-Up and North-Up in a (3, 3) matrix.
 PAIRS: Final = (np.array([0, 0, 1]), np.array([1, 2, 2]))
 
 
 def tables_of(solution: Solution, cofactors: Array) -> dict[str, Table]:
-    """Tables ``eop``, ``points``, ``residuals`` and, after a search, ``outliers``; of :func:`point_cofactors`."""
+    """Make the tables ``eop``, ``points``, ``residuals`` and, after a search, ``outliers``.
+
+    The cofactors of the points come from :func:`point_cofactors`.
+    """
     weights = solution.weights
     of_points, of_rays = ({}, {}) if weights is None else ({"weight": weights.control}, {"weight": weights.image})
     tables = {
@@ -59,7 +64,7 @@ def tables_of(solution: Solution, cofactors: Array) -> dict[str, Table]:
 
 
 def start_points(problem: Problem) -> dict[str, Table]:
-    """Return the table of start values of the points, the only table if the block was not adjusted."""
+    """Return the table of the points' start values; it is the only table if the block was not adjusted."""
     points, ground = problem.block.points, problem.start.ground + problem.origin_m
     lon, lat, _ = _geodetic_deg(ground, problem.block).T
     columns = (points.ids, [role.value for role in points.roles], _ray_counts(problem), lon, lat)
@@ -67,12 +72,12 @@ def start_points(problem: Problem) -> dict[str, Table]:
 
 
 def _ray_counts(problem: Problem) -> Index:
-    """Number of image points of each ground point."""
+    """Return the number of image points of each ground point."""
     return np.bincount(problem.block.observations.point, minlength=len(problem.block.points.ids))
 
 
 def _geodetic_deg(ground_m: Array, block: Block) -> Array:
-    """Return longitude, latitude (degrees) and height (N, 3) of ECEF coordinates; nan for missing coordinates."""
+    """Convert ECEF coordinates to longitude, latitude (degrees) and height, m: (N, 3). Missing points are nan."""
     out = np.full_like(ground_m, np.nan)
     known = np.isfinite(ground_m).all(axis=1)
     body = block.body
@@ -85,13 +90,13 @@ def _geodetic_deg(ground_m: Array, block: Block) -> Array:
 
 
 def sigma_scale(solution: Solution) -> tuple[float, str]:
-    """Factor from the root of a cofactor to a standard deviation, and its name."""
+    """Return the factor that converts the root of a cofactor to a standard deviation, and the name of the scale."""
     posterior = solution.redundancy > 0 and solution.weights is None
     return (solution.sigma0, "posterior") if posterior else (1.0, "prior")
 
 
 def image_cofactors(solution: Solution) -> list[Array]:
-    """Cofactors (k, k) of each image's unknowns in physical units, prior scale; nan where unavailable."""
+    """Return the cofactors (k, k) of each image's unknowns in physical units, prior scale; nan if unavailable."""
     out = []
     for i, parameters in enumerate(solution.problem.parameters):
         scale = np.outer(parameters.sigma, parameters.sigma)
@@ -101,9 +106,11 @@ def image_cofactors(solution: Solution) -> list[Array]:
 
 
 def eop_rows(solution: Solution) -> list[tuple[object, ...]]:
-    """Corrections per image and parameter: coefficients of tau, and per line about the same line.
+    """Return the rows of the table ``eop``: one correction for each image and parameter.
 
-    Of an RPC image: of its normalised line (degree 1 of ``line_l1``, ``sample_l1``) and sample (``.._s1``).
+    A correction is a coefficient of a polynomial in tau. It is also given per line about the
+    same line. The polynomials of an RPC image depend on its normalised line (degree 1:
+    ``line_l1``, ``sample_l1``) and sample (``.._s1``).
     """
     problem, (factor, name) = solution.problem, sigma_scale(solution)
     rows: list[tuple[object, ...]] = []
@@ -124,14 +131,17 @@ def eop_rows(solution: Solution) -> list[tuple[object, ...]]:
 
 
 def component_and_degree(parameter: str) -> tuple[str, float]:
-    """Return component and power in tau of an unknown: "roll_1" is degree 1 of roll; "focal" has no power (nan)."""
+    """Return the component of an unknown and its power of tau.
+
+    For example, "roll_1" has degree 1 of the component roll. "focal" has no power (nan).
+    """
     component, _, degree = parameter.rpartition("_")
     power = degree.lstrip("cls")
     return (component, int(power)) if component and power.isdigit() else (parameter, float("nan"))
 
 
 def point_columns(solution: Solution, cofactors: Array) -> dict[str, Column]:
-    """Adjusted coordinates, their standard deviations and the differences at control and check points."""
+    """Return adjusted coordinates, their standard deviations, and differences at control and check points."""
     points, ground = solution.block.points, solution.ground_m
     factor, name = sigma_scale(solution)
     sigma = factor * np.sqrt(np.maximum(np.einsum("nii->ni", cofactors), 0.0))
@@ -151,24 +161,27 @@ def point_columns(solution: Solution, cofactors: Array) -> dict[str, Column]:
 
 
 def point_cofactors(solution: Solution) -> Array:
-    """Cofactors (N, 3, 3) East, North, Up of each point, m^2, prior scale; nan where unavailable or not determined."""
+    """Return the cofactors (N, 3, 3) East, North, Up of the points, m^2, in prior scale.
+
+    They are nan if they are unavailable or if the point is not determined.
+    """
     known = np.asarray(~np.isnan(solution.ground_m).any(axis=1))
     out = np.full((len(known), 3, 3), np.nan)
     if solution.cofactors is None:
         return out
     rows = np.flatnonzero(known)
     turn = solution.problem.axes(np.ascontiguousarray(solution.ground_m[rows]))
-    # those of all points are known where the observations have statistics
+    # if the observations have statistics, the cofactors of all points are known
     every = statistics.unavailable(solution) is None
     own = solution.residual_cofactors.rays.points[rows] if every else solution.cofactors.points(rows)
     out[rows] = turn @ own @ np.swapaxes(turn, 1, 2)
     check = solution.accuracy.check
-    out[check.index] = check.cofactors_enu_m2  # excluded ones are propagated, not unknowns
+    out[check.index] = check.cofactors_enu_m2  # an excluded point is not an unknown: its cofactors are propagated
     return out
 
 
 def residual_columns(solution: Solution) -> dict[str, Column]:
-    """Observed pixels with residuals v = adjusted minus observed, and their sigmas."""
+    """Return observed pixels, residuals v = adjusted minus observed, and their standard deviations."""
     o, block = solution.problem.observations, solution.block
     return {
         "image": [block.images[k].id for k in o.image.tolist()],
@@ -179,13 +192,14 @@ def residual_columns(solution: Solution) -> dict[str, Column]:
 
 
 def arrays_of(solution: Solution, points: Array) -> dict[str, npt.NDArray[Any]]:
-    """State, adjusted points and cofactors (prior scale) as plain arrays; no pickle needed.
+    """Return the state, the adjusted points and the cofactors (prior scale) as arrays without Python objects.
 
-    ``points`` is the result of :func:`point_cofactors`. The function returns the covariances that the table of points
-    does not contain, in the scale of its standard deviations.
+    ``points`` is the result of :func:`point_cofactors`. The arrays also contain the covariances
+    that the table of points does not contain. Their scale is that of the standard deviations in
+    the table.
 
-    Where images differ in their unknowns, the arrays of the unknowns have one row per image, filled up with nan
-    (numbers) and "" (names); ``n_parameters`` is the number of unknowns of each image.
+    If images have different unknowns, the arrays of the unknowns have one row for each image. Rows are filled with nan
+    (numbers) and "" (names). ``n_parameters`` is the number of unknowns of each image.
     """
     problem, (factor, _) = solution.problem, sigma_scale(solution)
     k = solution.state.image.shape[1]
