@@ -89,7 +89,10 @@ class _Known:
     _positions: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def positions(self, dictionary: Any) -> npt.NDArray[np.int64]:
-        """Return the positions of the texts of a dictionary; the last position is the one of an empty cell."""
+        """Return the positions of the texts of a dictionary.
+
+        The last position is the one of an empty cell.
+        """
         if self._dictionary is None or not dictionary.equals(self._dictionary):
             found = [(text or "").strip() for text in dictionary.to_pylist()]
             self._dictionary = dictionary
@@ -98,7 +101,10 @@ class _Known:
 
 
 def library(file: object) -> Any:
-    """Import pyarrow. Raise InputError if it is not installed; the message names the ``file`` that needs it."""
+    """Import pyarrow.
+
+    Raise InputError if it is not installed; the message names the ``file`` that needs it.
+    """
     try:
         import pyarrow
         import pyarrow.ipc
@@ -129,7 +135,10 @@ def read_binary(path: Path, faults: Faults, check: Check) -> dict[str, Cells] | 
 
 
 def comments_of(path: Path, faults: Faults) -> str:
-    """Return the comments of a file as lines of CSV. If the file cannot be used, note the fault and return ""."""
+    """Return the comments of a file as lines of CSV.
+
+    If the file cannot be used, note the fault and return "".
+    """
     if _begins_well(path, faults):
         with _noting(path, faults) as pa:
             return str((_opened(pa, path).schema.metadata or {}).get(COMMENTS, b"").decode("utf-8"))
@@ -147,7 +156,10 @@ def _begins_well(path: Path, faults: Faults) -> bool:
 
 @contextmanager
 def _noting(path: Path, faults: Faults) -> Iterator[Any]:
-    """Import pyarrow for a block of code; errors of pyarrow in this block are noted as faults of the file."""
+    """Import pyarrow for a block of code.
+
+    Errors of pyarrow in this block are noted as faults of the file.
+    """
     pa = library(path)
     try:
         yield pa
@@ -289,7 +301,10 @@ def _cells(parts: Sequence[_Part]) -> Cells:
 
 
 def write_binary(path: Path, columns: Mapping[str, Column], comments: Sequence[str]) -> None:
-    """Write a table as Parquet or Arrow; the suffix of the file name decides. See ``table_write.write_table``."""
+    """Write a table as Parquet or Arrow.
+
+    The suffix of the file name decides. See ``table_write.write_table``.
+    """
     pa = library(path)
     arrays = {name: _array(pa, name, values) for name, values in columns.items()}
     metadata = {SCHEMA: VERSION, COMMENTS: "\n".join(comment_lines(comments)).encode("utf-8")}
@@ -310,7 +325,10 @@ def write_binary(path: Path, columns: Mapping[str, Column], comments: Sequence[s
 
 
 def _array(pa: Any, name: str, values: Column) -> Any:
-    """Convert a column to an array of pyarrow (float64, int64, bool or text); an empty cell of CSV becomes null."""
+    """Convert a column to an array of pyarrow (float64, int64, bool or text).
+
+    An empty cell of CSV becomes null.
+    """
     if name not in WORDS and name not in WHOLE and are_numbers(values):
         numbers = np.asarray(values, np.float64)
         return pa.array(numbers, mask=~np.isfinite(numbers))

@@ -41,11 +41,11 @@ def assemble(
 ) -> tuple[GroundPoints, ImagePoints, WithheldCoordinates, tuple[Finding, ...]]:
     """Return the points of the block, their observations, the sealed check points and remarks.
 
-    Points without image points are removed. Exceptions are fixed points that constraints name
-    (``named``). Check and tie points with only one ray are refused, or removed if ``drop`` is
-    true. Control points with only one ray are kept, because their coordinates are known. Images
-    without measured points are refused. A block without measured control points is refused,
-    unless the adjustment is ``relative``.
+    Points without image points are removed. Exceptions are fixed points that constraints
+    name (``named``). Check and tie points with only one ray are refused, or removed if
+    ``drop`` is true. Control points with only one ray are kept, because their coordinates
+    are known. Images without measured points are refused. A block without measured
+    control points is refused, unless the adjustment is ``relative``.
 
     Raises
     ------

@@ -188,7 +188,10 @@ def require_free(out: Path, *, overwrite: bool, contents: Contents = RESULT) -> 
 
 
 def require_free_files(*files: Path | None, overwrite: bool, option: str = "out") -> None:
-    """Raise InputError if a file exists and ``overwrite`` is False; None means no file. Call it before computing."""
+    """Raise InputError if a file exists and ``overwrite`` is False; None means no file.
+
+    Call it before computing.
+    """
     for file in files:
         if file is not None and file.exists() and not overwrite:
             raise InputError.of("output.exists", file=file, option=option)
@@ -196,7 +199,10 @@ def require_free_files(*files: Path | None, overwrite: bool, option: str = "out"
 
 @contextlib.contextmanager
 def writing(out: str | os.PathLike[str], *, option: str = "out", place: str = "") -> Iterator[None]:
-    """Convert an OSError or an error of GDAL into an InputError that names the output; the block must only write."""
+    """Convert an OSError or an error of GDAL into an InputError that names the output.
+
+    The block must only write.
+    """
     try:
         yield
     except Exception as error:
@@ -207,7 +213,10 @@ def writing(out: str | os.PathLike[str], *, option: str = "out", place: str = ""
 
 
 def _is_of_gdal(error: Exception) -> bool:
-    """Return whether GDAL raised an exception. Its packages have no common class for errors of writing."""
+    """Return whether GDAL raised an exception.
+
+    Its packages have no common class for errors of writing.
+    """
     package = type(error).__module__.partition(".")[0]
     return package in ("rasterio", "pyogrio") or (isinstance(error, SystemError) and "GDAL" in str(error))
 

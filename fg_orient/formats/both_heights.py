@@ -32,9 +32,9 @@ def estimated(path: Path) -> Estimate:
     """Estimate a constant undulation from a table of points with both heights.
 
     The undulation is the mean of the differences of both heights. Its standard deviation
-    follows from the scatter of the differences. A point whose difference does not fit the other
-    points is reported but kept. The test uses externally studentised differences; its level
-    over all points is ``ODD``.
+    follows from the scatter of the differences. A point whose difference does not fit the
+    other points is reported but kept. The test uses externally studentised differences;
+    its level over all points is ``ODD``.
 
     Raises
     ------

@@ -1,8 +1,8 @@
 """Read photo files of close range, which are TOML files; docs/closerange.md describes them.
 
-Each photo has one ``[[photos]]`` table. The table contains either ``focal``, ``principal`` and
-``y_axis``, or the ``matrix`` of a DLT with its ``origin_m``. After the orientation, the first
-kind also contains ``rotation`` and ``centre_m``.
+Each photo has one ``[[photos]]`` table. The table contains either ``focal``,
+``principal`` and ``y_axis``, or the ``matrix`` of a DLT with its ``origin_m``. After the
+orientation, the first kind also contains ``rotation`` and ``centre_m``.
 """
 
 from __future__ import annotations

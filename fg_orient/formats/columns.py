@@ -6,9 +6,9 @@ The module also converts rows of numbers to text. A CSV table is called regular 
 - all its comments are before the header, and
 - every record has as many cells as the header.
 
-The cells of a regular table are slices of its bytes between separators. Their numbers are read
-by orjson, which is ten times faster than ``float``. Any other table is read line by line
-(``fg_orient.formats.tables``).
+The cells of a regular table are slices of its bytes between separators. Their numbers are
+read by orjson, which is ten times faster than ``float``. Any other table is read line by
+line (``fg_orient.formats.tables``).
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from factors.arrays import Array, Index, Mask
 CHUNK: Final = 200_000
 BLOCK: Final = 2_000_000
 ROWS: Final = 2_000
-#: Texts of up to this number of bytes are compared as numbers. ``_ODD`` is the multiplier of the hash for texts of
-#: #: more than 8 bytes.
+#: Texts of up to this number of bytes are compared as numbers. ``_ODD`` is the multiplier
+#: of the hash for texts of more than 8 bytes.
 WIDEST: Final = 64
 _ODD: Final = np.uint64(0x9E3779B97F4A7C15)
 #: Characters that make a table irregular: quotes, apostrophes, and what ``strip`` removes from ASCII text.
@@ -67,7 +67,10 @@ class Cells(Sequence[str]):
         return finite(self._texts if rows is None else list(compress(self, rows.tolist())))
 
     def positions(self, place: Mapping[str, int]) -> Index:
-        """Look up each cell in a dictionary and return the values (n,); raise KeyError if a cell is not in it."""
+        """Look up each cell in a dictionary and return the values (n,).
+
+        Raise KeyError if a cell is not in it.
+        """
         return np.fromiter(map(place.__getitem__, self), np.intp, len(self))
 
 
@@ -112,7 +115,10 @@ class SlicedCells(Cells):
             yield out.tobytes()
 
     def positions(self, place: Mapping[str, int]) -> Index:
-        """See :class:`Cells`. The bytes of the cells are compared as whole numbers, so no strings are made."""
+        """See :class:`Cells`.
+
+        The bytes of the cells are compared as whole numbers, so no strings are made.
+        """
         size, n = np.asarray(self._last - self._before - 1), len(self)
         names = [name.encode() for name in place]
         known = np.array(names or [b"\0"], np.bytes_)
@@ -266,7 +272,10 @@ class Regular(NamedTuple):
 
 
 def regular(text: str, longest: int) -> Regular | None:
-    """Read the text of a table; return None if it is not regular or has a line longer than ``longest``."""
+    """Read the text of a table.
+
+    Return None if it is not regular or has a line longer than ``longest``.
+    """
     begin, line = 0, 0
     while True:  # skip comments and blank lines before the header
         line, end = line + 1, text.find("\n", begin)

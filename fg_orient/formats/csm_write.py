@@ -1,9 +1,9 @@
 """Write pushbroom images, with their corrections, as line-scan states of the Community Sensor Model (CSM).
 
-Positions and attitudes are sampled in equal time steps. CSM interpolates between the samples by polynomials. The step
-is halved until these polynomials agree with the image within :data:`STATE_PX`. The look angles are converted to a
-straight detector line with radial distortion
-(``fg_orient.sensors.line_detector``).
+Positions and attitudes are sampled in equal time steps. CSM interpolates between the
+samples by polynomials. The step is halved until these polynomials agree with the image
+within :data:`STATE_PX`. The look angles are converted to a straight detector line with
+radial distortion (``fg_orient.sensors.line_detector``).
 """
 
 from __future__ import annotations
@@ -72,7 +72,10 @@ def write_state(path: Path, sensor: Any, correction: Any = None) -> dict[str, An
 
 
 def _detector(sensor: PushbroomSensor, correction: Correction) -> LineDetector:
-    """Fit a detector line to the corrected look angles; they are compared at samples over the whole line."""
+    """Fit a detector line to the corrected look angles.
+
+    They are compared at samples over the whole line.
+    """
     sample = np.linspace(sensor.first_sample, sensor.last_sample, min(COMPARED, sensor.n_samples))
     psi_x, psi_y = sensor.corrected_look(sensor.look_angles(sample), sample, correction)
     return fit_detector(sample, np.stack([-np.tan(psi_y), -np.tan(psi_x)], axis=1))
@@ -149,7 +152,10 @@ def _error_px(
     sensor: PushbroomSensor, correction: Correction, detector: LineDetector, times: Array,
     states: tuple[Array, Array, Array],
 ) -> float:  # fmt: skip
-    """Return the largest interpolation error of CSM, px. It is tested halfway between the samples in the image."""
+    """Return the largest interpolation error of CSM, px.
+
+    It is tested halfway between the samples in the image.
+    """
     image, _ = _span(sensor)
     middle = 0.5 * (times[1:] + times[:-1])
     middle = middle[(middle >= image[0]) & (middle <= image[1])]
@@ -162,7 +168,10 @@ def _error_px(
 
 
 def _lines(sensor: PushbroomSensor, zero_s: float) -> dict[str, list[float]]:
-    """Return the segments of the line times; CSM gives the centre of the first line the number 0.5."""
+    """Return the segments of the line times.
+
+    CSM gives the centre of the first line the number 0.5.
+    """
     timing = sensor.metadata.timing
     segments: tuple[Any, ...] = (np.zeros(1), timing.time_s(np.zeros(1)), np.array([timing.line_period_s]))
     if isinstance(timing, SegmentTiming):

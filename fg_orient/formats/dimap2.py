@@ -3,11 +3,12 @@
 Source: docs/equations.md 4 (Terlemezoğlu 2019, eqs. 2.35-2.43 as corrected). The conventions
 were verified with a Pléiades pair: the model agrees with the vendor's RPC within 0.003 px.
 
-The time of a line is ``START + (line - 1) LINE_PERIOD``; lines are counted from 1. Quaternions
-rotate the vendor's body axes (x along track, y across track, z to the Earth) to ECEF. Their
-scalar part ``Q0`` is first. The look direction in the body axes is ``(YLOS, -XLOS, 1)``. XLOS
-and YLOS are tangents, given as polynomials of the column minus ``FIRST_COL``. ``XLOS`` is our
-``tan psi_y`` (across track), ``YLOS`` is our ``tan psi_x`` (along track).
+The time of a line is ``START + (line - 1) LINE_PERIOD``; lines are counted from 1.
+Quaternions rotate the vendor's body axes (x along track, y across track, z to the Earth)
+to ECEF. Their scalar part ``Q0`` is first. The look direction in the body axes is
+``(YLOS, -XLOS, 1)``. XLOS and YLOS are tangents, given as polynomials of the column minus
+``FIRST_COL``. ``XLOS`` is our ``tan psi_y`` (across track), ``YLOS`` is our ``tan psi_x``
+(along track).
 
 PHR_DIMAP contains the same model in other elements. ``Sensor_Model_Characteristics`` contains
 the time of the first line (``UTC_Sensor_Model_Range/START``), ``SENSOR_LINE_PERIOD`` (ms),
@@ -41,11 +42,11 @@ from fg_orient.sensors.metadata import (
 
 #: Profiles that can be read. The mission is used if the file does not name one.
 PROFILES = {"PHR_SENSOR": "PHR", "S6_SENSOR": "SPOT 6", "S7_SENSOR": "SPOT 7"}
-#: Quaternion polynomials are fitted to a scaled time between -1 and 1. A larger value than this limit shows that the
-#: #: day or the unit of the time is wrong.
+#: Quaternion polynomials are fitted to a scaled time between -1 and 1. A larger value
+#: than this limit shows that the day or the unit of the time is wrong.
 MAX_SCALED_TIME = 2.0
-#: The time from START to END must agree with the number of lines times LINE_PERIOD within this factor. A wrong unit
-#: #: changes it by a factor of 1000.
+#: The time from START to END must agree with the number of lines times LINE_PERIOD within
+#: this factor. A wrong unit changes it by a factor of 1000.
 MAX_DURATION_RATIO = 2.0
 MAX_DEGREE = 10
 MODEL = "Geometric_Data/Refined_Model"
@@ -82,7 +83,10 @@ def read_dimap2(root: XmlNode) -> PushbroomMetadata:
 
 
 def _mission(root: XmlNode) -> tuple[str, str]:
-    """Return mission and instrument. If a file has no Strip_Source, its profile determines the mission."""
+    """Return mission and instrument.
+
+    If a file has no Strip_Source, its profile determines the mission.
+    """
     sources = root.maybe("Dataset_Sources")
     nodes = sources.every("Source_Identification", 0) if sources else []
     strips = [strip for node in nodes if (strip := node.maybe("Strip_Source"))]
@@ -124,7 +128,10 @@ def _attitude(
 
 
 def _quaternion_list(source: XmlNode, epoch: np.datetime64) -> tuple[QuaternionList, tuple[Finding, ...]]:
-    """Read sampled quaternions and normalise them; their signs are chosen so that neighbours are similar."""
+    """Read sampled quaternions and normalise them.
+
+    Their signs are chosen so that neighbours are similar.
+    """
     nodes = source.every("Quaternion_List/Quaternion", 2)
     time_s = checks.times([n.one("TIME") for n in nodes], epoch)
     quaternion = np.array([[n.one(f"Q{j}").number() for j in range(4)] for n in nodes])
@@ -159,7 +166,10 @@ def _quaternion_polynomial(node: XmlNode, models: XmlNode, span_s: Array) -> Qua
 
 
 def _polynomial(node: XmlNode) -> Array:
-    """Read the coefficients of a polynomial whose degree the file states; the constant term is first."""
+    """Read the coefficients of a polynomial whose degree the file states.
+
+    The constant term is first.
+    """
     return node.one("COEFFICIENTS").vector(node.one("DEGREE").integer(0, MAX_DEGREE) + 1)
 
 
@@ -167,7 +177,10 @@ def _polynomial(node: XmlNode) -> Array:
 
 
 def _look_angles(model: XmlNode, n_samples: int) -> tuple[LookAnglePolynomial, tuple[Finding, ...]]:
-    """Read the look polynomials of the panchromatic band; if there is no such band, those of the first band."""
+    """Read the look polynomials of the panchromatic band.
+
+    If there is no such band, those of the first band.
+    """
     calibration = model.one("Geometric_Calibration/Instrument_Calibration")
     if calibration.maybe("Band_Calibration_List") is None:
         return _look_polynomial(calibration, n_samples), ()
@@ -193,7 +206,10 @@ def _look_polynomial(band: XmlNode, n_samples: int) -> LookAnglePolynomial:
 
 
 def _look(swath: XmlNode, node: XmlNode, tangents: dict[str, Array], n_samples: int) -> LookAnglePolynomial:
-    """Read the polynomials of the tangents along and across track from elements of these names; at most 45 degrees."""
+    """Read the polynomials of the tangents along and across track from elements of these names.
+
+    At most 45 degrees.
+    """
     first = swath.one("FIRST_COL").integer(DIMAP_FIRST_PIXEL, n_samples)
     column = np.array([0.0, (n_samples - 1) / 2, n_samples - 1.0]) - (first - DIMAP_FIRST_PIXEL)
     for name, row in tangents.items():
@@ -205,7 +221,10 @@ def _look(swath: XmlNode, node: XmlNode, tangents: dict[str, Array], n_samples: 
 
 
 def _coefficients(node: XmlNode, name: str, at_least: int) -> Array:
-    """Read the coefficients ``name_0``, ``name_1``, ...; none may be missing, and the constant term is first."""
+    """Read the coefficients ``name_0``, ``name_1``, ...
+
+    None may be missing, and the constant term is first.
+    """
     powers = [int(m[1]) for child in node.children() if (m := re.fullmatch(rf"{name}_([0-9]{{1,2}})", child.tag))]
     count = max(at_least, max(powers, default=0) + 1)
     return np.array([node.one(f"{name}_{k}").number() for k in range(count)])

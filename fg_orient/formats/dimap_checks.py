@@ -1,8 +1,8 @@
 """Checks and records that all DIMAP readers use.
 
-The limits are physical. An Earth observation satellite flies at a height of 100 to 1600 km with
-a speed of 6 to 9 km/s. It looks at most 45 degrees off nadir and scans a line in 10
-microseconds to 10 ms. A value outside these limits is damaged or has a wrong unit.
+The limits are physical. An Earth observation satellite flies at a height of 100 to 1600
+km with a speed of 6 to 9 km/s. It looks at most 45 degrees off nadir and scans a line in
+10 microseconds to 10 ms. A value outside these limits is damaged or has a wrong unit.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ class Layout:
     pixel_origin, size, points, frame : str
         Paths of the pixel origin, the image size, the state vectors, and the parent element of the corners.
     state : tuple of str
-        Tags of time, position and velocity. Position and velocity contain three numbers, or the
-        children X, Y, Z.
+        Tags of time, position and velocity. Position and velocity contain three numbers,
+        or the children X, Y, Z.
     corner : tuple of str
         Tags of row, column, longitude and latitude.
     centre : str
@@ -103,7 +103,10 @@ def metadata(
 
 
 def times(nodes: Sequence[XmlNode], epoch: np.datetime64) -> Array:
-    """Read TIME elements as seconds (n,) since ``epoch``; raise InputError if they do not increase strictly."""
+    """Read TIME elements as seconds (n,) since ``epoch``.
+
+    Raise InputError if they do not increase strictly.
+    """
     time_s = np.array([node.seconds_since(epoch) for node in nodes])
     wrong = np.flatnonzero(np.diff(time_s) <= 0.0)
     if len(wrong):
@@ -153,7 +156,10 @@ def require_unit_quaternions(nodes: Sequence[XmlNode], quaternion: Array) -> Non
 
 
 def flagged(nodes: Sequence[XmlNode], tag: str, good: str, code: str) -> tuple[Finding, ...]:
-    """Return a note with the number of elements that are not flagged as ``good``; no note if all are good."""
+    """Return a note with the number of elements that are not flagged as ``good``.
+
+    No note if all are good.
+    """
     flags = [node.maybe(tag) for node in nodes]
     count = sum(flag is not None and flag.text() != good for flag in flags)
     return (finding(code, count=count, n=len(nodes)),) if count else ()

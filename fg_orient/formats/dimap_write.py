@@ -1,9 +1,10 @@
 """Write DIMAP 1.1 metadata of simulated SPOT-5 images.
 
-The file contains only the elements that the rigorous model needs. Its head names this program as
-producer. Therefore nobody can take a simulated file for a real one. Numbers and times are written
-with all digits of the double (up to 17). When the file is read again, the records are the same bit
-by bit. :func:`fg_orient.formats.xml.element` makes the XML tree.
+The file contains only the elements that the rigorous model needs. Its head names this
+program as producer. Therefore nobody can take a simulated file for a real one. Numbers
+and times are written with all digits of the double (up to 17). When the file is read
+again, the records are the same bit by bit. :func:`fg_orient.formats.xml.element` makes
+the XML tree.
 """
 
 from __future__ import annotations
@@ -36,9 +37,9 @@ def write_dimap1(path: str | os.PathLike[str], metadata: PushbroomMetadata, *, d
     path : path
         Target file; an existing file is replaced.
     metadata : PushbroomMetadata
-        Metadata of SPOT 5 with the attitude as angles. The table of look angles must reach from the
-        first to the last sample. Frame points are written as corners, the point ``centre`` as
-        Scene_Center. Roll and pitch get the signs of the file.
+        Metadata of SPOT 5 with the attitude as angles. The table of look angles must
+        reach from the first to the last sample. Frame points are written as corners, the
+        point ``centre`` as Scene_Center. Roll and pitch get the signs of the file.
     dataset_name : str
         Value of DATASET_NAME.
 

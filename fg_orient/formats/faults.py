@@ -1,7 +1,7 @@
 """Collect the faults of one file and report them together; also remarks and hints.
 
-Faults are listed in the order of the lines. Each entry names file, line, column, value and remedy
-(``docs/file-formats.md``).
+Faults are listed in the order of the lines. Each entry names file, line, column, value
+and remedy (``docs/file-formats.md``).
 """
 
 from __future__ import annotations

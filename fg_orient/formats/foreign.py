@@ -1,9 +1,9 @@
 """Read the points and image points of a project from files of other programs.
 
 The readers are those of the command ``convert``. A table of the project file names the
-``format`` of the other file. It also gives the values that the other file does not contain. The
-data pass the same checks as data from our own tables. The coordinates of check points stay
-sealed: the file is read again to open them.
+``format`` of the other file. It also gives the values that the other file does not
+contain. The data pass the same checks as data from our own tables. The coordinates of
+check points stay sealed: the file is read again to open them.
 """
 
 from __future__ import annotations
@@ -65,11 +65,17 @@ class Table:
 
     @cached_property
     def absolute(self) -> tuple[Path, ...]:
-        """Return the absolute paths of the files. They may be read again after a change of the working directory."""
+        """Return the absolute paths of the files.
+
+        They may be read again after a change of the working directory.
+        """
         return tuple(path.absolute() for path in self.paths)
 
     def read(self, faults: Faults) -> Survey | None:
-        """Read the file. If this fails, note the errors and return None; messages name entries of the project file."""
+        """Read the file.
+
+        If this fails, note the errors and return None; messages name entries of the project file.
+        """
         entry, place = self.entry, f"{self.name}.format"
         try:
             format_ = format_named(entry.format, place=place)
@@ -135,9 +141,9 @@ def read_foreign_observations(
 ) -> tuple[ObservationFile, PointFile] | None:
     """Read image points. Points of the file that have no ground point become tie points.
 
-    If the file has a fault, the errors are noted and the result is None. For the parameters see
-    :func:`fg_orient.formats.points.read_observations`. ``serials`` contains the images by the
-    serial numbers that other programs give them.
+    If the file has a fault, the errors are noted and the result is None. For the
+    parameters see :func:`fg_orient.formats.points.read_observations`. ``serials``
+    contains the images by the serial numbers that other programs give them.
     """
     survey = table.read(faults)
     if survey is None or sizes is None or points is None:
@@ -201,7 +207,10 @@ def _place(survey: Survey, k: int) -> str:
 
 
 def _with_ties(points: PointFile, survey: Survey) -> PointFile:
-    """Return all points. A point that has image points but no entry among the points becomes a tie point."""
+    """Return all points.
+
+    A point that has image points but no entry among the points becomes a tie point.
+    """
     known, old = set(points.points.ids), points.points
     seen = np.bincount(survey.observed.point, minlength=len(survey.ids)) > 0
     new = tuple(name for name, yes in zip(survey.ids, seen, strict=True) if yes and name not in known)

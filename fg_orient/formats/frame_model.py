@@ -1,9 +1,10 @@
 """Frame images with cameras, poses, points and image points, as bundle-adjustment programs exchange them.
 
-A :class:`FrameModel` contains the data of a COLMAP text model, or of a file of Bundler or BAL.
-Its conventions are those of ``fg_orient.sensors.frame``: a camera looks along +Z, and Y points
-down; (0, 0) is the centre of the first pixel; coordinates refer to a local Cartesian system in
-metres or another unit. :func:`frame_block` converts the model to a block for an adjustment.
+A :class:`FrameModel` contains the data of a COLMAP text model, or of a file of Bundler or
+BAL. Its conventions are those of ``fg_orient.sensors.frame``: a camera looks along +Z,
+and Y points down; (0, 0) is the centre of the first pixel; coordinates refer to a local
+Cartesian system in metres or another unit. :func:`frame_block` converts the model to a
+block for an adjustment.
 """
 
 from __future__ import annotations
@@ -134,8 +135,8 @@ def frame_block(
         Standard deviation of line and sample of every image point. The files do not contain
         standard deviations.
     unknowns : sequence of str, optional
-        Unknowns of each image (``fg_orient.sensors.frame_unknowns``). Images do not share them.
-        All other parameters are held fixed.
+        Unknowns of each image (``fg_orient.sensors.frame_unknowns``). Images do not share
+        them. All other parameters are held fixed.
     keep_behind : bool, optional
         Keep points whose start values lie behind a camera that shows them.
     """

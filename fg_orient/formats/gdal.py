@@ -1,9 +1,10 @@
 """Import rasterio (GDAL) on demand, set the locale that GDAL needs, and check the files that it writes.
 
-GDAL ignores upper and lower case when it compares names. It uses the C library for this, which follows the user's
-locale. In Turkish and Azerbaijani, i is not the lower case of I. GDAL then does not recognise its own options and
-writes dozens of lines to standard error. GDAL also resets the decimal point of the calling program to the "C" locale
-(observed with version 3.12 when a GeoPackage is written).
+GDAL ignores upper and lower case when it compares names. It uses the C library for this,
+which follows the user's locale. In Turkish and Azerbaijani, i is not the lower case of I.
+GDAL then does not recognise its own options and writes dozens of lines to standard error.
+GDAL also resets the decimal point of the calling program to the "C" locale (observed with
+version 3.12 when a GeoPackage is written).
 """
 
 from __future__ import annotations
@@ -26,7 +27,10 @@ TIFF_MARKS: Final = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 
 
 def rasterio_of(file: object, code: str = "ortho.no_rasterio") -> Any:
-    """Import rasterio. If it is not installed, raise InputError with this ``code`` for the ``file`` that needs it."""
+    """Import rasterio.
+
+    If it is not installed, raise InputError with this ``code`` for the ``file`` that needs it.
+    """
     try:
         import rasterio
         import rasterio.windows
@@ -36,7 +40,10 @@ def rasterio_of(file: object, code: str = "ortho.no_rasterio") -> Any:
 
 
 def opened(rasterio: Any, path: object, mode: str = "r") -> Any:
-    """Open an image. GDAL's warning about missing map coordinates is not shown; errors are exceptions of rasterio."""
+    """Open an image.
+
+    GDAL's warning about missing map coordinates is not shown; errors are exceptions of rasterio.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
         return rasterio.open(path, mode)
@@ -64,7 +71,10 @@ class Written:
         self._sink.write(values, band, window=window)
 
     def require(self, path: Path) -> None:
-        """Read all windows again from this file or from a copy of it; raise OSError if a value differs."""
+        """Read all windows again from this file or from a copy of it.
+
+        Raise OSError if a value differs.
+        """
         with opened(self._rasterio, path) as source:
             for band, window, known in self._sums:
                 if crc32(source.read(band, window=window).tobytes()) != known:
@@ -88,7 +98,10 @@ def copy_as_cog(rasterio: Any, source: Path, target: Path, written: Written, **o
 
 
 def encoded(picture: Any, driver: str) -> bytes:
-    """Return the bytes of a PNG or JPEG file with grey values (rows, columns) uint8; GDAL encodes them in memory."""
+    """Return the bytes of a PNG or JPEG file with grey values (rows, columns) uint8.
+
+    GDAL encodes them in memory.
+    """
     from rasterio.errors import NotGeoreferencedWarning
     from rasterio.io import MemoryFile
 
@@ -102,7 +115,10 @@ def encoded(picture: Any, driver: str) -> bytes:
 
 @contextmanager
 def plain_case() -> Iterator[None]:
-    """Use the letter case rules of the locale "C" while GDAL is imported or runs; then restore the locale."""
+    """Use the letter case rules of the locale "C" while GDAL is imported or runs.
+
+    Then restore the locale.
+    """
     before = locale.setlocale(locale.LC_ALL)
     locale.setlocale(locale.LC_CTYPE, "C")
     try:

@@ -1,8 +1,8 @@
 """Convert heights above a zero level that PROJ does not contain to ellipsoidal heights.
 
-The user gives the zero level by a geoid file, by a constant undulation, or by a table of points
-with both heights. The constant is estimated from such a table. The conversion is done when a
-table is read. The CRS of the survey then has no vertical part.
+The user gives the zero level by a geoid file, by a constant undulation, or by a table of
+points with both heights. The constant is estimated from such a table. The conversion is
+done when a table is read. The CRS of the survey then has no vertical part.
 
 If PROJ does not find the grid of a compound CRS, a file with the same grid under another name
 in PROJ's folders is used.
@@ -108,9 +108,9 @@ class ZeroLevel:
 def coordinates_in(system: GroundSystem, xyz_m: Array) -> tuple[Array, str]:
     """Convert ECEF points (n, 3), m, to coordinates (n, 3) in the CRS of a table, with heights above its zero level.
 
-    This is the inverse of the conversion by the readers. The second returned value describes
-    the heights in words; it is "" if the CRS is geocentric. InputError: the CRS is unknown, or
-    a geoid file or grid is missing or does not cover a point.
+    This is the inverse of the conversion by the readers. The second returned value
+    describes the heights in words; it is "" if the CRS is geocentric. InputError: the CRS
+    is unknown, or a geoid file or grid is missing or does not cover a point.
     """
     if system.crs == BODY_FIXED:
         return xyz_m, ""
@@ -207,9 +207,9 @@ def _by_geoid(survey: Survey, grid: GeoidFile) -> Survey:
 def _raised(survey: Survey, rows: Index, lonlat: Array, undulation: Array, notes: Sequence[Finding]) -> Survey:
     """Add undulations (n,) to the heights of some rows of a survey.
 
-    Undulations refer to the WGS84 ellipsoid. If the CRS has another ellipsoid, the points are
-    transformed to ECEF, and the heights above that ellipsoid are computed from their positions
-    in space.
+    Undulations refer to the WGS84 ellipsoid. If the CRS has another ellipsoid, the points
+    are transformed to ECEF, and the heights above that ellipsoid are computed from their
+    positions in space.
     """
     survey = _noted(without_vertical(survey), *notes)
     coordinates = survey.coordinates.copy()

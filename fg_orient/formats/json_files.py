@@ -1,4 +1,7 @@
-"""Read values of a JSON file by their path; a missing or impossible value gives an error of one line."""
+"""Read values of a JSON file by their path.
+
+A missing or impossible value gives an error of one line.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +46,10 @@ class JsonFile:
         return cls(path, values)
 
     def value(self, place: str, default: Any = _ABSENT) -> Any:
-        """Return the value at a path such as ``instrument_position.positions``; null counts as missing."""
+        """Return the value at a path such as ``instrument_position.positions``.
+
+        Null counts as missing.
+        """
         at: Any = self.values
         for key in place.split("."):
             at = at.get(key) if isinstance(at, dict) else None

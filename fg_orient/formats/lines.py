@@ -33,9 +33,10 @@ IMAGE_SIGMAS: Final = ("sigma_line_px", "sigma_sample_px")
 def read_features(path: Path, crs: str) -> tuple[LineFeature, ...]:
     """Read the vertices of control features in their order.
 
-    A table has the columns feature, sigma_across_m, sigma_up_m and the coordinate columns of ``crs``. The column kind
-    (line or spline; default: line) is optional. A GeoPackage has a layer ``control_features`` of lines with Z. Its
-    fields are feature, sigma_across_m, sigma_up_m and optionally kind.
+    A table has the columns feature, sigma_across_m, sigma_up_m and the coordinate columns
+    of ``crs``. The column kind (line or spline; default: line) is optional. A GeoPackage
+    has a layer ``control_features`` of lines with Z. Its fields are feature,
+    sigma_across_m, sigma_up_m and optionally kind.
 
     Raises
     ------

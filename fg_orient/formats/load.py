@@ -1,10 +1,10 @@
 """Load untrusted files with limits on size and memory: JSON, NPZ archives and SQLite databases.
 
 For any content, a reader of this package either returns a value or raises
-:class:`~fg_orient.model.errors.FgOrientError`. The size of a file is checked before it is read.
-The needed memory is checked before it is parsed, because a small file may state a very large
-size. :mod:`fg_orient.model.limits` contains the limits. TOML and XML have their own modules,
-which call :func:`load_bytes`.
+:class:`~fg_orient.model.errors.FgOrientError`. The size of a file is checked before it is
+read. The needed memory is checked before it is parsed, because a small file may state a
+very large size. :mod:`fg_orient.model.limits` contains the limits. TOML and XML have
+their own modules, which call :func:`load_bytes`.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from fg_orient.formats.registry import read_bytes
 from fg_orient.model.errors import FgOrientError, InputError
 from fg_orient.model.limits import exceeded, limit, within, within_memory
 
-#: Maximum number of bytes of Python objects for each of these characters in JSON. The characters begin a table, a list,
-#: #: a further value, or the value of a name.
+#: Maximum number of bytes of Python objects for each of these characters in JSON. The
+#: characters begin a table, a list, a further value, or the value of a name.
 _OBJECTS: Final = {b"{": 260, b"[": 90, b",": 80, b":": 80}
 #: Kinds of numpy arrays that can be read: truth values, numbers, text.
 _KINDS: Final = "biufcU"
@@ -156,7 +156,10 @@ def _stream(source: Path | bytes) -> IO[bytes]:
 
 
 def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> npt.NDArray[Any]:
-    """Read the array of an archive member; raise ValueError if the member has another size than its header states."""
+    """Read the array of an archive member.
+
+    Raise ValueError if the member has another size than its header states.
+    """
     with archive.open(member) as stream:
         version = np.lib.format.read_magic(stream)
         if version not in ((1, 0), (2, 0)):
@@ -186,9 +189,9 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> npt.NDArray[Any
 def open_sqlite(path: Path, tables: Sequence[str], code: str) -> Iterator[sqlite3.Connection]:
     """Open a SQLite database to read some of its tables.
 
-    Views, virtual tables and computed columns are refused. They run code of the file's author,
-    which may need any time and memory. The number of steps of a query and the size of its
-    values are limited.
+    Views, virtual tables and computed columns are refused. They run code of the file's
+    author, which may need any time and memory. The number of steps of a query and the
+    size of its values are limited.
 
     Parameters
     ----------
@@ -233,7 +236,10 @@ def open_sqlite(path: Path, tables: Sequence[str], code: str) -> Iterator[sqlite
 
 
 def require_plain(opened: sqlite3.Connection, tables: Sequence[str]) -> None:
-    """Raise ValueError if a table is a view, is virtual or has computed columns. A missing table is allowed."""
+    """Raise ValueError if a table is a view, is virtual or has computed columns.
+
+    A missing table is allowed.
+    """
     for table in tables:
         found = opened.execute("SELECT type, sql FROM sqlite_master WHERE lower(name) = lower(?)", (table,)).fetchall()
         if any(kind not in ("table", "index") or "virtual" in str(text)[:30].lower() for kind, text in found):

@@ -1,4 +1,7 @@
-"""Read navigation tables: positions and attitudes observed on board for each frame image; see docs/gnss-ins.md."""
+"""Read navigation tables: positions and attitudes observed on board for each frame image.
+
+See docs/gnss-ins.md.
+"""
 
 from __future__ import annotations
 

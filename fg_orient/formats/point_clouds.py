@@ -1,9 +1,9 @@
 """Write point clouds with columns of numbers in LAS, LAZ or PLY files.
 
-LAS has version 1.4 (ASPRS 2019), point format 6. Its coordinates are whole multiples of 0.1 mm
-or of 1e-9 degrees. The step is larger if the extent requires it. The CRS is WKT 1. A line of
-text is written as the record "text area description". PLY (Turk 1994) is binary, little-endian.
-Its coordinates are doubles; the CRS and the text are comments.
+LAS has version 1.4 (ASPRS 2019), point format 6. Its coordinates are whole multiples of
+0.1 mm or of 1e-9 degrees. The step is larger if the extent requires it. The CRS is WKT 1.
+A line of text is written as the record "text area description". PLY (Turk 1994) is
+binary, little-endian. Its coordinates are doubles; the CRS and the text are comments.
 """
 
 from __future__ import annotations
@@ -32,7 +32,10 @@ Columns = Mapping[str, npt.NDArray[Any]]
 
 
 def library(file: Path) -> Any:
-    """Import laspy; raise InputError if laspy or the package for LAZ compression is not installed."""
+    """Import laspy.
+
+    Raise InputError if laspy or the package for LAZ compression is not installed.
+    """
     try:
         import laspy
         import lazrs  # noqa: F401  # laspy looks for it
@@ -91,7 +94,10 @@ def steps(coordinates: Array, unit: str) -> tuple[Array, Array]:
 
 
 def write_ply(path: Path, coordinates: Array, columns: Columns, *, comments: Sequence[str]) -> None:
-    """Write a binary PLY file with x, y, z and the columns as properties; a comment is one line of ASCII."""
+    """Write a binary PLY file with x, y, z and the columns as properties.
+
+    A comment is one line of ASCII.
+    """
     values = {**dict(zip("xyz", coordinates.T, strict=True)), **columns}
     table = np.empty(len(coordinates), [(name, f"<{one.dtype.str[1:]}") for name, one in values.items()])
     for name, one in values.items():

@@ -1,7 +1,8 @@
 """Read tables of ground points and of image observations; the coordinates of check points are sealed.
 
-The reader checks every cell of every point. However, the coordinates of check points do not leave
-this module until :meth:`fg_orient.model.block.WithheldCoordinates.open` reads the file again.
+The reader checks every cell of every point. However, the coordinates of check points do
+not leave this module until :meth:`fg_orient.model.block.WithheldCoordinates.open` reads
+the file again.
 
 Our own tables contain ids, roles, standard deviations, and coordinates in any EPSG CRS. There are three roles:
 
@@ -10,8 +11,8 @@ Our own tables contain ids, roles, standard deviations, and coordinates in any E
 - **check** points have coordinates that are used for comparison only;
 - **tie** points have no known coordinates.
 
-A record of observations contains line and sample with their standard deviations, px. (0, 0) is
-the centre of the first pixel. An image of n lines extends from -0.5 to n - 0.5.
+A record of observations contains line and sample with their standard deviations, px. (0,
+0) is the centre of the first pixel. An image of n lines extends from -0.5 to n - 0.5.
 """
 
 from __future__ import annotations
@@ -54,8 +55,8 @@ def _layouts(first: Kind, incomplete: bool) -> list[tuple[str, ...]]:
 def parse_points(path: Path, crs: str, faults: Faults, *, incomplete: bool = False) -> Survey | None:
     """Read a table of ground points, including the coordinates of check points; see :func:`read_points`.
 
-    An ``incomplete`` table may lack roles, heights and standard deviations. Missing values are
-    then nan, and points with coordinates are control points.
+    An ``incomplete`` table may lack roles, heights and standard deviations. Missing
+    values are then nan, and points with coordinates are control points.
     """
     kind = crs_kind(crs)
     table = read_table(path, _layouts(kind, incomplete), faults)
@@ -183,8 +184,8 @@ LOSES_IDS: Final = {
 }
 #: A standard deviation outside this range (0.01 mm to 10 km) probably has a wrong unit.
 PLAUSIBLE_SIGMA_M: Final = (1e-5, 1e4)
-#: Function that reads the points of a file, including check points. It notes errors and returns None if the file
-#: #: cannot be used.
+#: Function that reads the points of a file, including check points. It notes errors and
+#: returns None if the file cannot be used.
 Parse = Callable[[Faults], Survey | None]
 
 

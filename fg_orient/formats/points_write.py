@@ -1,9 +1,9 @@
 """Write point tables, observation tables and project files in our own formats.
 
-Files are written completely or not at all (:mod:`fg_orient.formats.atomic`). The suffix of its
-name determines the format of a table (:mod:`fg_orient.formats.table_write`). All writers raise
-ValueError if an id or comment could not be read again, or if lengths differ. They raise
-InputError if the file cannot be written.
+Files are written completely or not at all (:mod:`fg_orient.formats.atomic`). The suffix
+of its name determines the format of a table (:mod:`fg_orient.formats.table_write`). All
+writers raise ValueError if an id or comment could not be read again, or if lengths
+differ. They raise InputError if the file cannot be written.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ def write_points(
     path : str or Path
     ids, roles : sequences of length n
     coordinates : (n, 3) array
-        ``kind`` determines the columns: longitude, latitude (degrees), height (m); or easting,
-        northing, height (m); or x, y, z (m). Rows of nan become empty cells.
+        ``kind`` determines the columns: longitude, latitude (degrees), height (m); or
+        easting, northing, height (m); or x, y, z (m). Rows of nan become empty cells.
     sigma_enu_m : (n, 3) array
         Standard deviations East, North, Up at the point, m. Rows of nan become empty cells.
     kind : str

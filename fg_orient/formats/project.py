@@ -1,7 +1,7 @@
 """Read a block from a project file, which is a TOML file, and from the files that it names.
 
-One error reports all faults of all files. ``docs/file-formats.md`` describes the format. Paths
-are relative to the project file.
+One error reports all faults of all files. ``docs/file-formats.md`` describes the format.
+Paths are relative to the project file.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """Read Parameter Value Language (PVL): labels and control networks of ISIS.
 
-A file contains statements ``name = value``. Objects and groups contain further statements:
-``Object = NAME .. End_Object``. A value is a word, a quoted text or a list in parentheses.
-Units in angle brackets are not interpreted. Upper and lower case of names are equal. Networks
-have millions of lines. The existing Python package reads single characters and is too slow for
-them.
+A file contains statements ``name = value``. Objects and groups contain further
+statements: ``Object = NAME .. End_Object``. A value is a word, a quoted text or a list in
+parentheses. Units in angle brackets are not interpreted. Upper and lower case of names
+are equal. Networks have millions of lines. The existing Python package reads single
+characters and is too slow for them.
 """
 
 from __future__ import annotations
@@ -72,7 +72,10 @@ class Pvl:
         return name.lower() in self.values
 
     def text(self, name: str, default: str | None = None) -> str:
-        """Return a value without quotes; raise InputError if it is missing and no default is given."""
+        """Return a value without quotes.
+
+        Raise InputError if it is missing and no default is given.
+        """
         if name.lower() not in self.values:
             if default is None:
                 raise InputError.of("pvl.missing", file=self.file, place=f"line {self.line}, {self.name}", value=name)

@@ -1,8 +1,8 @@
 """Read pixels of the images: find the raster of an image, read windows of it, or read a reduced picture.
 
-The whole raster is never in memory. Pixels are (line, sample) of the sensor. A raster may be
-only a part of the scene. Its first pixel then has an offset. The geotransform of the file gives
-the offset if it has pixel size 1 and no CRS.
+The whole raster is never in memory. Pixels are (line, sample) of the sensor. A raster may
+be only a part of the scene. Its first pixel then has an offset. The geotransform of the
+file gives the offset if it has pixel size 1 and no CRS.
 """
 
 from __future__ import annotations
@@ -110,7 +110,10 @@ class Raster:
             self._source = opened(self._rasterio, place.path)
 
     def window(self, row: int, column: int, rows: int, columns: int) -> Grey:
-        """Read grey values (rows, columns) from a first pixel on; pixels outside the raster or without data are nan."""
+        """Read grey values (rows, columns) from a first pixel on.
+
+        Pixels outside the raster or without data are nan.
+        """
         out = np.full((rows, columns), np.nan, np.float32)
         top, left = max(row, 0), max(column, 0)
         bottom, right = min(row + rows, self.place.rows), min(column + columns, self.place.columns)
@@ -141,7 +144,10 @@ class Raster:
         return self.place.rows * self.place.columns / overview**2
 
     def decimated(self, rows: int, columns: int) -> Grey:
-        """Return a picture of the whole raster with few pixels; use the overviews of the file if there are any."""
+        """Return a picture of the whole raster with few pixels.
+
+        Use the overviews of the file if there are any.
+        """
         average = self._rasterio.enums.Resampling.average
         with self._env:
             values = self._source.read(1, out_shape=(rows, columns), out_dtype="float32", resampling=average)

@@ -1,8 +1,8 @@
 """Registry of file formats. The module that reads and writes a format contains its record.
 
-No list of formats is needed: a :class:`Format` in a module of ``formats.exchange`` (points,
-frame models), ``formats.rpc`` or ``formats.metadata`` (images) is found automatically. A user's
-own file calls :func:`register_format`.
+No list of formats is needed: a :class:`Format` in a module of ``formats.exchange``
+(points, frame models), ``formats.rpc`` or ``formats.metadata`` (images) is found
+automatically. A user's own file calls :func:`register_format`.
 """
 
 from __future__ import annotations
@@ -140,9 +140,9 @@ class Format:
     crs : str
         CRS that the format requires; "" if any CRS is allowed.
     read, write : callables, optional
-        Reader and writer of points. The reader takes files and settings and returns a survey.
-        The writer takes a survey, files and settings and returns a list of further information
-        that is lost.
+        Reader and writer of points. The reader takes files and settings and returns a
+        survey. The writer takes a survey, files and settings and returns a list of
+        further information that is lost.
     read_model, write_model : callables, optional
         Reader and writer of a whole frame model. The writer takes the path, the model and
         whether to overwrite. It returns the lost information in words.
@@ -154,8 +154,8 @@ class Format:
         ``extrapolate_attitude_s`` only if ``extrapolates`` is true, and ``light`` only if
         ``chooses_light`` is true.
     write_image : callable, optional
-        The writer takes the path, the sensor and its correction or None. It returns a record of
-        the differences between the file and the image.
+        The writer takes the path, the sensor and its correction or None. It returns a
+        record of the differences between the file and the image.
     extrapolates : bool
         Whether ``read_image`` accepts the keyword ``extrapolate_attitude_s``.
     chooses_light : bool
@@ -232,7 +232,10 @@ def register_format(format_: Format) -> Format:
 
 
 def _sources(format_: Format) -> list[tuple[str, str]]:
-    """Return the module and name of each function. They are unchanged if a user's file is loaded again."""
+    """Return the module and name of each function.
+
+    They are unchanged if a user's file is loaded again.
+    """
     values = (getattr(format_, name) for name in _FUNCTIONS)
     return [(value.__module__, value.__qualname__) for value in values if value is not None]
 
@@ -283,7 +286,10 @@ def format_of(path: Path, *, place: object) -> Format:
 
 
 def format_claiming(path: Path, contents: Contents) -> Format | None:
-    """Return the first format that recognises a file, else None; raise InputError if the file cannot be read."""
+    """Return the first format that recognises a file, else None.
+
+    Raise InputError if the file cannot be read.
+    """
     head = read_bytes(path, HEAD_BYTES).removeprefix(BOM_UTF8).decode("latin-1") if path.is_file() else ""
     for one in _each(contents):
         if one.sniff(path, head) if one.sniff else path.name.lower().endswith(one.suffixes):

@@ -1,9 +1,10 @@
 """Refuse ground points that are far from the footprints of all images.
 
-The usual causes of such points are exchanged columns and a wrong CRS. Both move a point far
-outside every footprint. Therefore a coarse test is sufficient: a point is refused if its distance
-from every image centre is larger than 1.5 diagonals of the image. Direct orientation has errors of
-some hundred metres, and relief shifts a footprint by a few kilometres. The test accepts both.
+The usual causes of such points are exchanged columns and a wrong CRS. Both move a point
+far outside every footprint. Therefore a coarse test is sufficient: a point is refused if
+its distance from every image centre is larger than 1.5 diagonals of the image. Direct
+orientation has errors of some hundred metres, and relief shifts a footprint by a few
+kilometres. The test accepts both.
 """
 
 from __future__ import annotations
@@ -36,7 +37,10 @@ class Scene:
 
     @classmethod
     def from_footprint(cls, image: str, footprint_deg: Array, body: Body | None = None) -> Scene:
-        """Compute the scene from four corners (4, 2): longitude and latitude, degrees. The body None is the Earth."""
+        """Compute the scene from four corners (4, 2): longitude and latitude, degrees.
+
+        The body None is the Earth.
+        """
         zero = np.zeros(len(footprint_deg))
         if body is not None:
             corners = body.body_fixed(np.column_stack([footprint_deg, zero]))

@@ -37,7 +37,10 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def _with_codes(crs: str) -> str:
-    """Replace the names of a CRS by codes; an unknown name is not changed, and the reader refuses it."""
+    """Replace the names of a CRS by codes.
+
+    An unknown name is not changed, and the reader refuses it.
+    """
     from fg_orient.geodesy.crs import with_codes  # not above: it loads PROJ
 
     try:
@@ -154,7 +157,10 @@ _TYPES: Final[dict[Any, Any]] = {
 
 
 def _entry(option: Option) -> Any:
-    """Return the type and default of an option in a project file. The declaration of the option checks the value."""
+    """Return the type and default of an option in a project file.
+
+    The declaration of the option checks the value.
+    """
 
     def check(value: Any) -> Any:
         if not option.allows(value):

@@ -21,15 +21,18 @@ def read_sensor(
     Parameters
     ----------
     path : str or Path
-        ``METADATA.DIM`` of a SPOT 1-5 level 1A scene, ``DIM_*.XML`` of a Pléiades or SPOT 6/7 sensor product, a
-        PHR_DIMAP; a file with RPC (see :func:`fg_orient.formats.rpc.read_rpc`); a sensor description
-        (TOML, :mod:`fg_orient.formats.metadata.pushbroom`); its states are never extrapolated; a frame image
-        (TOML, :mod:`fg_orient.formats.metadata.frame`); a file of a format that the user has registered.
+        ``METADATA.DIM`` of a SPOT 1-5 level 1A scene, ``DIM_*.XML`` of a Pléiades or SPOT
+        6/7 sensor product, a PHR_DIMAP; a file with RPC (see
+        :func:`fg_orient.formats.rpc.read_rpc`); a sensor description (TOML,
+        :mod:`fg_orient.formats.metadata.pushbroom`); its states are never extrapolated; a
+        frame image (TOML, :mod:`fg_orient.formats.metadata.frame`); a file of a format
+        that the user has registered.
     model : {"auto", "rigorous", "rpc"}
         Model to use. ``"auto"`` selects the rigorous model if the file contains it.
     extrapolate_attitude_s : float
-        If attitudes do not cover the image, they are extrapolated with the last rate by at most
-        this time, s (:class:`fg_orient.sensors.pushbroom.PushbroomSensor`). RPC ignore it.
+        If attitudes do not cover the image, they are extrapolated with the last rate by
+        at most this time, s (:class:`fg_orient.sensors.pushbroom.PushbroomSensor`). RPC
+        ignore it.
     light : tuple of str
         Effects on light that replace the default effects of the format: "aberration",
         "light_time", "refraction", or "none". Formats with fixed effects ignore it.
@@ -42,8 +45,8 @@ def read_sensor(
     Raises
     ------
     InputError
-        The file cannot be used or does not contain the requested model. The message names file,
-        line, value and remedy.
+        The file cannot be used or does not contain the requested model. The message names
+        file, line, value and remedy.
     """
     path = Path(path)
     if model not in MODELS:
@@ -70,7 +73,10 @@ def read_sensor(
 
 
 def _read(form: Format, path: Path, extrapolate_attitude_s: float, light: tuple[str, ...]) -> Any:
-    """Read an image. If a user's own reader raises an unexpected exception, the error names its file and line."""
+    """Read an image.
+
+    If a user's own reader raises an unexpected exception, the error names its file and line.
+    """
     assert form.read_image is not None  # a format of images
     how: dict[str, Any] = {"extrapolate_attitude_s": extrapolate_attitude_s} if form.extrapolates else {}
     how |= {"light": light} if form.chooses_light else {}

@@ -1,10 +1,12 @@
 """Hidden files and folders for outputs that are being written, protected by lock files.
 
-A hidden output has the name ``.NAME.TOKEN.tmp``. Its lock file ``.NAME.TOKEN.lock`` lies in the same folder. It is
-created first and removed last, and it contains the names of machine and process. The writing process owns the lock
-(flock). When the process ends for any reason, the system releases the lock. The next run in this folder can then take
-the lock and removes the remaining files. If an old output was moved away and the new output is not yet in its place,
-the old output is restored. Some network file systems have no locks; nothing is removed there.
+A hidden output has the name ``.NAME.TOKEN.tmp``. Its lock file ``.NAME.TOKEN.lock`` lies
+in the same folder. It is created first and removed last, and it contains the names of
+machine and process. The writing process owns the lock (flock). When the process ends for
+any reason, the system releases the lock. The next run in this folder can then take the
+lock and removes the remaining files. If an old output was moved away and the new output
+is not yet in its place, the old output is restored. Some network file systems have no
+locks; nothing is removed there.
 """
 
 from __future__ import annotations
@@ -101,7 +103,10 @@ def _locked(target: Path) -> tuple[Path, int]:
 
 
 def _release(lock: Path, descriptor: int) -> None:
-    """Remove a lock file and release it; where a system cannot remove open files, it is released first."""
+    """Remove a lock file and release it.
+
+    Where a system cannot remove open files, it is released first.
+    """
     if _fcntl is None:
         os.close(descriptor)
     with contextlib.suppress(OSError):
@@ -143,7 +148,10 @@ def remove(path: Path) -> None:
 
 
 def sweep(folder: Path) -> None:
-    """Remove the hidden files that ended processes have left in a folder; restore outputs that they had moved away."""
+    """Remove the hidden files that ended processes have left in a folder.
+
+    Restore outputs that they had moved away.
+    """
     try:
         names = sorted(entry.name for entry in os.scandir(folder) if entry.name.endswith(".lock"))
     except OSError:
@@ -179,7 +187,10 @@ def _remove_all(folder: Path, *beginnings: str) -> None:
 
 @lru_cache(maxsize=256)
 def sweep_once(folder: Path) -> None:
-    """Call :func:`sweep` once for each folder; some commands write thousands of files to a folder."""
+    """Call :func:`sweep` once for each folder.
+
+    Some commands write thousands of files to a folder.
+    """
     sweep(folder)
 
 
@@ -227,7 +238,10 @@ def publish(staging: Path, target: Path, *, replace: bool) -> None:
 
 
 def _renamed(source: Path, target: Path, how: int) -> bool:
-    """Rename with ``renameat2``; return False if the target prevents it or the system does not have it."""
+    """Rename with ``renameat2``.
+
+    Return False if the target prevents it or the system does not have it.
+    """
     function: Any = None
     if sys.platform.startswith("linux"):
         function = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)

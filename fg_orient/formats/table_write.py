@@ -1,8 +1,8 @@
 """Write tables of text and numbers; the suffix of the file name determines the format.
 
-In CSV, a number has the fewest digits from which the same double can be read again. A value
-that is not finite becomes an empty cell. If a spreadsheet would interpret a text as a formula,
-an apostrophe is written before it. Our readers remove this apostrophe.
+In CSV, a number has the fewest digits from which the same double can be read again. A
+value that is not finite becomes an empty cell. If a spreadsheet would interpret a text as
+a formula, an apostrophe is written before it. Our readers remove this apostrophe.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ WORDS: Final = frozenset((
 ))  # fmt: skip
 #: Names of columns that contain whole numbers and may have empty cells.
 WHOLE: Final = frozenset(("degree", "n_rays", "round", "dimension", "readmitted"))
-#: Cells are joined with NUL between them. If the result contains one of these marks, a cell may need quotes or an
-#: #: apostrophe.
+#: Cells are joined with NUL between them. If the result contains one of these marks, a
+#: cell may need quotes or an apostrophe.
 _ODD: Final = (*',"#\r\n', "\0=", "\0+", "\0@", "\0-", "\0\t", "\0'")
 #: Spreadsheets interpret a text that begins like this as a formula. Signed numbers are excluded.
 _FORMULA: Final = re.compile(r"'*(?:[=@\t]|[+-](?![0-9.]+(?:e[+-]?[0-9]+)?\Z))")
@@ -73,7 +73,10 @@ def is_binary(path: Path) -> bool:
 
 
 def require_writer(path: Path) -> None:
-    """Raise InputError if the package that writes this kind of file is not installed; call this before computing."""
+    """Raise InputError if the package that writes this kind of file is not installed.
+
+    Call this before computing.
+    """
     if is_binary(path):
         from fg_orient.formats.arrow import library
 
@@ -81,7 +84,10 @@ def require_writer(path: Path) -> None:
 
 
 def table_file(folder: Path, table: str) -> Path:
-    """Return the file of a table in a folder, in any format; if there is no file, the name of a CSV file."""
+    """Return the file of a table in a folder, in any format.
+
+    If there is no file, the name of a CSV file.
+    """
     files = [folder / name for name in in_all_forms(table)]
     return next((file for file in files if file.is_file()), files[0])
 
@@ -167,7 +173,10 @@ def quoted(cell: str) -> str:
 
 
 def own_cell(cell: str) -> str:
-    """Return a cell of our own tables that no spreadsheet interprets as a formula; see :func:`cell_text`."""
+    """Return a cell of our own tables that no spreadsheet interprets as a formula.
+
+    See :func:`cell_text`.
+    """
     return quoted(f"'{cell}" if _FORMULA.match(cell) else cell)
 
 

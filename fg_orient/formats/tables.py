@@ -141,7 +141,10 @@ class Table:
             self._refused.append((rows, code, column, {"value": lambda row: row.cells[column], **fields}))
 
     def refuse_repeated(self, keys: Sequence[Hashable] | Index, code: str, column: str, **fields: Any) -> None:
-        """Refuse records with the key of an earlier record; the field ``first`` of the message names its place."""
+        """Refuse records with the key of an earlier record.
+
+        The field ``first`` of the message names its place.
+        """
         distinct = np.diff(np.sort(keys)).all() if isinstance(keys, np.ndarray) else len(set(keys)) == len(keys)
         if not distinct:
             place: dict[Hashable, int] = {}

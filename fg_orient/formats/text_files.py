@@ -15,7 +15,10 @@ LINE_BYTES = 250
 
 
 def read_data(path: Path, faults: Faults, size: int = -1) -> bytes | None:
-    """Read all bytes or the first bytes of a file; if it cannot be read, note the error and return None."""
+    """Read all bytes or the first bytes of a file.
+
+    If it cannot be read, note the error and return None.
+    """
     try:
         with path.open("rb") as stream:
             return stream.read(size)
@@ -62,7 +65,10 @@ def require_lines(text: str, file: object) -> None:
 
 
 def sha256_of(*paths: Path) -> str:
-    """Compute the SHA-256 of a file. For a folder or several files, it includes their names and contents."""
+    """Compute the SHA-256 of a file.
+
+    For a folder or several files, it includes their names and contents.
+    """
     files = [f for p in paths for f in (sorted(q for q in p.rglob("*") if q.is_file()) if p.is_dir() else [p])]
     if len(files) == 1 and not paths[0].is_dir():
         return _digest(files[0]).hex()
@@ -80,8 +86,8 @@ def _digest(file: Path) -> bytes:
 def delimited(number: int, line: str, faults: Faults, width: int | None = None, *, mark: str = ",") -> list[str] | None:
     """Split a line into cells without outer blanks.
 
-    If the quotes or the number of cells are wrong, note the error and return None. Empty cells
-    after the last column are left out.
+    If the quotes or the number of cells are wrong, note the error and return None. Empty
+    cells after the last column are left out.
     """
     try:
         cells = [cell.strip() for cell in next(csv.reader([line], delimiter=mark, strict=True))]

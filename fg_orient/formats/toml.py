@@ -14,8 +14,8 @@ from fg_orient.model.declaration import toml
 from fg_orient.model.errors import FgOrientError, InputError
 from fg_orient.model.limits import exceeded, limit
 
-#: Part of a dotted key and the blanks after it. The number of parts is limited: the time and memory to read a key grow
-#: #: with the square of this number.
+#: Part of a dotted key and the blanks after it. The number of parts is limited: the time
+#: and memory to read a key grow with the square of this number.
 _PART: Final = r"""(?<![\w"'-])(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+"""
 
 

@@ -1,10 +1,10 @@
 """Read XML files safely, and read values of given types from their elements.
 
-Metadata files may come from untrusted sources. A file is parsed without network access, DTD,
-entities and recovery. It is refused if it contains a DOCTYPE or exceeds a size limit. Readers
-request each value by path, unit and type. If a value is missing, doubled, empty, not a number
-or in an unknown unit, an :class:`~fg_orient.model.errors.InputError` names file, line, element,
-value and remedy.
+Metadata files may come from untrusted sources. A file is parsed without network access,
+DTD, entities and recovery. It is refused if it contains a DOCTYPE or exceeds a size
+limit. Readers request each value by path, unit and type. If a value is missing, doubled,
+empty, not a number or in an unknown unit, an :class:`~fg_orient.model.errors.InputError`
+names file, line, element, value and remedy.
 """
 
 from __future__ import annotations
@@ -76,9 +76,9 @@ PURE = Quantity("pure number", "1", {"1": 1.0, "none": 1.0, "tan": 1.0, "pixel":
 class XmlNode:
     """XML element with its file. A path consists of names of child elements, joined by "/".
 
-    Methods that read values raise InputError for the first fault. An element may be missing or
-    doubled. A text may be empty, of another type, in an unknown unit, out of range or not
-    finite.
+    Methods that read values raise InputError for the first fault. An element may be
+    missing or doubled. A text may be empty, of another type, in an unknown unit, out of
+    range or not finite.
     """
 
     element: etree._Element
@@ -163,9 +163,9 @@ class XmlNode:
     def _plain_numbers(self, tag: str, names: tuple[str, ...]) -> Array | None:
         """Read the numbers (n, k) of n simple elements ``tag`` together.
 
-        The result is None if this element has other children, or if an element is not simple. A
-        simple element has exactly the children ``names`` in this order, without attributes, and
-        their texts are finite numbers.
+        The result is None if this element has other children, or if an element is not
+        simple. A simple element has exactly the children ``names`` in this order, without
+        attributes, and their texts are finite numbers.
         """
         text, n, k = etree.tostring(self.element, with_tail=False), len(self.element), len(names)
         cells = r"\s*".join(rf"<{name}>\s*([^<\s]+)\s*</{name}>" for name in names)

@@ -20,8 +20,8 @@ from factors.arrays import Array, Index
 if TYPE_CHECKING:
     from fg_orient.orientation.solution import Solution
 
-#: Maximum number of unknowns in the file (18 MB). If there are more, the tie points are left out; if there are still
-#: #: too many, the file is not written.
+#: Maximum number of unknowns in the file (18 MB). If there are more, the tie points are
+#: left out; if there are still too many, the file is not written.
 LIMIT: Final = 1500
 _AXES: Final = "xyz"
 
@@ -33,8 +33,9 @@ class JointCofactors:
     Parameters
     ----------
     names : tuple of str
-        Names such as "image:left.roll_0", "shared:CAMERA.focal" and "point:12.x". Images share
-        an unknown "shared" under an id. The three unknowns of a point follow each other.
+        Names such as "image:left.roll_0", "shared:CAMERA.focal" and "point:12.x". Images
+        share an unknown "shared" under an id. The three unknowns of a point follow each
+        other.
     values : (u,) array
         Corrections of the images in physical units; ECEF coordinates of the points, m.
     cofactors : (u, u) array
@@ -64,7 +65,10 @@ class JointCofactors:
 
     @staticmethod
     def of_arrays(arrays: Mapping[str, npt.NDArray[Any]]) -> JointCofactors:
-        """Read the content of ``covariance.npz``; raise KeyError or ValueError if it is another file."""
+        """Read the content of ``covariance.npz``.
+
+        Raise KeyError or ValueError if it is another file.
+        """
         names, control = (tuple(map(str, arrays[name])) for name in ("names", "control"))
         shapes = {"values": (u := len(names),), "cofactors": (u, u), "prior_sigma": (u,),
                   "control_m": (c := len(control), 3), "control_information": (c, 3, 3)}  # fmt: skip

@@ -1,9 +1,10 @@
 """Manifest of a result folder: size and SHA-256 of each file, and the run that wrote the files.
 
-People and programs copy, edit and rename folders. Therefore commands that read a result compare
-it with ``manifest.json``. They report if files are missing, if a file was changed, or if files
-belong to another run. Version 0.1 wrote no manifest; its folders are read without this check.
-The page and the figures are made from the other files and are not listed.
+People and programs copy, edit and rename folders. Therefore commands that read a result
+compare it with ``manifest.json``. They report if files are missing, if a file was
+changed, or if files belong to another run. Version 0.1 wrote no manifest; its folders are
+read without this check. The page and the figures are made from the other files and are
+not listed.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Write and read plain values: strict JSON, and tables that are stored by columns.
 
-A number has the fewest digits from which the same double can be read again. A value that is not
-finite is null in JSON and an empty cell in a table. The warnings of the record state the reason
-(``fg_orient.result.summary``).
+A number has the fewest digits from which the same double can be read again. A value that
+is not finite is null in JSON and an empty cell in a table. The warnings of the record
+state the reason (``fg_orient.result.summary``).
 """
 
 from __future__ import annotations
@@ -81,7 +81,10 @@ class Table:
         return {name: both[name] for name in self.columns}
 
     def numbers(self, *names: str, rows: Index | slice = slice(None)) -> Array:
-        """Return some columns of numbers as an array (n, k), for all rows or some; missing columns are nan."""
+        """Return some columns of numbers as an array (n, k), for all rows or some.
+
+        Missing columns are nan.
+        """
         missing = np.broadcast_to(np.nan, len(self))
         return np.stack([self.figures.get(name, missing)[rows] for name in names], axis=1)
 
@@ -101,7 +104,10 @@ def table_of_rows(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
 
 
 def of_axes(name: str, axes: Iterable[str], values: Array) -> dict[str, Array]:
-    """Split an array (n, k) into columns; the name of the axis replaces ``{}`` in the column names."""
+    """Split an array (n, k) into columns.
+
+    The name of the axis replaces ``{}`` in the column names.
+    """
     return {name.format(axis): column for axis, column in zip(axes, values.T, strict=True)}
 
 
@@ -147,8 +153,8 @@ def read_table(path: Path, *required: str, code: str = "report.damaged") -> Tabl
     Raises
     ------
     InputError
-        The file is missing or damaged, a column is missing, or a cell is not a number. Only the
-        first fault is named.
+        The file is missing or damaged, a column is missing, or a cell is not a number.
+        Only the first fault is named.
     """
 
     def check(place: str, names: Sequence[str]) -> None:

@@ -88,8 +88,8 @@ def how_to_repeat(
     -------
     dict
         ``options``, ``parts``, ``in_parts``, and ``dem_control`` (file, sha256, sigma_m,
-        vertical_crs; or None). With an earlier result also ``start`` (folder, prior, and files
-        with their SHA-256).
+        vertical_crs; or None). With an earlier result also ``start`` (folder, prior, and
+        files with their SHA-256).
     """
     dem = None
     if dem_control is not None:
@@ -111,6 +111,9 @@ def how_to_repeat(
 
 
 def relative(path: str, folder: Path) -> str:
-    """Return the path of a file relative to a folder; if this is not possible, return the name of the file."""
+    """Return the path of a file relative to a folder.
+
+    If this is not possible, return the name of the file.
+    """
     full, base = Path(path).absolute(), folder.absolute()
     return full.relative_to(base).as_posix() if full.is_relative_to(base) else full.name

@@ -1,8 +1,8 @@
 """Result of an adjustment as one record: the JSON record, tables, iterations and arrays of a result folder.
 
-A run makes the result from a solution (``fg_orient.result.summary.result_of``), writes it to a
-folder and makes the page from it. :func:`read_result` reads the folder again. A page that is
-made from the folder is equal to the page that the run made.
+A run makes the result from a solution (``fg_orient.result.summary.result_of``), writes it
+to a folder and makes the page from it. :func:`read_result` reads the folder again. A page
+that is made from the folder is equal to the page that the run made.
 """
 
 from __future__ import annotations
@@ -82,7 +82,10 @@ class Result:
 
     @property
     def points(self) -> Table:
-        """Return the table of ground points; if the block was not adjusted, it contains their start values."""
+        """Return the table of ground points.
+
+        If the block was not adjusted, it contains their start values.
+        """
         return self.tables["points" if self.adjusted else START_POINTS]
 
     @property
@@ -104,13 +107,19 @@ class Result:
         return table_of_rows(("role", "quantity", "value"), rows)
 
     def file(self, table: str) -> str:
-        """Return the file name of a table in the result folder; the option ``tables`` determines its format."""
+        """Return the file name of a table in the result folder.
+
+        The option ``tables`` determines its format.
+        """
         options = self.record.get("provenance", {}).get("options", {})
         return f"{table}.{options.get('tables', TABLE_FORM)}"
 
     @property
     def adjusted(self) -> bool:
-        """Return whether the block was adjusted; if not, the result has no adjusted coordinates and no orientation."""
+        """Return whether the block was adjusted.
+
+        If not, the result has no adjusted coordinates and no orientation.
+        """
         return self.record.get("status") != Status.RANK_DEFICIENT
 
     @property
@@ -128,11 +137,11 @@ class Result:
     def normalised(self) -> tuple[Array, bool]:
         """Return normalised residuals (n, 2) of line and sample.
 
-        With redundancy numbers r, a residual is divided by its own standard deviation: ``w = v
-        / (sigma sqrt(r))``. These values have a standard normal distribution if the model is
-        correct. Without redundancy numbers, a residual is divided by the standard deviation of
-        its observation. These values scatter less. A value is nan if no other observation
-        checks this one.
+        With redundancy numbers r, a residual is divided by its own standard deviation:
+        ``w = v / (sigma sqrt(r))``. These values have a standard normal distribution if
+        the model is correct. Without redundancy numbers, a residual is divided by the
+        standard deviation of its observation. These values scatter less. A value is nan
+        if no other observation checks this one.
         """
         w = self.residuals.numbers("w_line", "w_sample")
         if np.isfinite(w).any():

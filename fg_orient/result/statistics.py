@@ -134,12 +134,18 @@ def _least(solution: Solution, found: BlockReliability) -> dict[str, Any]:
 
 
 def _control_id(solution: Solution, row: int) -> str:
-    """Return the id of a weighted control point; the argument is its number among the weighted control points."""
+    """Return the id of a weighted control point.
+
+    The argument is its number among the weighted control points.
+    """
     return solution.block.points.ids[int(np.flatnonzero(solution.problem.observed)[row])]
 
 
 def _control_unchecked(solution: Solution, control: Reliability) -> list[dict[str, Any]]:
-    """Return control coordinates that no other observation checks; the smallest redundancy is first."""
+    """Return control coordinates that no other observation checks.
+
+    The smallest redundancy is first.
+    """
     rows, axes = np.nonzero(control.redundancy < CHECKABLE)
     out = []
     for k in np.argsort(control.redundancy[rows, axes], kind="stable")[:MAX_NAMED].tolist():
@@ -241,9 +247,9 @@ def image_columns(solution: Solution) -> dict[str, Column]:
 def point_columns(solution: Solution) -> dict[str, Column]:
     """Return the statistical columns of ``points.csv``.
 
-    They contain the reliability of control points and the effects of undetected errors on each
-    point. ``external_m`` is empty if an observation of the point has no minimal detectable
-    bias, because the effect then has no bound. For ``unseen_east_m`` etc. see
+    They contain the reliability of control points and the effects of undetected errors on
+    each point. ``external_m`` is empty if an observation of the point has no minimal
+    detectable bias, because the effect then has no bound. For ``unseen_east_m`` etc. see
     ``Solution.unseen_shifts``. With a loss, only these columns exist.
     """
     if unavailable(solution):

@@ -140,7 +140,10 @@ def _about(problem: Problem, folder: Path, out: str, command: Sequence[str]) -> 
 
 
 def file_stems(names: Iterable[str]) -> dict[str, str]:
-    """File name of each image id: characters that file names should not have become ``_``; equal names are numbered."""
+    """Make a file name from each image id.
+
+    Unsafe characters become ``_``; equal names get numbers.
+    """
     stems: dict[str, str] = {}
     for name in names:
         stem = safe = re.sub(r"[^\w.-]", "_", name)

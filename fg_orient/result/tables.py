@@ -9,13 +9,14 @@ RMSE, sigma0 and redundancy can be recomputed from ``points.csv``, ``residuals.c
                                               the same word in column shared one row counts
          + sum of extra observations          in no table: squared whitened residuals of Block.extra
 
-Control points that are ``fixed`` are constants. They have no residual, because their standard
-deviation is 0. They count neither as observations nor as unknowns. The columns ``weight`` exist
-only with a robust loss. Otherwise all weights are 1.
+Control points that are ``fixed`` are constants. They have no residual, because their
+standard deviation is 0. They count neither as observations nor as unknowns. The columns
+``weight`` exist only with a robust loss. Otherwise all weights are 1.
 
-Standard deviations are posterior, ``sqrt(cofactor) sigma0``, if there is redundancy and no
-loss. Otherwise they are in prior scale. The column ``sigma_scale`` names the scale. The option
-``statistics`` adds columns of redundancy and reliability (``fg_orient.result.statistics``).
+Standard deviations are posterior, ``sqrt(cofactor) sigma0``, if there is redundancy and
+no loss. Otherwise they are in prior scale. The column ``sigma_scale`` names the scale.
+The option ``statistics`` adds columns of redundancy and reliability
+(``fg_orient.result.statistics``).
 """
 
 from __future__ import annotations
@@ -64,7 +65,10 @@ def tables_of(solution: Solution, cofactors: Array) -> dict[str, Table]:
 
 
 def start_points(problem: Problem) -> dict[str, Table]:
-    """Return the table of the points' start values; it is the only table if the block was not adjusted."""
+    """Return the table of the points' start values.
+
+    It is the only table if the block was not adjusted.
+    """
     points, ground = problem.block.points, problem.start.ground + problem.origin_m
     lon, lat, _ = _geodetic_deg(ground, problem.block).T
     columns = (points.ids, [role.value for role in points.roles], _ray_counts(problem), lon, lat)
@@ -77,7 +81,10 @@ def _ray_counts(problem: Problem) -> Index:
 
 
 def _geodetic_deg(ground_m: Array, block: Block) -> Array:
-    """Convert ECEF coordinates to longitude, latitude (degrees) and height, m: (N, 3). Missing points are nan."""
+    """Convert ECEF coordinates to longitude, latitude (degrees) and height, m: (N, 3).
+
+    Missing points are nan.
+    """
     out = np.full_like(ground_m, np.nan)
     known = np.isfinite(ground_m).all(axis=1)
     body = block.body
@@ -194,12 +201,13 @@ def residual_columns(solution: Solution) -> dict[str, Column]:
 def arrays_of(solution: Solution, points: Array) -> dict[str, npt.NDArray[Any]]:
     """Return the state, the adjusted points and the cofactors (prior scale) as arrays without Python objects.
 
-    ``points`` is the result of :func:`point_cofactors`. The arrays also contain the covariances
-    that the table of points does not contain. Their scale is that of the standard deviations in
-    the table.
+    ``points`` is the result of :func:`point_cofactors`. The arrays also contain the
+    covariances that the table of points does not contain. Their scale is that of the
+    standard deviations in the table.
 
-    If images have different unknowns, the arrays of the unknowns have one row for each image. Rows are filled with nan
-    (numbers) and "" (names). ``n_parameters`` is the number of unknowns of each image.
+    If images have different unknowns, the arrays of the unknowns have one row for each
+    image. Rows are filled with nan (numbers) and "" (names). ``n_parameters`` is the
+    number of unknowns of each image.
     """
     problem, (factor, _) = solution.problem, sigma_scale(solution)
     k = solution.state.image.shape[1]

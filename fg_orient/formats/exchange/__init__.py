@@ -1,1 +1,4 @@
-"""Points and image points of other programs: one module for each format, each in a registry (docs/formats)."""
+"""Formats of other programs for points and image points.
+
+Each format has one module (docs/formats).
+"""

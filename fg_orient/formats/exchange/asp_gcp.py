@@ -1,9 +1,12 @@
-"""Ground control of the Ames Stereo Pipeline: ``.gcp``, one point a line with all its image points.
+"""Ground control files ``.gcp`` of the Ames Stereo Pipeline; each line is a ground point with all its image points.
 
-``id latitude longitude height sx sy sz`` and, for each image, ``name column row sigma_column sigma_row``; blanks or
-commas. Latitude precedes longitude. A comment may state the datum: ``# WKT: GEOGCS[...]``. The three standard
-deviations refer to geocentric x, y, z, or with ``bundle_adjust --use-lon-lat-height-gcp-error`` to longitude,
-latitude, height in metres. Columns and rows count from 0, assumed to be the centre of the first pixel.
+A line contains ``id latitude longitude height sx sy sz`` and, for each image, ``name
+column row sigma_column sigma_row``. Cells are separated by blanks or commas. Latitude
+precedes longitude. A comment may state the datum: ``# WKT: GEOGCS[...]``. The three
+standard deviations refer to geocentric x, y, z. With the option
+``--use-lon-lat-height-gcp-error`` of ``bundle_adjust``, they refer to longitude,
+latitude, height and are in metres. Columns and rows count from 0. It is assumed that 0 is
+the centre of the first pixel.
 """
 
 from __future__ import annotations
@@ -29,12 +32,12 @@ _ASP_GROUND: Final = ("id", "latitude", "longitude", "height", "sx", "sy", "sz")
 _ASP_IMAGE: Final = ("image", "column", "row", "sigma_column", "sigma_row")
 _ASP_EXPECTED: Final = "7 and 5 more for each image"
 _WKT: Final = re.compile(r"^#\s*WKT:\s*(.+)$", re.MULTILINE | re.IGNORECASE)
-#: Heights are ellipsoidal; the comment cannot state that.
+#: Geographic CRS with heights, by the CRS without heights. Heights are ellipsoidal, but the comment cannot state it.
 _WITH_HEIGHTS: Final = {"EPSG:4326": WGS84}
 
 
 def read_asp(paths: tuple[Path, ...], settings: Settings) -> Survey:
-    """Read a ``.gcp``; the CRS of the settings or the comment must be geographic."""
+    """Read a ``.gcp`` file; the CRS of the settings or of the comment must be geographic."""
     path = paths[0]
     gathered = Gathering(path, settings.crs, stated_in(path, _WKT))
     faults = gathered.faults
@@ -63,9 +66,9 @@ def read_asp(paths: tuple[Path, ...], settings: Settings) -> Survey:
 
 
 def _turned(place_deg: Sequence[float], sigmas: Sequence[float], axes: str, *, to_enu: bool) -> Array:
-    """Standard deviations (3,) along East, North, Up from geocentric ones, or the inverse; equal ones are unchanged.
+    """Convert standard deviations (3,) from geocentric axes to East, North, Up, or the inverse.
 
-    ``place_deg`` are longitude and latitude.
+    Three equal values are not changed. ``place_deg`` contains longitude and latitude.
     """
     given = np.asarray(sigmas, float)
     if axes == "enu" or np.ptp(given) == 0.0 or not np.isfinite([*place_deg, *given]).all():
@@ -75,7 +78,7 @@ def _turned(place_deg: Sequence[float], sigmas: Sequence[float], axes: str, *, t
 
 
 def write_asp(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> tuple[Finding, ...]:
-    """Write the points with coordinates; their CRS must be geographic."""
+    """Write all points that have coordinates; their CRS must be geographic."""
     path, o = paths[0], survey.observed
     if crs_kind(survey.crs) != "geographic":
         raise InputError.of("interchange.geographic", file=path, option="to_crs", value=survey.crs)

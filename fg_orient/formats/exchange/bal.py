@@ -1,16 +1,17 @@
 """Files of "Bundle Adjustment in the Large" (Agarwal et al. 2010).
 
-They contain frame images, tie points and start values, but no control. A file is text, plain or
-compressed by gzip or bzip2: number of cameras, points and observations; one observation per line
-(camera, point, x, y); nine numbers per camera (rotation vector, translation, f, k1, k2), three
-per point. A block of such a file counts pixels from the middle of the image: samples are x and
-lines -y.
+The files contain frame images, tie points and start values, but no control. A file is
+text, which may be compressed by gzip or bzip2. It begins with the numbers of cameras,
+points and observations. Each observation is one line (camera, point, x, y). Each camera
+has nine numbers (rotation vector, translation, f, k1, k2), and each point has three. A
+block of such a file counts pixels from the middle of the image: samples are x, and lines
+are -y.
 
-Cameras look along -Z, x runs right and y up from the middle of the image (Snavely et al. 2006).
-The projection centre is ``-R^T t``. A frame model counts pixels from the first pixel; the middle
-of an image of w x h pixels is at ((h - 1) / 2, (w - 1) / 2), because the lower left corner is at
-(-w/2, -h/2) in Bundler. These files contain neither the principal point nor the size of the
-images.
+Cameras look along -Z. From the middle of the image, x points right and y points up
+(Snavely et al. 2006). The projection centre is ``-R^T t``. A frame model counts pixels
+from the first pixel. The middle of an image of w x h pixels is then at ((h - 1) / 2, (w -
+1) / 2), because Bundler has the lower left corner at (-w/2, -h/2). The files contain
+neither the principal point nor the size of the images.
 """
 
 from __future__ import annotations
@@ -41,17 +42,17 @@ from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.frame import HALF_TURN, IDEAL_TO_MEASURED
 from fg_orient.sensors.interior import Interior, converted
 
-#: Coefficients that the camera model of these files lacks, by the position in ``Interior.distortion``.
+#: Coefficients that the camera model of these files does not have, by their position in ``Interior.distortion``.
 _BEYOND: Final = {2: "k3", 3: "p1", 4: "p2"}
 
 
-#: No image point is farther from the middle of its image.
+#: Maximum distance of an image point from the middle of its image.
 FARTHEST_PX: Final = 1e9
 
 
 @dataclass(frozen=True, eq=False)
 class BalData:
-    """Contents of a file, in its own conventions.
+    """Contents of a file, in the conventions of the file.
 
     Parameters
     ----------
@@ -79,13 +80,13 @@ def frame_model_of(
     ----------
     data : BalData
     names : sequence of str, optional
-        Names of the images; default: counted from 0.
+        Names of the images; by default, they are numbered from 0.
     sizes : sequence of (n_lines, n_samples) or None, optional
-        Sizes of the images. An image without one becomes the square that contains the outermost image point of all
-        images; a note names these images.
+        Sizes of the images. If a size is missing, the image is assumed to be the square
+        that contains the outermost image point of all images. A note names these images.
     notes : tuple of Finding
     from_middle : bool
-        Count the pixels from the middle of the images; no note on sizes.
+        Count the pixels from the middle of the images; then there is no note on sizes.
     """
     n, side = len(data.cameras), assumed_side(data)
     keys = tuple(names) if names is not None else tuple(map(str, range(n)))
@@ -109,14 +110,17 @@ def frame_model_of(
 def sizes_of(
     names: Sequence[str], given: Mapping[str, tuple[int, int]], side: int
 ) -> tuple[list[tuple[int, int]], tuple[Finding, ...]]:
-    """Lines and samples of each image, those not given as a square of this side, px, with a note that names them."""
+    """Return the lines and samples of each image, and a note.
+
+    Images without a given size are squares with this side, px; the note names them.
+    """
     assumed = [name for name in names if name not in given]
     notes = (finding("points.sizes_assumed", side=side, images=assumed),) if assumed else ()
     return [given.get(name, (side, side)) for name in names], notes
 
 
 def assumed_side(data: BalData) -> int:
-    """Side of the square that contains all image points about its middle, px: an odd number."""
+    """Return the side of a square about the middle that contains all image points: an odd number of pixels."""
     return 2 * math.ceil(float(np.abs(data.xy).max(initial=0.0))) + 1
 
 
@@ -127,12 +131,12 @@ def bal_data_of(model: FrameModel, file: str = "") -> tuple[BalData, tuple[str, 
     -------
     data : BalData
     lost : tuple of str
-        Information that they cannot hold, in words.
+        Information that the files cannot contain, in words.
 
     Raises
     ------
     InputError
-        A camera has k3, p1 or p2.
+        A camera has a coefficient k3, p1 or p2.
     """
     rows, fitted = [], {}
     lost = ["names of images, points and cameras; sizes of images; principal points"]
@@ -158,14 +162,15 @@ def bundle_format(
     load: Callable[[tuple[Path, ...]], tuple[BalData, Sequence[str], tuple[Finding, ...]]],
     save: Callable[..., None], **fields: Any,
 ) -> Format:  # fmt: skip
-    """Registration record of a format with the numbers of BAL.
+    """Make the registry record of a format that contains the same numbers as BAL.
 
     Parameters
     ----------
     load : callable
-        Files to numbers, names of the images and notes.
+        Function that reads the files and returns numbers, names of the images and notes.
     save : callable
-        Writes numbers to a file; ``overwrite`` is True to replace an existing file.
+        Function that writes numbers to a file. If its argument ``overwrite`` is True, it
+        replaces an existing file.
     **fields
         Further fields of the record.
     """
@@ -179,7 +184,7 @@ def bundle_format(
         names = [pose.name for pose in model.poses]
         settings.require_images(names, paths[0].name)
         for name in names:
-            if name not in settings.image_sizes:  # without the size the first pixel is unknown
+            if name not in settings.image_sizes:  # without the size, the first pixel is unknown
                 raise InputError.of("ties.size", file=paths[0].name, place=name)
         return model_survey(model)
 
@@ -193,33 +198,35 @@ def bundle_format(
 
 
 N_CAMERA: Final = 9
-#: Unknowns of a camera.
+#: Unknowns of each camera.
 UNKNOWN: Final = (
     "rotation_x", "rotation_y", "rotation_z", "centre_x", "centre_y", "centre_z", "focal", "k1", "k2",
 )  # fmt: skip
-#: A count above this belongs to a damaged file.
+#: A larger number of cameras, points or observations shows that the file is damaged.
 LARGEST: Final = 10**9
 
 
 def read_bal(path: str | Path, *, keep_behind: bool = True) -> Block:
-    """Read a file as a block in a local system, with the options to adjust it as the literature does.
+    """Read a file as a block in a local system, with the adjustment options that the literature uses.
 
-    There are no priors and the datum is free; Levenberg-Marquardt; sigma 1 px: the cost is then the same as in the
-    literature, in px^2. Points measured in one image only, once or more, are left out, because their depth is not
-    determined.
+    There are no priors, the datum is free, and the optimiser is Levenberg-Marquardt. The
+    standard deviation of an image point is 1 px, so that the cost is the same as in the
+    literature, in px^2. Points that are measured in only one image are left out, because
+    their depth is not determined.
 
     Parameters
     ----------
     path : str or Path
     keep_behind : bool
-        Keep points whose start values lie behind one of their cameras. The equation holds there as well, but no
-        camera sees backwards. Programs differ: Ceres keeps them. GTSAM's ``GeneralSFMFactor`` counts their residuals
-        as zero, so that a cost of GTSAM corresponds to False.
+        Keep points whose start values lie behind one of their cameras. The equation is
+        also valid there, but no camera sees backwards. Programs treat such points
+        differently. Ceres keeps them. GTSAM's ``GeneralSFMFactor`` sets their residuals
+        to zero, so that False gives the same cost as GTSAM.
 
     Raises
     ------
     InputError
-        The file cannot be read, is truncated or damaged: with the line of the first fault.
+        The file cannot be read, is truncated or damaged. The message names the line of the first fault.
     """
     path = Path(path)
     model = frame_model_of(read_bal_data(path), from_middle=True)
@@ -228,7 +235,7 @@ def read_bal(path: str | Path, *, keep_behind: bool = True) -> Block:
 
 
 def read_bal_data(path: str | Path) -> BalData:
-    """Read the numbers of a file into arrays; errors as in :func:`read_bal`."""
+    """Read the numbers of a file into arrays; it raises the same errors as :func:`read_bal`."""
     return _parse(read_packed(Path(path), "bal.unreadable"), Path(path).name)
 
 
@@ -264,7 +271,10 @@ def _parse(raw: bytes, file: str) -> BalData:
 
 
 def _refuse(text: str, file: str, wrong: int, code: str, **fields: object) -> NoReturn:
-    """Raise InputError for a number, given by its position among all numbers, with its line."""
+    """Raise InputError for the number with this position among all numbers.
+
+    The message names its line.
+    """
     for line, row in enumerate(text.split("\n"), start=1):
         cells = row.split()
         if wrong < len(cells):
@@ -274,7 +284,10 @@ def _refuse(text: str, file: str, wrong: int, code: str, **fields: object) -> No
 
 
 def write_bal(path: str | Path, data: BalData, *, overwrite: bool = False) -> None:
-    """Write a file with all digits, compressed if its name ends with .gz or .bz2; InputError if it exists."""
+    """Write a file with all digits; it is compressed if its name ends with .gz or .bz2.
+
+    InputError: the file exists.
+    """
     path = Path(path)
     require_free_files(path, overwrite=overwrite)
     seen = zip(data.camera.tolist(), data.point.tolist(), data.xy.tolist(), strict=True)

@@ -1,8 +1,8 @@
-"""Bundler's files (``bundle.out``, v0.3).
+"""Files of Bundler (``bundle.out``, v0.3).
 
-``fg_orient.formats.exchange.bal`` has the camera model. Rotations are matrices, each
-point has a colour, and images without orientation have zeros. The list of images is another
-file: one name per line, in the order of the bundle.
+``fg_orient.formats.exchange.bal`` describes the camera model. In these files, rotations are
+matrices, each point has a colour, and images without orientation contain zeros. A second file
+lists the images in the order of the bundle, one name in each line.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ HEAD: Final = "# Bundle file v0.3"
 
 
 def read_bundler(path: str | Path) -> tuple[BalData, tuple[int, ...], tuple[Finding, ...]]:
-    """Read a file; images without orientation are left out.
+    """Read a file of Bundler; images without orientation are left out.
 
     Returns
     -------
     data : BalData
     images : tuple of int
-        Position in the file (and in Bundler's list of images) of each image kept, from 0.
+        For each image that is kept, its position in the file and in Bundler's list of images, from 0.
     notes : tuple of Finding
 
     Raises
     ------
     InputError
-        The file cannot be read, is of another version, truncated or damaged: with the line.
+        The file cannot be read, has another version, is truncated or damaged; the message names the line.
     """
     path = Path(path)
     text = TextLines(path)
@@ -70,7 +70,7 @@ def read_bundler(path: str | Path) -> tuple[BalData, tuple[int, ...], tuple[Find
 
 
 def _camera_rows(text: TextLines, cameras: Array, kept: Mask) -> Array:
-    """Rows of BAL (rotation vector, translation, f, k1, k2) of the images that are kept."""
+    """Return the camera rows of BAL (rotation vector, translation, f, k1, k2) for the images that are kept."""
     own = cameras[kept]
     rotation = own[:, 3:12].reshape(-1, 3, 3)
     away = away_from_rotation(rotation)
@@ -83,7 +83,7 @@ def _camera_rows(text: TextLines, cameras: Array, kept: Mask) -> Array:
 
 
 def _views(text: TextLines, rows: Sequence[tuple[int, list[str]]], n_cameras: int) -> tuple[Array, Index]:
-    """Camera, key, x, y (n, 4) of all image points, and the number of image points of each point."""
+    """Return camera, key, x, y (n, 4) of all image points, and the number of image points of each point."""
     needed = "the number of views, then camera, key, x, y of each"
     for number, cells in rows:
         if len(cells) % 4 != 1 or cells[0] != str(len(cells) // 4):
@@ -97,7 +97,10 @@ def _views(text: TextLines, rows: Sequence[tuple[int, list[str]]], n_cameras: in
 
 
 def write_bundler(path: str | Path, data: BalData, *, overwrite: bool = False) -> None:
-    """Write a file of v0.3; points are grey, keys count the image points of an image. InputError if it exists."""
+    """Write a file of version 0.3. Points are grey, and keys number the image points of an image.
+
+    InputError: the file exists.
+    """
     path = Path(path)
     require_free_files(path, overwrite=overwrite)
     lines = [HEAD, f"{len(data.cameras)} {len(data.points)}"]
@@ -118,7 +121,10 @@ def write_bundler(path: str | Path, data: BalData, *, overwrite: bool = False) -
 
 
 def _named(paths: tuple[Path, ...]) -> tuple[BalData, list[str], tuple[Finding, ...]]:
-    """Numbers of a file, names of its images (from the list, else numbers from 0) and notes."""
+    """Return the numbers of a file, the names of its images and notes.
+
+    The names come from the list of images; without a list, images are numbered from 0.
+    """
     data, images, notes = read_bundler(paths[0])
     names = [str(k) for k in images]
     if len(paths) > 1:

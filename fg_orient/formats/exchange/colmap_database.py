@@ -1,9 +1,10 @@
-"""Databases of COLMAP (SQLite): images, keypoints and matches of image pairs.
+"""Databases of COLMAP (SQLite) with images, keypoints and matches of image pairs.
 
-Keypoints are (x, y) with (0.5, 0.5) in the centre of the first pixel, in single precision: a
-place at 10 000 px is rounded by up to 0.0005 px. ``matches`` contains all matches, ``two_view_geometries`` contains the
-matches that fit the geometry of the pair. The number of a pair is 2147483647 times the smaller image id plus the larger
-one.
+Keypoints are (x, y); (0.5, 0.5) is the centre of the first pixel. They are in single
+precision. A coordinate of 10 000 px is therefore rounded by up to 0.0005 px. The table
+``matches`` contains all matches. The table ``two_view_geometries`` contains only the
+matches that fit the geometry of the pair. The number of a pair is 2147483647 times the
+smaller image id plus the larger image id.
 """
 
 from __future__ import annotations
@@ -26,13 +27,13 @@ from fg_orient.formats.load import open_sqlite
 from fg_orient.formats.registry import TIES_ONLY, Format, Settings
 from fg_orient.model.errors import Finding, InputError, finding
 
-#: A pair's number is this times its smaller image id plus its larger one.
+#: The number of a pair is this value times its smaller image id plus its larger image id.
 PAIR: Final = 2147483647
-#: COLMAP's number of the camera model with f, cx, cy.
+#: Number of COLMAP's camera model with the parameters f, cx, cy.
 SIMPLE_PINHOLE: Final = 0
-#: Focal length of an unknown camera in longer sides of the image, as COLMAP guesses it.
+#: COLMAP assumes that the focal length of an unknown camera is this value times the longer side of the image.
 FOCAL_GUESS: Final = 1.2
-#: Tables that are read.
+#: Names of the tables that are read.
 _TABLES: Final = ("images", "keypoints", "matches", "two_view_geometries")
 _SCHEMA: Final = """
 CREATE TABLE cameras (camera_id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, model INTEGER NOT NULL,
@@ -46,9 +47,9 @@ CREATE TABLE matches (pair_id INTEGER PRIMARY KEY NOT NULL, rows INTEGER NOT NUL
 
 
 def read_colmap_database(path: str | Path) -> Survey:
-    """Read the tie points of a database: matches of ``two_view_geometries``, else matches of ``matches``.
+    """Read the tie points of a database from ``two_view_geometries``; if it is empty, from ``matches``.
 
-    An InputError for a damaged database names the table and the id.
+    InputError: the database is damaged; the message names the table and the id.
     """
     path = Path(path)
     if not path.is_file():
@@ -78,7 +79,7 @@ def _read_database(opened: sqlite3.Connection, file: str) -> Survey:
 
 
 def _matches(opened: sqlite3.Connection, file: str, position: Mapping[int, int], first: Index) -> tuple[Index, str]:
-    """Rows of matched keypoints (m, 2), and the kind of the matches in words."""
+    """Return the row numbers of matched keypoints (m, 2), and the kind of the matches in words."""
     tables = {name for (name,) in opened.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
     table, verified = "two_view_geometries", False
     if table in tables:
@@ -100,7 +101,7 @@ def _matches(opened: sqlite3.Connection, file: str, position: Mapping[int, int],
 
 
 def _blob(file: str, place: str, data: Any, rows: int, columns: int, kind: str) -> npt.NDArray[Any]:
-    """Numbers (rows, columns) of a blob of the right length."""
+    """Read a blob as an array (rows, columns); its length must fit."""
     raw = data if isinstance(data, bytes) else b""
     if min(rows, columns) < 0 or len(raw) != rows * columns * np.dtype(kind).itemsize:
         raise InputError.of("colmap.blob", file=file, place=place, value=f"{len(raw)} bytes for {rows} x {columns}")
@@ -108,16 +109,17 @@ def _blob(file: str, place: str, data: Any, rows: int, columns: int, kind: str) 
 
 
 def write_colmap_database(path: Path, survey: Survey, sizes: Mapping[str, tuple[int, int]]) -> float:
-    """Write the image points of a survey as keypoints and matches of all pairs.
+    """Write the image points of a survey as keypoints, and as matches of all image pairs.
 
-    ``two_view_geometries`` remains empty: COLMAP tests whether matches fit a geometry. ``sizes`` are lines and
-    samples of the images. Each image gets a pinhole camera whose focal length is marked as a guess. An existing file is
+    The table ``two_view_geometries`` remains empty; COLMAP fills it when it tests whether
+    matches fit a geometry. ``sizes`` contains lines and samples of the images. Each image
+    gets a pinhole camera, and its focal length is marked as a guess. An existing file is
     replaced.
 
     Returns
     -------
     float
-        Largest rounding of a coordinate to single precision, px.
+        Largest difference by rounding a coordinate to single precision, px.
 
     Raises
     ------
@@ -152,7 +154,7 @@ def write_colmap_database(path: Path, survey: Survey, sizes: Mapping[str, tuple[
 
 
 def _write_database(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> tuple[Finding, ...]:
-    """Write a database; the finding states the rounding to single precision."""
+    """Write a database; the returned finding states the effect of single precision."""
     rounding = write_colmap_database(paths[0], survey, settings.image_sizes)
     if rounding == 0.0:
         return ()

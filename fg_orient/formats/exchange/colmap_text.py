@@ -1,10 +1,11 @@
-"""Text models of COLMAP: cameras.txt, images.txt and points3D.txt in one folder.
+"""Text models of COLMAP: the files cameras.txt, images.txt and points3D.txt in one folder.
 
-A pose leads from ground to camera axes (quaternion w x y z, then translation t = -R C); the axes
-are those of ``fg_orient.sensors.frame``. Pixels are (x, y) with (0.5, 0.5) in the centre of the
-first one. Each image has two lines. The second one may be empty: it lists the keypoints, with -1
-for a keypoint without a point. Further files of COLMAP since 3.12 (rigs.txt, frames.txt) contain
-no additional data of images of single cameras. COLMAP's databases have the same camera models.
+A pose transforms ground axes to camera axes (quaternion w x y z, then translation t = -R
+C). The axes are the same as in ``fg_orient.sensors.frame``. Pixels are (x, y); (0.5, 0.5)
+is the centre of the first pixel. Each image has two lines. The second line lists the
+keypoints and may be empty; a keypoint without a point has the number -1. Since version
+3.12 COLMAP also writes rigs.txt and frames.txt, which contain no further data if each
+image has a single camera. COLMAP's databases have the same camera models.
 """
 
 from __future__ import annotations
@@ -27,40 +28,41 @@ from fg_orient.sensors.conventions import CONVENTIONS, Image, interior_parameter
 from fg_orient.sensors.frame import IDEAL_TO_MEASURED
 from fg_orient.sensors.interior import Interior, converted
 
-#: Models that are read, and their conventions; the smallest sufficient one is written.
+#: Camera models that can be read, with their conventions. The writer uses the smallest sufficient model.
 CONVENTION: Final = {
     model: CONVENTIONS[f"colmap-{model.lower().replace('_', '-')}"]
     for model in (
         "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV",
     )
 }  # fmt: skip
-#: Names of their parameters, in the order of the files.
+#: Names of the parameters of each model, in the order of the files.
 MODELS: Final = {model: convention.names for model, convention in CONVENTION.items()}
-#: Coordinate of the centre of the first pixel in COLMAP's files.
+#: Coordinate of the first pixel's centre in COLMAP's files.
 FIRST_PIXEL: Final = CONVENTION["PINHOLE"].first_pixel
 
 
 def interior_of(
     model: str, size: tuple[int, int], parameters: Sequence[float], name: str, *, file: str = "", place: str = ""
 ) -> Interior:
-    """Camera of COLMAP as an interior orientation.
+    """Convert a camera of COLMAP to an interior orientation.
 
     Parameters
     ----------
     model : str
-        Name as in cameras.txt.
+        Name of the model in cameras.txt.
     size : (int, int)
         Width and height, px.
     parameters : sequence of float
-        In COLMAP's order, px.
+        Parameters in COLMAP's order, px.
     name : str
     file, place : str
-        For messages.
+        File, and place in it; used in messages.
 
     Raises
     ------
     InputError
-        The model or a parameter has no counterpart, the number of parameters is wrong, or a value is impossible.
+        The model or a parameter has no counterpart, the number of parameters is wrong, or
+        a value is impossible.
     """
     if model not in MODELS:
         raise InputError.of("colmap.model", file=file, place=place, value=model, known=", ".join(MODELS))
@@ -76,16 +78,17 @@ def interior_of(
 
 
 def parameters_of(interior: Interior) -> tuple[str, tuple[float, ...], float]:
-    """Return a camera for COLMAP, with the smallest model that has all its parameters.
+    """Convert a camera to COLMAP's smallest model that has all its parameters.
 
     Returns
     -------
     model : str
     parameters : tuple of float
-        In COLMAP's order, px.
+        Parameters in COLMAP's order, px.
     error_px : float
-        Largest error. It is 0 unless the polynomial leads from measured to ideal coordinates: then a polynomial of the
-        other direction is fitted (``fg_orient.sensors.interior.converted``).
+        Largest error of the conversion. It is 0 if the polynomial of the camera converts
+        ideal to measured coordinates. Otherwise a polynomial of that direction is fitted
+        (``fg_orient.sensors.interior.converted``).
     """
     others = any(v != 0.0 and not name.startswith("fisheye_") for name, v in interior.further.items())
     others |= interior.is_fisheye and bool(interior.distortion.any())
@@ -109,18 +112,18 @@ def camera_lines(model: FrameModel) -> tuple[list[str], tuple[str, ...]]:
 
 
 FILES: Final = ("cameras.txt", "images.txt", "points3D.txt")
-#: Point id of a keypoint without a point: -1, or the same as an unsigned number.
+#: Point id of a keypoint without a point. Files also contain it as an unsigned number.
 NO_POINT: Final = -1.0
 _UNSIGNED_NO_POINT: Final = 2.0**64
-#: Largest deviation of the length of a quaternion from 1.
+#: Maximum difference of the length of a quaternion from 1.
 NORM: Final = 1e-3
 
 
 def read_colmap_text(folder: str | Path) -> FrameModel:
-    """Read a model.
+    """Read a text model.
 
-    InputError if a file is missing, damaged (it names the first faulty line) or contradicts another, or a camera has no
-    counterpart here.
+    InputError: a file is missing or damaged, two files contradict each other, or this
+    program has no equivalent of a camera. The message names the first faulty line.
     """
     folder = Path(folder)
     cameras = _read_cameras(TextLines(folder / FILES[0]))
@@ -163,7 +166,7 @@ def _read_cameras(text: TextLines) -> dict[str, Interior]:
 
 
 def _read_images(text: TextLines, cameras: dict[str, Interior]) -> tuple[tuple[Pose, ...], list[Array]]:
-    """Poses and keypoints (k, 3): x, y, point id."""
+    """Return the poses, and the keypoints (k, 3) of each image: x, y, point id."""
     poses, keypoints = [], []
     upcoming = iter(enumerate(text.lines, start=1))
     for number, line in upcoming:
@@ -191,7 +194,7 @@ def _pose(text: TextLines, number: int, line: str, cameras: dict[str, Interior])
 
 
 def _read_points(text: TextLines) -> tuple[Array, Array, int]:
-    """Ids (N,), coordinates (N, 3), number of image points of all tracks."""
+    """Return ids (N,) and coordinates (N, 3) of the points, and the number of image points of all tracks."""
     needed = "POINT3D_ID X Y Z R G B ERROR (IMAGE_ID POINT2D_IDX)[]"
     content = text.content()
     counts = [len(line.split()) for _, line in content]
@@ -204,11 +207,11 @@ def _read_points(text: TextLines) -> tuple[Array, Array, int]:
 
 
 def write_colmap_text(folder: str | Path, model: FrameModel, *, overwrite: bool = False) -> tuple[str, ...]:
-    """Write a model; the folder is made if it is missing. The result is the information that is lost, in words.
+    """Write a text model; return the lost information in words. A missing folder is created.
 
-    Ids of cameras, images and points count from 1, in the order of the model: other names of points and cameras are
-    lost. InputError if a file exists, cannot be written, or the name of an image contains a blank: COLMAP would cut it
-    there.
+    Cameras, images and points are numbered from 1 in the order of the model. Other names
+    of points and cameras are lost. InputError: a file exists or cannot be written, or the
+    name of an image contains a blank, where COLMAP would truncate it.
     """
     folder = Path(folder)
     paths = [folder / name for name in FILES]
@@ -219,7 +222,7 @@ def write_colmap_text(folder: str | Path, model: FrameModel, *, overwrite: bool 
             raise InputError.of("interchange.cells", file=FILES[1], value=repr(pose.name), needed=needed)
     cameras, lost = camera_lines(model)
     order = np.lexsort((model.point, model.image))
-    place = np.empty(len(order), np.intp)  # of an image point among those of its image
+    place = np.empty(len(order), np.intp)  # number of an image point within its image
     place[order] = np.arange(len(order)) - np.searchsorted(model.image[order], model.image[order])
     make_folder(folder)
     write_lines(paths[0], ["# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]", *cameras])
@@ -236,7 +239,7 @@ _POINT_HEAD: Final = "# POINT3D_ID X Y Z R G B ERROR (IMAGE_ID POINT2D_IDX)[]"
 
 
 def _image_lines(model: FrameModel, order: Index) -> Iterator[str]:
-    """Two lines of each image; ``order`` sorts the image points by image."""
+    """Return the two lines of each image; ``order`` sorts the image points by image."""
     ends = np.searchsorted(model.image[order], np.arange(len(model.poses) + 1))
     camera = {name: k for k, name in enumerate(model.cameras, start=1)}
     for k, pose in enumerate(model.poses):
@@ -249,7 +252,10 @@ def _image_lines(model: FrameModel, order: Index) -> Iterator[str]:
 
 
 def _point_lines(model: FrameModel, place: Index) -> Iterator[str]:
-    """Lines of the points with their tracks, grey, and the mean residual as COLMAP states it."""
+    """Return the lines of the points with their tracks and mean residuals as in COLMAP.
+
+    The colour is grey.
+    """
     order = np.argsort(model.point, kind="stable")
     ends = np.searchsorted(model.point[order], np.arange(len(model.points_m) + 1)).tolist()
     residual = np.linalg.norm(model.residuals_px(), axis=1)[order]

@@ -1,4 +1,7 @@
-"""Conversion between formats of points and frame models; information that is lost is counted before writing."""
+"""Convert points or frame models to another format.
+
+Count the information that will be lost before writing.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,7 @@ if TYPE_CHECKING:
 Three = tuple[float, float, float]
 Two = tuple[float, float]
 
-#: Distance from the area of use of a CRS above which points cause a remark, degrees.
+#: Points that are farther than this from the area of use of their CRS, degrees, cause a remark.
 AREA_MARGIN_DEG: Final = 3.0
 
 
@@ -44,22 +47,22 @@ def read_survey(
     paths : sequence of Path
     format_ : Format
     settings : Settings
-        Information that the files lack.
+        Information that the files do not contain.
     accept_unverified : bool
-        Read a format whose reader was never tried on a file of its program.
+        Accept a format whose reader was never tested with a file of its program.
     scenes : sequence of Scene
-        Footprints of the images; points far from all of them are refused.
+        Footprints of the images; points that are far from all images are refused.
 
     Returns
     -------
     Survey
     tuple of Finding
-        Remarks.
+        Remarks on the data.
 
     Raises
     ------
     InputError
-        A file is faulty.
+        A file has faults.
     """
     file = paths[0]
     if format_.read is None:
@@ -74,7 +77,7 @@ def read_survey(
 
 
 def require_usable(paths: Sequence[Path], format_: Format, accept_unverified: bool) -> None:
-    """Refuse more files than a format has, and an unverified format that the user does not accept."""
+    """Refuse too many files for a format, and an unverified format unless the user accepts it."""
     if len(paths) > len(format_.files):
         value, names = f"{len(paths)} files", ", ".join(format_.files)
         raise InputError.of("interchange.files", file=paths[0], value=value, format=format_.name, names=names)
@@ -86,7 +89,7 @@ def filled(
     survey: Survey, *, sigma_ground_m: Three | None = None, sigma_image_px: Two | None = None,
     height_m: float | None = None, check: Sequence[str] = (),
 ) -> Survey:  # fmt: skip
-    """Survey with given values where its file has no values.
+    """Fill in values that the file of a survey does not contain.
 
     Parameters
     ----------
@@ -97,7 +100,7 @@ def filled(
         Standard deviations of line and sample.
     height_m : float, optional
     check : sequence of str
-        Points with coordinates that become check points.
+        Ids of points with coordinates that become check points.
     """
     known = survey.located
     roles = list(survey.roles)
@@ -119,16 +122,17 @@ def filled(
 def write_survey(
     survey: Survey, paths: Sequence[Path], format_: Format, settings: Settings, *, overwrite: bool = False
 ) -> tuple[tuple[Path, ...], tuple[Finding, ...]]:
-    """Write a survey in a format.
+    """Write a survey in another format.
 
     Parameters
     ----------
     survey : Survey
     paths : sequence of Path
-        One name, or one for each file of the format.
+        One name, or a name for each file of the format.
     format_ : Format
     settings : Settings
-        ``crs`` is the CRS of the output; "" keeps that of the survey, unless the format requires another.
+        ``crs`` is the CRS of the output. If it is "", the CRS of the survey is kept,
+        unless the format requires another.
     overwrite : bool
 
     Returns
@@ -136,7 +140,7 @@ def write_survey(
     tuple of Path
         Written files.
     tuple of Finding
-        One for each kind of lost information.
+        One finding for each kind of lost information.
 
     Raises
     ------
@@ -147,7 +151,7 @@ def write_survey(
         raise InputError.of("interchange.no_writer", file=paths[0], option="to", value=format_.name)
     require_usable(paths, format_, True)
     targets = tuple(paths) if len(paths) == len(format_.files) else format_.paths(paths[0])
-    wanted = targets if len(survey.observed) else targets[:1]  # the second file contains image points
+    wanted = targets if len(survey.observed) else targets[:1]  # the second file contains image points only
     require_free_files(*wanted, overwrite=overwrite)
     survey = placed(survey, format_, settings.crs, str(paths[0]))
     _require(survey, format_, str(paths[0]))
@@ -157,16 +161,17 @@ def write_survey(
 
 
 def placed(survey: Survey, format_: Format, wanted: str, file: str) -> Survey:
-    """Survey in the CRS given by the user or required by the format; sigmas East, North, Up do not change.
+    """Transform a survey to the CRS that the user gives or the format requires.
 
-    Its notes name the operations. InputError if the CRS of the survey is unknown, there is no exact operation, or a
+    Standard deviations East, North, Up do not change. Notes name the transformations.
+    InputError: the CRS of the survey is unknown, there is no exact transformation, or a
     point has no height.
     """
     crs, rows = wanted or format_.crs, np.flatnonzero(survey.located)
     if Holds.GROUND not in format_.holds or (survey.crs and survey.crs == (crs or survey.crs)):
         return survey
     if not len(rows):
-        return replace(survey, crs=crs or survey.crs or WGS84)  # without coordinates any CRS is right
+        return replace(survey, crs=crs or survey.crs or WGS84)  # without coordinates, any CRS is correct
     if not survey.crs:
         raise InputError.of("interchange.no_crs", file=file, place="CRS")
     labels = [f"point {survey.ids[k]}" for k in rows]
@@ -182,7 +187,10 @@ def placed(survey: Survey, format_: Format, wanted: str, file: str) -> Survey:
 
 
 def _require(survey: Survey, format_: Format, file: str) -> None:
-    """Refuse a survey that lacks information required by the format; the message names the option that supplies it."""
+    """Refuse a survey without information that the format requires.
+
+    The message names the option that gives it.
+    """
     known, o = survey.located, survey.observed
     weighted = known & ~(survey.fixed & (Holds.FIXED in format_.holds))
     lacking = {
@@ -202,14 +210,14 @@ def convert_model(
     paths: Sequence[Path], reader: Format, out: Path, writer: Format, settings: Settings, *,
     accept_unverified: bool = False, overwrite: bool = False,
 ) -> tuple[FrameModel, tuple[Finding, ...]]:  # fmt: skip
-    """Read a frame model and write it in another format; the result is the model and a finding per loss.
+    """Read a frame model and write it in another format; return the model and a finding for each loss.
 
-    ``settings.image_sizes`` are for formats that lack them.
+    ``settings.image_sizes`` is needed if the format does not contain the sizes of the images.
 
     Raises
     ------
     InputError
-        A file is unusable, the new format cannot hold a camera, or the output exists.
+        A file cannot be used, the new format cannot contain a camera, or the output exists.
     """
     if reader.read_model is None or writer.write_model is None:
         raise InputError.of("interchange.no_writer", file=out, option="to", value=writer.name)
@@ -224,10 +232,10 @@ def convert_model(
 
 
 def check_ground(survey: Survey, file: str, scenes: Sequence[Scene] = ()) -> tuple[Finding, ...]:
-    """Refuse coordinates that cannot be true in their CRS, and return remarks.
+    """Refuse coordinates that are impossible in their CRS; return remarks on the others.
 
-    Refused are latitudes and longitudes out of range, columns that look exchanged, and points far from all ``scenes``,
-    the footprints of the images.
+    The function refuses latitudes and longitudes out of range, columns that seem to be
+    exchanged, and points that are far from all ``scenes``, the footprints of the images.
     """
     faults = Faults(file)
     remarks: tuple[Finding, ...] = ()
@@ -258,7 +266,7 @@ def _check_ranges(survey: Survey, rows: Index, faults: Faults) -> None:
 
 
 def _check_area(survey: Survey, rows: Index, faults: Faults) -> tuple[Finding, ...]:
-    """Check projected coordinates against the area of use of their CRS."""
+    """Check whether projected coordinates lie in the area of use of their CRS."""
     area = area_of_use(survey.crs)
     first, second = survey.coordinates[rows, :2].T
     outside = ~_in_area(survey.crs, first, second, area)
@@ -275,7 +283,7 @@ def _check_area(survey: Survey, rows: Index, faults: Faults) -> tuple[Finding, .
 
 
 def _in_area(crs: str, first: Array, second: Array, area: tuple[float, float, float, float] | None) -> Mask:
-    """Whether points lie in the area of use of a CRS, with a margin: (n,)."""
+    """Return a mask (n,) of the points that lie in the area of use of a CRS, with a margin."""
     if area is None:
         return np.ones(len(first), bool)
     west, south, east, north = area
@@ -289,7 +297,7 @@ def _in_area(crs: str, first: Array, second: Array, area: tuple[float, float, fl
 
 
 def losses(survey: Survey, format_: Format, file: str) -> tuple[Finding, ...]:
-    """List information of the survey that the format cannot contain; ``file`` is for the messages."""
+    """List the information of the survey that the format cannot contain; ``file`` is used in messages."""
     lost, holds = [], format_.holds
     for what, (code, implied, count) in _COUNTED.items():
         if what is Holds.IDS and Holds.NUMBERS in holds:
@@ -310,14 +318,14 @@ def _measured(survey: Survey) -> Mask:
 
 
 def _numbered(survey: Survey) -> bool:
-    """Whether the points have the ids that numbering in the order of the image points gives."""
+    """Return whether the ids are the same as if the points were numbered in the order of their image points."""
     _, first = np.unique(survey.observed.point, return_index=True)
     order = survey.observed.point[np.sort(first)]
     return [survey.ids[k] for k in order] == [str(k + 1) for k in range(len(survey.ids))]
 
 
 def _no_numbers(survey: Survey) -> int:
-    """Number of ids, 0 if all are whole numbers without leading zeros."""
+    """Return the number of ids; return 0 if all ids are whole numbers without leading zeros."""
     return 0 if all(name.isdecimal() and name == str(int(name)) for name in survey.ids) else len(survey.ids)
 
 
@@ -326,12 +334,13 @@ def _weighted(survey: Survey) -> Mask:
 
 
 def _unequal(survey: Survey, axis: int) -> int:
-    """Number of points whose sigma of this axis differs from the sigma East."""
+    """Return the number of points whose standard deviation on this axis differs from the one East."""
     rows = survey.sigma_enu_m[_weighted(survey)]
     return int((rows[:, 0] != rows[:, axis]).sum())
 
 
-#: Message of each kind of information, kind that implies it (then only the latter is reported as lost), and count.
+#: For each kind of information: its message, the kind that includes it, and a function
+#: that counts it. If a kind that includes it is also lost, only that kind is reported.
 _COUNTED: Final[dict[Holds, tuple[str, Holds | None, Callable[[Survey], int]]]] = {
     Holds.GROUND: ("lost.ground", None, lambda s: int(s.located.sum())),
     Holds.IMAGE: ("lost.image", None, lambda s: len(s.observed)),

@@ -1,11 +1,13 @@
-"""GeoJSON and GeoPackage: points of a geographic information system with the columns of our tables.
+"""GeoJSON and GeoPackage files with the columns of our tables, for geographic information systems (GIS).
 
-A GeoJSON file (RFC 7946) is a FeatureCollection. Positions are longitude, latitude, height above the WGS84 ellipsoid,
-always in this order. Properties: ``id, role, sigma_east_m, sigma_north_m, sigma_up_m``, ``fixed``; others are ignored.
+A GeoJSON file (RFC 7946) is a FeatureCollection. A position is longitude, latitude,
+height above the WGS84 ellipsoid, always in this order. The properties are ``id, role,
+sigma_east_m, sigma_north_m, sigma_up_m`` and ``fixed``; other properties are ignored.
 
-A GeoPackage has a layer ``ground_points`` and a table ``image_points``; it needs pyogrio and shapely (extra ``geo``).
-Geometries are points with Z, longitude or easting first, in the CRS of the survey. Pixel (0, 0) is the centre of the
-first pixel, as in our tables. Tie points have no geometry in either format.
+A GeoPackage has a layer ``ground_points`` and a table ``image_points``. It needs pyogrio
+and shapely (extra ``geo``). Its geometries are points with Z in the CRS of the survey;
+longitude or easting is first. Pixel (0, 0) is the centre of the first pixel, as in our
+tables. Tie points have no geometry in either format.
 """
 
 from __future__ import annotations
@@ -30,12 +32,12 @@ from fg_orient.geodesy.crs import WGS84, same_horizontal
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
 
-#: Members that may name a point, in order of preference.
+#: Members of a feature that may contain the id of the point; the first existing one is used.
 _NAMES: Final = ("id", "name", "label", "Name", "Label", "ID")
 
 
 def read_geojson(paths: tuple[Path, ...], settings: Settings) -> Survey:
-    """Read a FeatureCollection; a vertical CRS may be given, as EPSG:4326+5773."""
+    """Read a FeatureCollection; the user may give a vertical CRS, for example EPSG:4326+5773."""
     path = paths[0]
     content = _content(path)
     if settings.crs and not same_horizontal(settings.crs, WGS84):
@@ -47,12 +49,15 @@ def read_geojson(paths: tuple[Path, ...], settings: Settings) -> Survey:
 
 
 def _content(path: Path) -> dict[str, Any]:
-    """The collection; nan, infinity and other content than a collection in WGS84 are refused."""
+    """Return the collection of a file.
+
+    Refuse nan, infinity and any content other than a collection in WGS84.
+    """
     content = load_json(path, "interchange.json")
     if not isinstance(content, dict) or not isinstance(content.get("features"), list):
         what = "it has no list of features"
         raise InputError.of("interchange.geojson", file=path, value=type(content).__name__, what=what)
-    named = content.get("crs")  # of GeoJSON before 2016
+    named = content.get("crs")  # GeoJSON before 2016 had this member
     if named is not None and "CRS84" not in str(named) and "4326" not in str(named):
         what = "coordinates have to be WGS84 (RFC 7946)"
         raise InputError.of("interchange.geojson", file=path, place="crs", value=named, what=what)
@@ -60,7 +65,7 @@ def _content(path: Path) -> dict[str, Any]:
 
 
 def _take(gathered: Gathering, feature: dict[str, Any], k: int) -> None:
-    """Take one feature."""
+    """Add one feature to the survey."""
     properties = feature.get("properties") or {}
     members = [properties.get(name) for name in _NAMES] + [feature.get("id")]
     name = next((str(member) for member in members if member not in (None, "")), "")
@@ -87,7 +92,7 @@ def _is_number(value: object) -> bool:
 
 
 def write_geojson(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
-    """Write all points."""
+    """Write all points as a FeatureCollection."""
     features = [_feature(survey, k) for k in range(len(survey.ids))]
     content = {"type": "FeatureCollection", "features": features}
     write_text(paths[0], json.dumps(content, ensure_ascii=False, allow_nan=False, indent=1) + "\n")
@@ -122,12 +127,12 @@ GEOJSON = Format(
 
 GROUND: Final = "ground_points"
 IMAGE: Final = "image_points"
-#: Version 1.2 is sufficient; QGIS before 3.28 warns of later versions.
+#: Version 1.2 is sufficient. QGIS before 3.28 gives warnings for later versions.
 GPKG_OPTIONS: Final = {"VERSION": "1.2"}
 
 
 def libraries(file: Path) -> tuple[Any, Any]:
-    """Pyogrio and shapely, imported on demand."""
+    """Import pyogrio and shapely."""
     try:
         with plain_case():
             import pyogrio
@@ -138,13 +143,13 @@ def libraries(file: Path) -> tuple[Any, Any]:
 
 
 def _layer(pyogrio: Any, path: Path, layer: str) -> tuple[dict[str, Any], Any, dict[str, Any]]:
-    """Description, geometries (WKB) and columns of a layer."""
+    """Return the description, the geometries (WKB) and the columns of a layer."""
     meta, _, geometry, columns = pyogrio.raw.read(path, layer=layer)
     return meta, geometry, dict(zip(meta["fields"], columns, strict=True))
 
 
 def read_geopackage(paths: tuple[Path, ...], settings: Settings) -> Survey:
-    """Read both layers; the second may be missing."""
+    """Read both layers of a GeoPackage; the second one may be missing."""
     path = paths[0]
     pyogrio, shapely = libraries(path)
     require_plain_layers(path, (GROUND, IMAGE), "interchange.gpkg")
@@ -163,9 +168,11 @@ def read_geopackage(paths: tuple[Path, ...], settings: Settings) -> Survey:
 
 
 def require_plain_layers(path: Path, layers: Sequence[str], code: str) -> None:
-    """Refuse a GeoPackage that is no database, or whose layers are views: GDAL would run what they contain.
+    """Refuse a GeoPackage that is not a database, or that has views as layers.
 
-    GDAL reads a file by its content, whatever its name: other content may refer to other files and to addresses.
+    GDAL would run the code of a view. GDAL also ignores the name of a file and uses its
+    content to find the format. Other formats may refer to other files and to network
+    addresses.
     """
     if not path.is_file():
         raise InputError.of("table.missing_file", file=path)
@@ -199,7 +206,10 @@ def _take_image(gathered: Gathering, columns: dict[str, Any], path: Path) -> Non
 
 
 def write_geopackage(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
-    """Write both layers; the second only if there are image points."""
+    """Write a GeoPackage with both layers.
+
+    The second one is written only if there are image points.
+    """
     with staged_file(paths[0], suffix=".gpkg") as temporary:
         text = [np.array(survey.ids, object), np.array([str(role) for role in survey.roles], object)]
         columns = dict(zip(("id", "role", *SIGMA_COLUMNS), (*text, *survey.sigma_enu_m.T), strict=True))
@@ -215,7 +225,7 @@ def write_geopackage(survey: Survey, paths: tuple[Path, ...], settings: Settings
 def write_point_layer(
     path: Path, layer: str, coordinates: Array, columns: dict[str, npt.NDArray[Any]], crs: str | None, text: str
 ) -> None:
-    """Write a GeoPackage with one layer of points (n, 3); ``text`` is the description of the layer."""
+    """Write a GeoPackage with one layer of points (n, 3); ``text`` describes the layer."""
     with staged_file(path, suffix=".gpkg") as temporary:
         _write_points(temporary, layer, coordinates, columns, crs, DESCRIPTION=text)
 
@@ -223,7 +233,10 @@ def write_point_layer(
 def _write_points(
     path: Path, layer: str, coordinates: Array, columns: dict[str, npt.NDArray[Any]], crs: str | None, **options: str
 ) -> None:
-    """Write points with Z; points without coordinates have no geometry, points without a height have no Z."""
+    """Write points with Z.
+
+    A point without coordinates has no geometry; a point without a height has no Z.
+    """
     pyogrio, shapely = libraries(path)
     geometry: npt.NDArray[np.object_] = shapely.to_wkb(shapely.points(np.nan_to_num(coordinates)))
     located = np.isfinite(coordinates[:, :2]).all(axis=1)
@@ -232,7 +245,7 @@ def _write_points(
     geometry[flat] = shapely.to_wkb(shapely.points(coordinates[flat, :2]))
     with plain_case(), warnings.catch_warnings():
         if not crs:
-            warnings.filterwarnings("ignore", "'crs' was not provided")  # local coordinates have none
+            warnings.filterwarnings("ignore", "'crs' was not provided")  # local coordinates have no CRS
         pyogrio.raw.write(
             path, geometry, list(columns.values()), list(columns), layer=layer, driver="GPKG", geometry_type="Point Z",
             crs=crs, dataset_options=GPKG_OPTIONS, layer_options=options, nan_as_null=True,

@@ -1,9 +1,15 @@
-"""Control networks of ISIS as text (PVL), as ``cnetbin2pvl`` writes them.
+"""Control networks of ISIS in text form (PVL), as the program ``cnetbin2pvl`` writes them.
 
-Points are body-fixed metres; images are named by their serial numbers. Free points are tie points with start values,
-constrained points are control points with the standard deviations of their a priori covariance along longitude,
-latitude and radius, fixed points are control points without uncertainty. Ignored points and measures, candidates, and
-measures that jigsaw rejected are left out and counted. Samples and lines count from 1 in the centre of the first pixel.
+Points have body-fixed coordinates in metres. The serial numbers of the images are their
+names. Points have three types:
+
+- free points are tie points with start values;
+- constrained points are control points; their standard deviations along longitude, latitude and radius come from the
+  a priori covariance matrix;
+- fixed points are control points without uncertainty.
+
+Ignored points and measures, candidates, and measures that jigsaw rejected are left out
+and counted. Samples and lines are 1 at the centre of the first pixel.
 """
 
 from __future__ import annotations
@@ -25,17 +31,17 @@ from fg_orient.geodesy import BODY_FIXED, enu_from_ecef
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role
 
-#: Role and whether it is fixed, by the type of a point; the last three are those of older networks.
+#: For each type of a point: its role, and whether it is fixed. The last three types occur in older networks.
 TYPES: Final = {
     "free": (Role.TIE, False), "constrained": (Role.CONTROL, False), "fixed": (Role.CONTROL, True),
     "tie": (Role.TIE, False), "ground": (Role.CONTROL, True), "equivalent": (Role.TIE, False),
 }  # fmt: skip
-#: Correlations above this of East, North, Up are counted as lost.
+#: Larger correlations between East, North and Up are counted as lost.
 CORRELATED: Final = 1e-6
 
 
 def read_isis(paths: tuple[Path, ...], settings: Settings) -> Survey:
-    """Read a network; its coordinates are body-fixed whatever the settings are."""
+    """Read a network; its coordinates are always body-fixed, for any settings."""
     path = paths[0]
     if settings.crs not in ("", BODY_FIXED):
         raise InputError.of("isis.crs", file=path, option="crs", value=settings.crs)
@@ -77,7 +83,7 @@ def read_isis(paths: tuple[Path, ...], settings: Settings) -> Survey:
 
 
 def _type(point: Pvl) -> tuple[Role, bool]:
-    """Role of a point, and whether it is fixed."""
+    """Return the role of a point, and whether it is fixed."""
     kind = point.text("PointType")
     if kind.lower() not in TYPES:
         line = point.values["pointtype"][1]
@@ -86,7 +92,7 @@ def _type(point: Pvl) -> tuple[Role, bool]:
 
 
 def _place(point: Pvl, role: Role, fixed: bool) -> tuple[float, float, float]:
-    """A priori coordinates; nan for a tie point without them."""
+    """Return the a priori coordinates of a point; they are nan if a tie point has none."""
     if role is Role.TIE and not point.has("AprioriX"):
         return UNKNOWN
     x, y, z = (point.number(f"Apriori{axis}") for axis in "XYZ")
@@ -96,7 +102,7 @@ def _place(point: Pvl, role: Role, fixed: bool) -> tuple[float, float, float]:
 
 
 def _sigmas(point: Pvl, place: Sequence[float]) -> tuple[tuple[float, float, float], bool]:
-    """Standard deviations East, North, Up of the a priori covariance; whether they are correlated."""
+    """Return the a priori standard deviations East, North, Up, and whether they are correlated."""
     xx, xy, xz, yy, yz, zz = point.numbers("AprioriCovarianceMatrix", 6)
     own = _axes(place)
     covariance = own @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ own.T
@@ -110,13 +116,13 @@ def _sigmas(point: Pvl, place: Sequence[float]) -> tuple[tuple[float, float, flo
 
 
 def _axes(place: Sequence[float]) -> Array:
-    """East, North, Up (3, 3) of a point on a sphere."""
+    """Return the unit vectors East, North, Up (3, 3) at a point on a sphere."""
     x, y, z = place
     return np.asarray(enu_from_ecef(np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(z, np.hypot(x, y))))[0])
 
 
 def _left_out(measure: Pvl) -> str:
-    """Why a measure is left out; "" for a measure of the adjustment."""
+    """Return the reason why a measure is left out; "" if it is used."""
     if measure.is_true("Ignore"):
         return "ignored measures"
     if measure.is_true("JigsawRejected"):
@@ -125,7 +131,10 @@ def _left_out(measure: Pvl) -> str:
 
 
 def write_isis(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> tuple[Finding, ...]:
-    """Write a network of body-fixed points; tie points without coordinates get no a priori place."""
+    """Write a network of body-fixed points.
+
+    Tie points without coordinates get no a priori coordinates.
+    """
     if survey.crs not in (BODY_FIXED, ""):
         raise InputError.of("isis.crs", file=paths[0], option="to_crs", value=survey.crs)
     o, out = survey.observed, ["Object = ControlNetwork", "  NetworkId = fg_orient", "  Version = 5"]

@@ -1,7 +1,9 @@
-"""Bundle problems of libmv (``problem_NN.bin``), which Ceres Solver publishes without a description of their layout.
+"""Bundle problems of libmv (``problem_NN.bin``) that Ceres Solver publishes.
 
-The layout was found from the numbers of problem_01.bin: it ends exactly after the last record, all matrices are
-orthonormal, all references exist, and image points and projections differ by 0.9 px (rms) only with this order:
+Their layout is not documented. It was determined from the numbers of problem_01.bin. With
+the following layout, the file ends exactly after the last record, all matrices are
+orthonormal, all references exist, and image points differ from their projections by only
+0.9 px (rms):
 
 - letters v and P (little-endian numbers, coordinates in pixels; files with other letters are refused)
 - 8 float32: focal length, principal point x, y (px), five coefficients of distortion, which are zero
@@ -9,9 +11,10 @@ orthonormal, all references exist, and image points and projections differ by 0.
 - int32 number of points; each: int32 id, X, Y, Z (3 float32)
 - int32 number of image points; each: int32 image, int32 point, x, y (2 float32)
 
-Files with distortion are refused, because the order and direction of the polynomial cannot be found from zeros. The
-file does not state the direction of y nor the pixel origin: y down and the centre of the first pixel are assumed. Image
-points and principal point have them in common.
+Files with distortion are refused: all coefficients of the known file are zero, so that
+the order and direction of the polynomial are unknown. The file states neither the
+direction of y nor the pixel origin. It is assumed that y points down, and that the origin
+is the centre of the first pixel. Image points and principal point have the same origin.
 """
 
 from __future__ import annotations
@@ -42,13 +45,14 @@ _MARK: Final = np.dtype([("image", "<i4"), ("point", "<i4"), ("xy", "<f4", 2)])
 
 
 def read_libmv(path: str | Path, image_sizes: Mapping[str, tuple[int, int]] | None = None) -> FrameModel:
-    """Read a file as a frame model with one camera; images and points have the numbers of the file as names.
+    """Read a file as a frame model with one camera; the numbers of images and points in the file are their names.
 
     Parameters
     ----------
     path : str or Path
     image_sizes : mapping of str to (n_lines, n_samples), optional
-        Sizes of the images; others become the square out to the outermost image point, with a note.
+        Sizes of the images. If a size is missing, a square up to the outermost image
+        point is assumed, with a note.
 
     Raises
     ------
@@ -73,7 +77,7 @@ def read_libmv(path: str | Path, image_sizes: Mapping[str, tuple[int, int]] | No
     matrices = np.swapaxes(images["columns"].astype(float), 1, 2)
     image, point = positions(images["id"], marks["image"]), positions(points["id"], marks["point"])
     _check(path.name, camera, tables, away_from_rotation(matrices), (image, point))
-    matrices = Rotation.from_matrix(matrices).as_matrix()  # orthonormal to more digits than float32
+    matrices = Rotation.from_matrix(matrices).as_matrix()  # makes them orthonormal in double precision
     names, xy = images["id"].astype(str).tolist(), marks["xy"].astype(float)
     sizes, notes = sizes_of(names, image_sizes or {}, int(np.ceil(xy.max(initial=0.0))) + 1)
     interior = Interior(*sizes[0], camera[0], camera[2:0:-1], name="1")
@@ -89,7 +93,7 @@ def _check(
     file: str, camera: Array, tables: list[npt.NDArray[np.void]], away: Array,
     at: tuple[Index, Index],
 ) -> None:  # fmt: skip
-    """Refuse a file with impossible values; all faults at once."""
+    """Refuse a file with impossible values; all faults are reported together."""
     faults = Faults(file)
     images, points, marks = tables
     if not (np.isfinite(camera).all() and camera[0] > 0.0):
@@ -100,7 +104,7 @@ def _check(
         _, first = np.unique(table["id"], return_index=True)
         for k in np.setdiff1d(np.arange(len(table)), first):
             faults.add("interchange.twice", place=f"{what} {k}", value=int(table["id"][k]), kind=what)
-    faults.raise_if_any()  # references to an id that occurs twice are meaningless
+    faults.raise_if_any()  # if an id occurs twice, references to it have no meaning
     for k in np.flatnonzero(~(away <= 10 * ORTHONORMAL)):
         faults.add("libmv.rotation", place=f"image {images['id'][k]}", value=not_a_rotation(float(away[k])))
     for k in np.flatnonzero((at[0] < 0) | (at[1] < 0)):

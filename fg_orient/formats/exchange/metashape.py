@@ -1,14 +1,17 @@
-"""Markers of Metashape: the reference table, and the XML of *Export Markers* with their positions in the images.
+"""Markers of Metashape: the reference table, and the XML file of *Export Markers* with positions in the images.
 
-The table is comma-separated; the user chooses the columns. The writer uses the columns ``#Label,Enable,X,Y,Z,
-Accuracy_X_(m),Accuracy_Y_(m),Accuracy_Z_(m)`` below a line ``# CoordinateSystem:``. The reader accepts any header with
-known names. The accuracy may also be one column, ``0.02`` or ``0.02/0.05`` (horizontal and vertical). X is longitude or
-easting. An enabled marker is a control point, a disabled one a check point; a marker without coordinates is a tie
-point.
+The table has commas as separators. Users of Metashape choose its columns. Our writer
+writes a line ``# CoordinateSystem:`` and the columns
+``#Label,Enable,X,Y,Z,Accuracy_X_(m),Accuracy_Y_(m),Accuracy_Z_(m)``. The reader accepts
+any header with known names. The accuracy may also be in one column: ``0.02``, or
+``0.02/0.05`` (horizontal and vertical). X is longitude or easting. An enabled marker is a
+control point, and a disabled marker is a check point. A marker without coordinates is a
+tie point.
 
-In the XML, ``markers/marker`` has a label and a ``reference`` with x, y, z, standard deviations (``sx sy sz``,
-``sxy sz`` or ``sxyz``) and ``enabled``. ``frames/frame/markers/marker`` contains the ``location`` of a marker in each
-camera. x and y count from the corner of the first pixel, whose centre is (0.5, 0.5).
+In the XML file, ``markers/marker`` contains a label and a ``reference`` with x, y, z,
+standard deviations (``sx sy sz``, ``sxy sz`` or ``sxyz``) and ``enabled``.
+``frames/frame/markers/marker`` contains the ``location`` of a marker in each camera. x
+and y count from the corner of the first pixel, so that its centre is (0.5, 0.5).
 """
 
 from __future__ import annotations
@@ -33,7 +36,7 @@ from fg_orient.geodesy.crs import wkt
 from fg_orient.model.errors import InputError, finding
 from fg_orient.model.names import Role
 
-#: Names of the columns, without capitals, units, blanks and underscores.
+#: Known names of the columns, in lower case, without units, blanks and underscores.
 _NAMES: Final = {
     "label": ("label", "name", "marker", "markers", "point"),
     "x": ("x", "x/longitude", "x/easting", "longitude", "easting"),
@@ -57,7 +60,7 @@ _OFF: Final = ("0", "false", "no")
 
 
 def read_table(paths: tuple[Path, ...], settings: Settings) -> Survey:
-    """Read a reference table."""
+    """Read a reference table of markers."""
     path = paths[0]
     gathered = Gathering(path, settings.crs, stated_in(path, _CRS))
     faults = gathered.faults
@@ -76,7 +79,7 @@ def read_table(paths: tuple[Path, ...], settings: Settings) -> Survey:
 
 
 def _header(lines: list[tuple[int, str]], path: Path) -> tuple[int, str, list[str], list[str]]:
-    """Number of the header line, separator, columns, and names of columns that are not read."""
+    """Return the number of the header line, the separator, the columns, and the names of columns that are not read."""
     first = "an empty file"
     for n, line in lines:
         mark = separator_of(line)
@@ -96,7 +99,7 @@ def _header(lines: list[tuple[int, str]], path: Path) -> tuple[int, str, list[st
 
 
 def _take_row(gathered: Gathering, row: Row) -> None:
-    """Take one marker."""
+    """Add one marker of the table to the survey."""
     faults = gathered.faults
     if not any(row.cells[column] for column in ("x", "y", "z")):
         gathered.point(row.cells["label"], Role.TIE, UNKNOWN, line=row.line)
@@ -113,7 +116,7 @@ def _take_row(gathered: Gathering, row: Row) -> None:
 
 
 def write_table(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
-    """Write all markers."""
+    """Write all markers to a reference table."""
     lines = [f"# CoordinateSystem: {wkt(survey.crs)}", ",".join(_HEADER)]
     for name, role, xyz, sigmas, located in zip(
         survey.ids, survey.roles, survey.coordinates, survey.sigma_enu_m, survey.located, strict=True
@@ -138,7 +141,7 @@ TABLE = Format(
 
 # --- XML -----------------------------------------------------------------------------------------
 
-#: Coordinate of the centre of the first pixel.
+#: Coordinate of the first pixel's centre in the XML file.
 CENTRE_PX: Final = 0.5
 _XYZ: Final = ("x", "y", "z")
 _SIGMAS: Final = (("sx", "sy", "sz"), ("sxy", "sxy", "sz"), ("sxyz", "sxyz", "sxyz"))
@@ -146,7 +149,7 @@ _FALSE: Final = ("false", "0")
 
 
 def read_markers(paths: tuple[Path, ...], settings: Settings) -> Survey:
-    """Read markers of one chunk and one frame."""
+    """Read the markers of an XML file with one chunk and one frame."""
     path = paths[0]
     chunk = read_xml(path).one("chunk")
     reference = chunk.maybe("reference")
@@ -166,21 +169,21 @@ def _children(parent: XmlNode | None, name: str) -> Sequence[XmlNode]:
 
 
 def _labels(chunk: XmlNode, group: str, name: str) -> dict[str, str]:
-    """Labels by id; cameras may be nested in groups."""
+    """Return the labels by their ids; cameras may be nested in groups."""
     parent = chunk.maybe(group)
     elements = [] if parent is None else parent.element.iter(name)
     return {element.get("id", ""): element.get("label", "") for element in elements}
 
 
 def _row(node: XmlNode) -> Row:
-    """Attributes of an element as a record."""
+    """Return the attributes of an element as a record."""
     cells = {str(name): str(value).strip() for name, value in node.element.attrib.items()}
     line: Any = node.element.sourceline
     return Row(int(line or 0), cells)
 
 
 def _take(gathered: Gathering, marker: XmlNode) -> None:
-    """Add a marker: with coordinates as control or check point, else as tie point."""
+    """Add a marker: as control or check point if it has coordinates, otherwise as tie point."""
     label, line = marker.element.get("label", ""), _row(marker).line
     node = marker.maybe("reference")
     row = Row(line, {}) if node is None else _row(node)
@@ -194,7 +197,7 @@ def _take(gathered: Gathering, marker: XmlNode) -> None:
 
 
 def _locate(gathered: Gathering, marker: XmlNode, cameras: dict[str, str], labels: dict[str, str]) -> None:
-    """Add the image points of a marker; image points marked as not valid are left out."""
+    """Add the image points of a marker, except those that are marked as not valid."""
     key = marker.element.get("marker_id", "")
     if key not in labels:
         raise marker.fault("interchange.unknown_camera", f"marker_id {key}")
@@ -210,7 +213,7 @@ def _locate(gathered: Gathering, marker: XmlNode, cameras: dict[str, str], label
 
 
 def write_markers(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
-    """Write all markers and their positions in the images."""
+    """Write an XML file with all markers and their positions in the images."""
     for name in (*survey.ids, *survey.images):
         if not name.isprintable():
             raise InputError.of("interchange.xml_name", file=paths[0], value=repr(name))
@@ -228,7 +231,7 @@ def write_markers(survey: Survey, paths: tuple[Path, ...], settings: Settings) -
 
 
 def _marker(survey: Survey, k: int) -> Any:
-    """Element of a marker, with its reference if it has coordinates."""
+    """Make the element of a marker; it has a reference if the marker has coordinates."""
     marker = E.marker(id=str(k), label=survey.ids[k])
     if survey.located[k]:
         values = dict(zip(_XYZ, survey.coordinates[k], strict=True))

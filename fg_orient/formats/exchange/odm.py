@@ -1,10 +1,10 @@
-"""Ground control of OpenDroneMap: ``gcp_list.txt``, one image point a line with its ground point.
+"""Ground control files ``gcp_list.txt`` of OpenDroneMap; each line is an image point with its ground point.
 
-The first line states the CRS: ``EPSG:32632``, a PROJ string, or ``WGS84 UTM 32N``. Further lines
-contain, between blanks, ``geo_x geo_y geo_z im_x im_y image`` and, if given, the name of the
-point; further words are ignored. geo_x is longitude or easting; ``NaN`` is an unknown height.
-Without the first line the CRS must be given. (0, 0) is assumed to be the centre of the first
-pixel.
+The first line states the CRS: ``EPSG:32632``, a PROJ string, or ``WGS84 UTM 32N``. If it
+is missing, the user must give the CRS. The other lines contain ``geo_x geo_y geo_z im_x
+im_y image``, separated by blanks. The name of the point may follow; further words are
+ignored. geo_x is longitude or easting; the height ``NaN`` is unknown. It is assumed that
+(0, 0) is the centre of the first pixel.
 """
 
 from __future__ import annotations
@@ -26,19 +26,22 @@ from fg_orient.model.names import Role
 
 _ODM: Final = ("geo_x", "geo_y", "geo_z", "im_x", "im_y", "image", "name")
 _ODM_FEWEST: Final = 6
-#: Horizontal CRS of a geographic CRS with heights, which the program does not read.
+#: OpenDroneMap does not read a geographic CRS with heights. It is replaced by its horizontal CRS.
 _ODM_FLAT: Final = {"EPSG:4979": "EPSG:4326"}
 
 
 def read_odm(paths: tuple[Path, ...], settings: Settings) -> Survey:
-    """Read a ``gcp_list.txt``; points without a name are distinguished by their coordinates and numbered."""
+    """Read a ``gcp_list.txt``.
+
+    Points without names are distinguished by their coordinates and get numbers.
+    """
     path = paths[0]
     faults = Faults(str(path))
     lines = cells_of(path, faults, "blank")
     faults.raise_if_any()
     if not lines:
         raise InputError.of("interchange.empty", file=path)
-    # the first line is an image point: the file lacks its CRS
+    # if the first line is an image point, the file does not state its CRS
     headless = len(lines[0][1]) >= _ODM_FEWEST and finite(lines[0][1][:2]) is not None
     gathered = Gathering(path, settings.crs, "" if headless else " ".join(lines[0][1]))
     faults = gathered.faults
@@ -63,14 +66,14 @@ def read_odm(paths: tuple[Path, ...], settings: Settings) -> Survey:
 
 
 def _coordinates(row: Row, faults: Faults) -> tuple[float, ...]:
-    """Coordinates of a line; the height may be nan."""
+    """Read the coordinates of a line; the height may be nan."""
     if row.cells["geo_z"].lower() == "nan":
         return (*numbers(row, ("geo_x", "geo_y"), faults), np.nan)
     return numbers(row, ("geo_x", "geo_y", "geo_z"), faults)
 
 
 def write_odm(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
-    """Write the image points of the points with coordinates."""
+    """Write the image points of all ground points that have coordinates."""
     path, o = paths[0], survey.observed
     require_plain((*survey.ids, *survey.images), "name", path)
     flat = survey.crs.partition("+")[0].upper()

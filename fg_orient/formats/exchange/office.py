@@ -1,9 +1,11 @@
-"""Tables of offices in any form: the reader finds encoding, separator, header, columns and units, or asks for them.
+"""Tables of any form from offices. The reader finds encoding, separator, header, columns and units, or asks for them.
 
-CSV and other text, workbooks (``.xlsx``, ``.ods``), GeoPackage and Shapefile with any columns, in one file or two.
-Columns are recognised by usual names in English, Turkish, French, German and Spanish. With the metadata of the images,
-axis order, units and CRS are found by projection into them. Each assumption gives a note; a question that the data do
-not decide is an error that names the option.
+It reads CSV and other text, workbooks (``.xlsx``, ``.ods``), GeoPackage and Shapefile.
+They may have any columns, in one file or two. The reader recognises columns by usual
+names in English, Turkish, French, German and Spanish. If the metadata of the images are
+given, it projects the points into the images and so finds axis order, units and CRS. Each
+assumption gives a note. If the data do not answer a question, an error names the option
+that answers it.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ from fg_orient.model.errors import finding
 
 
 def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
-    """Read all tables of the files; the notes of the survey are the assumptions."""
+    """Read all tables of the files; the notes of the survey list the assumptions."""
     office = replace(settings.office or Office(), crs=settings.crs)
     decisions = Decisions(office.given)
     sheets = [sheet for path in paths for sheet in read_sheets(path)]

@@ -1,6 +1,7 @@
-"""Our own tables: ground points and image observations, as a project names them (docs/file-formats.md).
+"""Our own tables of ground points and image observations, as a project uses them (docs/file-formats.md).
 
-The end of the file name selects the form: .csv, .parquet, .feather or .arrow. The format "csv" has all of them.
+The suffix of the file name selects the format: .csv, .parquet, .feather or .arrow. All of
+them have the format name "csv".
 """
 
 from __future__ import annotations
@@ -29,7 +30,10 @@ _CRS: Final = re.compile(r"^#\s*crs\s*[:=]\s*(\S+)\s*$", re.MULTILINE | re.IGNOR
 
 
 def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
-    """Read one or two tables; a comment ``# crs: EPSG:n`` or the settings state the CRS of the points."""
+    """Read one or two tables.
+
+    The settings or a comment ``# crs: EPSG:n`` state the CRS of the points.
+    """
     faults = Faults(str(paths[0]))
     comments = comments_of(paths[0], faults) if is_binary(paths[0]) else None
     faults.raise_if_any()
@@ -53,7 +57,7 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
 
 
 def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
-    """Write both tables; the second only if there are image points."""
+    """Write both tables; the second one is written only if there are image points."""
     o = survey.observed
     comments = (f"crs: {survey.crs}",)
     write_points(

@@ -1,21 +1,25 @@
-"""Files of PhotoModeler, and point files of DBAT, which reads PhotoModeler's exports.
+"""Export files of PhotoModeler, and point files of DBAT, a program that reads these exports.
 
-Exports of PhotoModeler: the text export of a project ("Bundle Soln") and the table of 2D points.
+PhotoModeler exports a project as text ("Bundle Soln"). It also exports a table of 2D points.
 
-The text export has parts between empty lines: image size and camera; each photo with its projection centre and the
-angles kappa, phi, omega (degrees); known points; all points, in a shifted system; marks. Lengths of the camera are in
-mm. Its polynomial leads from measured to ideal coordinates with y up. Photos count from 0 (from 1 in tables). Without
-an image size, the size that fits the marks best is used, with a note.
-Pixels run right and down. Neither file states their origin, which marks and principal point have in common. It is
-assumed to be the centre of the first pixel, because DBAT's results are reproduced with it (docs/frame-cameras.md).
+Empty lines divide the text export into parts: image size and camera; each photo with its
+projection centre and the angles kappa, phi, omega (degrees); known points; all points in
+a shifted system; marks. Lengths of the camera are in mm. Its polynomial converts measured
+to ideal coordinates, with y up. Photos are numbered from 0; in the tables, they are
+numbered from 1. If the image size is missing, the size that fits the marks best is used,
+with a note. Pixel coordinates point right and down. Marks and principal point have the
+same origin, which neither file states. The centre of the first pixel is assumed, because
+DBAT's results are then reproduced (docs/frame-cameras.md).
 
-Point files of DBAT: marks (image points) and control points, lines of cells between commas.
+Point files of DBAT contain marks (image points) or control points. Commas separate the cells of a line.
 
-The last comment before the first line states the order of the cells, as in DBAT's own examples: ``# Format: image id,
-point id, x, y, sxy``. x runs right and y down, in pixels. The files do not state the origin. It is assumed to be the
-centre of the first pixel, because DBAT's results are reproduced with it (docs/frame-cameras.md).
-Control points: id, name, X, Y, Z and, unless they are fixed, one standard deviation or one for each axis.
-Observed projection centres: photo, X, Y, Z, one standard deviation or three; ``closerange import`` reads them.
+The last comment before the first line states the order of the cells, as in DBAT's own
+examples: ``# Format: image id, point id, x, y, sxy``. x points right and y down, in
+pixels. The files do not state the origin. The centre of the first pixel is assumed,
+because DBAT's results are then reproduced (docs/frame-cameras.md). A control point has
+the cells id, name, X, Y, Z. Unless it is fixed, one standard deviation or three follow.
+An observed projection centre has the cells photo, X, Y, Z, and one standard deviation or
+three; ``closerange import`` reads it.
 """
 
 from __future__ import annotations
@@ -47,29 +51,31 @@ from fg_orient.sensors.interior import Interior
 Paragraph = list[tuple[int, list[str]]]
 
 HEAD: Final = "Bundle Soln"
-#: First columns of the table of 2D points.
+#: The header of the table of 2D points begins with these columns.
 TABLE: Final = "Object Point ID,Photo #,X (pixels),Y (pixels)"
-#: Standard deviation of the image size from marks above which it is not rounded, px.
+#: The image size from marks is rounded to whole pixels if its standard deviation is not larger than this, px.
 SIZE_SIGMA_PX: Final = 0.25
-#: Number of cells in a line with a point, and in a line with a mark.
+#: Numbers of cells in the line of a point and in the line of a mark.
 _POINT, _MARK = 7, 6
-#: Lines before the camera of the first photo; cells of a line of a camera, in the head and before each further photo.
+#: Number of lines before the camera of the first photo; numbers of cells in a line of a
+#: camera, in the head and before each further photo.
 _HEAD_LINES, _CAMERA = 3, (10, 11)
 
 
 def read_photomodeler(path: str | Path, image_sizes: Mapping[str, tuple[int, int]] | None = None) -> FrameModel:
-    """Read a text export, UTF-8 or Latin-1.
+    """Read a text export in UTF-8 or Latin-1.
 
     Parameters
     ----------
     path : str or Path
     image_sizes : mapping of str to (n_lines, n_samples), optional
-        Size of any of its photos, for an export without it; default: the size that fits its marks.
+        Size of any photo, if the export does not contain it. By default, the size that fits the marks is used.
 
     Raises
     ------
     InputError
-        The file cannot be read, has another format, a line is faulty, or the image size is neither stated nor found.
+        The file cannot be read, has another format or a faulty line. Or the image size is
+        not stated and cannot be determined.
     """
     text = TextLines(Path(path), latin1=True)
     rows = [(n, line.split()) for n, line in enumerate(text.lines, start=1)]
@@ -101,7 +107,7 @@ def read_photomodeler(path: str | Path, image_sizes: Mapping[str, tuple[int, int
 
 
 def _size_of_marks(model: FrameModel, camera: Array, file: str) -> tuple[tuple[int, int], tuple[Finding, ...]]:
-    """Lines and samples that fit the marks to the poses and points of the export, and the note on them."""
+    """Estimate lines and samples such that the marks fit the poses and points of the export; also return a note."""
     photo = model.poses[0].name if model.poses else "PHOTO"
     in_mm = replace(model, cameras={"1": _interior(1, 1, camera, 1.0)}, line=0.0 * model.line, sample=0.0 * model.line)
     computed, marks = in_mm.residuals_px(), np.column_stack([model.line, model.sample])
@@ -122,13 +128,20 @@ def _size_of_marks(model: FrameModel, camera: Array, file: str) -> tuple[tuple[i
 
 
 def _interior(n_lines: int, n_samples: int, camera: Array, px: float = 0.0) -> Interior:
-    """Camera of the head: focal length, principal point, format (mm), k1 to k3, p1, p2; ``px`` are pixels per mm."""
+    """Return the camera of the head: focal length, principal point, format (mm), k1 to k3, p1, p2.
+
+    ``px`` is the number of pixels per mm.
+    """
     image = Image(n_lines, n_samples, px or n_lines / float(camera[4]))
     return CONVENTIONS["photomodeler"].interior(np.delete(camera, [3, 4]), image, "1")
 
 
 def _poses(text: TextLines, paragraphs: list[Paragraph]) -> tuple[Pose, ...]:
-    """Photos: two lines of the camera, number and file, then number, centre, kappa, phi, omega, and sigmas."""
+    """Return the photos.
+
+    A photo has two lines of the camera, a line with number and file, and a line with
+    number, projection centre, kappa, phi, omega and their standard deviations.
+    """
     out: list[Pose] = []
     for paragraph in (paragraphs[0][_HEAD_LINES:], *paragraphs[1:]):
         if len(paragraph) != 5 or len(paragraph[0][1]) not in _CAMERA:
@@ -145,7 +158,7 @@ def _poses(text: TextLines, paragraphs: list[Paragraph]) -> tuple[Pose, ...]:
 
 
 def _table(text: TextLines, paragraphs: list[Paragraph], width: int, what: str) -> Array:
-    """First table (n, width) among the paragraphs."""
+    """Return the first table (n, width) among the paragraphs."""
     for paragraph in paragraphs:
         if all(len(cells) == width for _, cells in paragraph):
             return text.numbers(paragraph, width, f"{width} numbers")
@@ -153,7 +166,10 @@ def _table(text: TextLines, paragraphs: list[Paragraph], width: int, what: str) 
 
 
 def read_points_2d(path: str | Path) -> Survey:
-    """Read a table of 2D points; photos are named by their numbers. Errors as in :func:`read_photomodeler`."""
+    """Read a table of 2D points; the numbers of the photos are their names.
+
+    It raises the same errors as :func:`read_photomodeler`.
+    """
     text = TextLines(Path(path), latin1=True)
     head = next((k for k, line in enumerate(text.lines) if line.startswith(TABLE)), None)
     if head is None:
@@ -171,7 +187,7 @@ def read_points_2d(path: str | Path) -> Survey:
 
 
 def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
-    """Read the image points of either file."""
+    """Read the image points of a text export or of a table of 2D points."""
     if TextLines(paths[0], latin1=True).lines[0].startswith(HEAD):
         return model_survey(read_photomodeler(paths[0], settings.image_sizes))
     return read_points_2d(paths[0])
@@ -192,7 +208,7 @@ FORMAT: Final = Format(
 
 # --- DBAT ------------------------------------------------------------------------------------------
 
-#: Words of the comment for each kind of cell.
+#: Words in the comment that name each kind of cell.
 _WORDS: Final = {
     "image": "image", "image id": "image", "im": "image", "id": "point", "point id": "point", "op id": "point",
     "x": "x", "y": "y", "sxy": "sigma",
@@ -202,9 +218,10 @@ _CENTRES: Final = "photo, X, Y, Z, then one sigma, or sigmaX, sigmaY, sigmaZ"
 
 
 def read_marks(path: Path) -> tuple[list[str], list[str], Array]:
-    """Image and point of each mark, and x, y, sigma (n, 3) in pixels, nan if the file has no sigma.
+    """Read image and point of each mark, and x, y, standard deviation (n, 3), px.
 
-    InputError if no comment states the order of the cells, a line is faulty, or a point is marked twice in an image.
+    The standard deviation is nan if the file does not contain it. InputError: no comment
+    states the order of the cells, a line is faulty, or an image has two marks of a point.
     """
     text = TextLines(path)
     order: list[str] = []
@@ -232,7 +249,7 @@ def read_marks(path: Path) -> tuple[list[str], list[str], Array]:
 
 
 def read_control(path: Path) -> tuple[list[str], Array]:
-    """Ids of control points, and X, Y, Z, three sigmas (n, 6); sigmas of fixed points are nan."""
+    """Read the ids of control points, and X, Y, Z with three standard deviations (n, 6), nan for fixed points."""
     rows = _rows(path, 2, (3, 4, 6), _CONTROL)
     spread = {name: values[3:] if len(values) > 3 else [np.nan] for name, values in rows.items()}
     whole = [np.append(values[:3], np.broadcast_to(spread[name], 3)) for name, values in rows.items()]
@@ -240,13 +257,16 @@ def read_control(path: Path) -> tuple[list[str], Array]:
 
 
 def read_centres(path: Path) -> dict[str, Array]:
-    """X, Y, Z and three sigmas (6,) of observed projection centres by photo."""
+    """Read X, Y, Z and three standard deviations (6,) of observed projection centres, by photo."""
     rows = _rows(path, 1, (4, 6), _CENTRES)
     return {name: np.append(values[:3], np.broadcast_to(values[3:], 3)) for name, values in rows.items()}
 
 
 def _rows(path: Path, first: int, counts: tuple[int, ...], needed: str) -> dict[str, Array]:
-    """Numbers from cell ``first`` on, by the name in the first cell: three coordinates, then sigmas."""
+    """Read three coordinates and the standard deviations from cell ``first`` on.
+
+    The first cell is the name.
+    """
     text, rows = TextLines(path), list[tuple[str, Array]]()
     content = text.content()
     for number, line in content:
@@ -261,7 +281,7 @@ def _rows(path: Path, first: int, counts: tuple[int, ...], needed: str) -> dict[
 
 
 def read_dbat(paths: tuple[Path, ...], settings: Settings) -> Survey:
-    """Read marks and, as second file, control points; their CRS is the CRS of the settings."""
+    """Read marks and, from the second file, control points; the settings state their CRS."""
     images, points, marks = read_marks(paths[0])
     names, control = read_control(paths[1]) if len(paths) > 1 else ([], np.empty((0, 6)))
     ids, image_ids = list(dict.fromkeys([*names, *points])), list(dict.fromkeys(images))

@@ -1,10 +1,11 @@
-"""Points of QGIS's georeferencer: ``.points``, the points of one image, without names and heights.
+"""Files ``.points`` of QGIS's georeferencer; they contain the points of one image without names and heights.
 
-A line ``#CRS: WKT``, a header ``mapX,mapY,sourceX,sourceY,enable,dX,dY,residual`` (older
-versions: pixelX, pixelY for sourceX, sourceY), then one point per line. sourceX is the column and
-**sourceY is minus the row**. Both count from the corner of the first pixel, whose centre is
-(0.5, -0.5). For an image that was georeferenced before, QGIS writes map coordinates instead: such
-a file is recognised only if a sourceY is above zero.
+A file has a line ``#CRS: WKT``, a header
+``mapX,mapY,sourceX,sourceY,enable,dX,dY,residual``, and one line for each point. Older
+versions write pixelX, pixelY instead of sourceX, sourceY. sourceX is the column, and
+**sourceY is minus the row**. Both count from the corner of the first pixel, so that its
+centre is (0.5, -0.5). If the image was georeferenced before, QGIS writes map coordinates
+instead. The reader recognises such a file only if a sourceY is above zero.
 """
 
 from __future__ import annotations
@@ -27,13 +28,16 @@ from fg_orient.model.names import Role
 _QGIS: Final = ("mapX", "mapY", "sourceX", "sourceY", "enable", "dX", "dY", "residual")
 _QGIS_OLDER: Final = {"pixelX": "sourceX", "pixelY": "sourceY"}
 _QGIS_NEEDED: Final = _QGIS[:4]
-#: Column, and minus the row, of the centre of the first pixel.
+#: Column of the first pixel's centre; also minus its row.
 CENTRE_PX: Final = 0.5
 _QGIS_CRS: Final = re.compile(r"^#\s*CRS:\s*(.+)$", re.MULTILINE)
 
 
 def read_qgis(paths: tuple[Path, ...], settings: Settings) -> Survey:
-    """Read the points of one image, numbered in their order: enabled points are control, the others check points."""
+    """Read the points of one image and number them in their order.
+
+    Enabled points are control points, the others are check points.
+    """
     path = paths[0]
     gathered = Gathering(path, settings.crs, stated_in(path, _QGIS_CRS))
     faults = gathered.faults
@@ -51,7 +55,7 @@ def read_qgis(paths: tuple[Path, ...], settings: Settings) -> Survey:
 
 
 def _header(lines: list[tuple[int, list[str]]], path: Path) -> list[str]:
-    """Names of the columns; names of older versions are replaced."""
+    """Return the names of the columns; names of older versions are replaced by the new ones."""
     names = [_QGIS_OLDER.get(cell, cell) for cell in lines[0][1]] if lines else []
     for column in _QGIS_NEEDED:
         if column not in names:
@@ -69,7 +73,7 @@ def _take(gathered: Gathering, row: Row, name: str, image: str) -> None:
 
 
 def write_qgis(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> tuple[Finding, ...]:
-    """Write the points of one image; the settings name it if there are several."""
+    """Write the points of one image; if there are several images, the settings name it."""
     o, image = survey.observed, settings.image
     if not image and len(survey.images) == 1:
         image = survey.images[0]

@@ -1,12 +1,16 @@
-"""Cameras and points of sba (Lourakis, Argyros 2009), as its demonstration program eucsbademo reads them.
+"""Cameras and points of sba (Lourakis, Argyros 2009), as the demonstration program eucsbademo reads them.
 
-Cameras, one per line: rotation as a quaternion w x y z and translation t = -R C, from ground to camera, if a third file
-has the common camera matrix; or before them fx, x0, y0, aspect fy/fx, skew, and perhaps Bouguet's five coefficients k1
-k2 p1 p2 k3. Points, one per line: X Y Z, number of images, then image, x, y for each, and perhaps the covariance matrix
-of x, y, whole or its upper triangle. Images count from 0. Camera axes are X right, Y down, Z forward.
+Each line of the first file is a camera. It contains the rotation from ground to camera as
+a quaternion w x y z, and the translation t = -R C. If there is no third file with a
+common camera matrix, fx, x0, y0, aspect fy/fx and skew precede them. Bouguet's five
+coefficients k1 k2 p1 p2 k3 may follow the skew. Each line of the second file is a point.
+It contains X Y Z, the number of images, and image, x, y for each image. Each image point
+may also have the covariance matrix of x, y, complete or as upper triangle. Images are
+numbered from 0. Camera axes are X right, Y down, Z forward.
 
-Pixels are counted from the top left corner of the image, according to sba's description: (0.5, 0.5) is assumed to be
-the centre of the first pixel. Image points and principal point have the origin in common.
+According to sba's description, pixels are counted from the top left corner of the image.
+It is therefore assumed that (0.5, 0.5) is the centre of the first pixel. Image points and
+principal point have the same origin.
 """
 
 from __future__ import annotations
@@ -30,13 +34,13 @@ from fg_orient.model.errors import InputError, finding
 from fg_orient.sensors.frame import IDEAL_TO_MEASURED, MEASURED_TO_IDEAL
 from fg_orient.sensors.interior import Interior
 
-#: Coordinate of the centre of the first pixel.
+#: Coordinate of the first pixel's centre.
 CORNER: Final = 0.5
-#: Cells of a camera: exterior orientation alone, with fx x0 y0 aspect skew, with distortion too.
+#: Number of cells of a camera: with exterior orientation only; also with fx x0 y0 aspect skew; also with distortion.
 _POSE, _INTERIOR, _DISTORTED = 7, 12, 17
-#: Difference of the length of a quaternion from 1: six decimals, rounded.
+#: Maximum difference of the length of a quaternion from 1; the files contain six decimals.
 _UNIT: Final = 1e-4
-#: Position of k1 k2 k3 p1 p2 among Bouguet's coefficients.
+#: Positions of k1 k2 k3 p1 p2 among Bouguet's coefficients.
 _BROWN: Final = [0, 1, 4, 2, 3]
 _CAMERA: Final = "qw qx qy qz tx ty tz, or before them fx x0 y0 aspect skew, or these and k1 k2 p1 p2 k3"
 _VIEWS: Final = "X Y Z, number of images, then image x y for each, or image x y and its covariance matrix for each"
@@ -46,22 +50,24 @@ def read_sba(
     cameras: str | Path, points: str | Path, calibration: str | Path | None = None, *,
     image_sizes: Mapping[str, tuple[int, int]] | None = None,
 ) -> FrameModel:  # fmt: skip
-    """Read files of sba as a frame model; each image has its own camera, and all have one with ``calibration``.
+    """Read files of sba as a frame model.
 
-    Covariance matrices of image points are left out, with a note.
+    Each image has its own camera. If ``calibration`` is given, all images have the same
+    camera. Covariance matrices of image points are left out, with a note.
 
     Parameters
     ----------
     cameras, points : str or Path
     calibration : str or Path, optional
-        Camera matrix; needed if the cameras are exterior orientations alone.
+        File of the camera matrix. It is needed if the cameras contain only the exterior orientation.
     image_sizes : mapping of str to (n_lines, n_samples), optional
-        Sizes of the images 0, 1, ...; others become the square out to the outermost image point, with a note.
+        Sizes of the images 0, 1, ... If a size is missing, a square up to the outermost
+        image point is assumed, with a note.
 
     Raises
     ------
     InputError
-        A file cannot be read or is damaged; a camera has a skew, or an aspect together with distortion.
+        A file cannot be read or is damaged. Or a camera has a skew, or both an aspect and distortion.
     """
     rows = _cameras(TextLines(Path(cameras)))
     width = rows.shape[1]
@@ -92,7 +98,10 @@ def read_sba(
 
 
 def _cameras(text: TextLines) -> Array:
-    """Rows (n, 7), (n, 12) or (n, 17) of the cameras; all faulty lines at once."""
+    """Read the rows (n, 7), (n, 12) or (n, 17) of the cameras.
+
+    All faulty lines are reported together.
+    """
     content = [(number, line.split()) for number, line in text.content()]
     width = len(content[0][1]) if content else 0
     if width not in (_POSE, _INTERIOR, _DISTORTED):
@@ -110,7 +119,14 @@ def _cameras(text: TextLines) -> Array:
 
 
 def _points(text: TextLines, n_images: int) -> tuple[Array, Array, list[int], int]:
-    """Coordinates (N, 3); image, x, y (n, 3) of all image points; their numbers by point; number of covariances."""
+    """Read the points.
+
+    Returns
+    -------
+    tuple
+        Coordinates (N, 3); image, x, y (n, 3) of all image points; number of image points
+        of each point; number of covariance matrices.
+    """
     faults, xyz, views, covariances = Faults(text.path.name), [], [], 0
     for number, line in text.content():
         row = finite(line.split())
@@ -131,7 +147,7 @@ def _points(text: TextLines, n_images: int) -> tuple[Array, Array, list[int], in
 
 
 def _each(row: Array | None) -> int:
-    """Numbers of each image point of a line, 0 if their number does not fit."""
+    """Return how many numbers each image point of a line has; 0 if the length of the line does not fit."""
     if row is None or len(row) < 5 or row[3] < 1.0 or row[3] % 1 or (len(row) - 4) % row[3]:
         return 0
     each = int((len(row) - 4) // row[3])
@@ -139,7 +155,7 @@ def _each(row: Array | None) -> int:
 
 
 def _matrix(text: TextLines) -> Array:
-    """Numbers fx x0 y0 aspect skew (5,) of a camera matrix."""
+    """Read a camera matrix and return fx x0 y0 aspect skew (5,)."""
     content = text.content()
     needed = "the camera matrix: fx skew x0, 0 fy y0, 0 0 1"
     if len(content) != 3:
@@ -151,14 +167,14 @@ def _matrix(text: TextLines) -> Array:
 
 
 def _interior(row: Sequence[float] | Array, size: tuple[int, int], name: str, file: str) -> Interior:
-    """Camera of fx x0 y0 aspect skew, and perhaps five coefficients."""
+    """Make the camera from fx x0 y0 aspect skew and, if there is distortion, five coefficients."""
     fx, x0, y0, aspect, skew = row[:5]
     distortion = np.array(row[5:])[_BROWN] if len(row) > 5 else np.zeros(5)
     bent = bool(distortion.any())
     if skew or not (fx > 0.0 and aspect > 0.0) or (bent and aspect != 1.0):
         value = f"fx {fx:g}, aspect {aspect:g}, skew {skew:g}{', distortion' * bent}"
         raise InputError.of("sba.camera", file=file, place=f"camera {name}", value=value)
-    # samples times fy / fx have the principal distance fy
+    # if samples are multiplied by fy / fx, the principal distance is fy for both axes
     model = MEASURED_TO_IDEAL if aspect != 1.0 else IDEAL_TO_MEASURED
     principal = np.array([y0, x0]) - CORNER
     return Interior(*size, fx * aspect, principal, distortion, model, aspect=aspect - 1.0, name=name)

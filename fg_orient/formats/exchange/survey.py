@@ -1,8 +1,9 @@
-"""Common form of all formats of points: ground points and their image points.
+"""Common data structure of all point formats: ground points and their image points.
 
-Coordinates keep the CRS of the file, longitude or easting first, so that writing the same format reproduces the file.
-Pixels are (line, sample) with (0, 0) in the centre of the first pixel; readers and writers convert the pixel origin of
-their format. Values that a file does not contain are nan (numbers) or "" (CRS).
+Coordinates remain in the CRS of the file, with longitude or easting first. If the data
+are written in the same format again, the file is therefore the same. Pixels are (line,
+sample); (0, 0) is the centre of the first pixel. Readers and writers convert the pixel
+origin of their format. A value that the file does not contain is nan, or "" for the CRS.
 """
 
 from __future__ import annotations
@@ -24,12 +25,12 @@ from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role
 
 UNKNOWN: Final = (np.nan, np.nan, np.nan)
-#: Characters of a CRS that a note repeats.
+#: Maximum number of characters of a CRS in a note.
 _LONG: Final = 80
 
 
 def no_image_points() -> ImagePoints:
-    """Image points of a file without any."""
+    """Return an empty set of image points, for files without image points."""
     none, nobody = np.empty(0), np.empty(0, np.intp)
     return ImagePoints(nobody, nobody, none, none, none, none)
 
@@ -43,23 +44,24 @@ class Survey:
     crs : str
         ``EPSG:n`` or ``EPSG:n+m``; "" if unknown.
     ids, roles : tuples of length n
-        Ground points. Tie points have no coordinates.
+        Ids and roles of the ground points. Tie points have no coordinates.
     coordinates : (n, 3) array
-        Longitude, latitude (degrees), height (m); easting, northing, height (m); or x, y, z (m); nan where unknown.
+        Longitude, latitude (degrees), height (m); or easting, northing, height (m); or x,
+        y, z (m). Unknown values are nan.
     sigma_enu_m : (n, 3) array
         Standard deviations East, North, Up at the point, m; nan where unknown.
     fixed : (n,) array of bool
-        Points without uncertainty.
+        Mask of the points without uncertainty.
     images : tuple of str
         Ids of the images.
     observed : ImagePoints
-        Image points: positions in ``images`` and ``ids``, pixels and sigmas (nan where unknown).
+        Image points: positions in ``images`` and ``ids``, pixels, and standard deviations (nan if unknown).
     lines : (n,) int array
-        Line of each ground point in its file, for messages; 0 where there is none.
+        Line of each ground point in its file, for messages; 0 if it has no line.
     unit : str
-        "line"; "row" of a file without lines.
+        "line", or "row" if the file has no lines.
     starts : (n, 3) array, optional
-        Approximate coordinates of tie points; nan for the others.
+        Approximate coordinates of tie points; nan for other points.
     notes : tuple of Finding
         Remarks of the reader for the user.
     """
@@ -82,32 +84,33 @@ class Survey:
             object.__setattr__(self, "lines", np.zeros(len(self.ids), np.int64))
 
     def place(self, k: int) -> str:
-        """Place of a ground point in its file, for messages."""
+        """Return the place of a ground point in its file, for messages."""
         return f"{self.unit} {self.lines[k]}"
 
     @property
     def located(self) -> Mask:
-        """Points with horizontal coordinates: (n,)."""
+        """Return a mask (n,) of the points with horizontal coordinates."""
         return np.asarray(np.isfinite(self.coordinates[:, :2]).all(axis=1))
 
 
 def decided_crs(stated: str, given: str, file: object) -> tuple[str, tuple[Finding, ...]]:
-    """EPSG code of a file that may state a CRS, and of a user who may give one.
+    """Determine the EPSG code; the file, the user or both may state it.
 
     Parameters
     ----------
     stated : str
-        Code, WKT or PROJ string in the file; "" if there is none.
+        Code, WKT or PROJ string in the file; "" if the file does not state a CRS.
     given : str
-        EPSG code by the user; "" if there is none. It may add a vertical CRS to that of the file. A note is returned if
-        it replaces a text of the file that is not a CRS of EPSG.
+        EPSG code from the user; "" if the user does not give one. It may add a vertical
+        CRS to the CRS of the file. If the text in the file is not a CRS of EPSG, the code
+        replaces it, and a note is returned.
     file : object
-        For messages.
+        The file; used in messages.
 
     Raises
     ------
     InputError
-        Neither states a CRS, it is not a CRS of EPSG, or the two differ.
+        Neither of them states a CRS, the CRS is not in EPSG, or the two CRS differ.
     """
     own = epsg_code(stated) if stated.strip() else ""
     if given:
@@ -127,21 +130,21 @@ def decided_crs(stated: str, given: str, file: object) -> tuple[str, tuple[Findi
 
 
 class Gathering:
-    """Collects the records of a file one by one and notes ids that occur twice.
+    """Collector that takes the records of a file one by one and notes ids that occur twice.
 
-    Points that only image records name become tie points.
+    A point that has only image points becomes a tie point.
 
     Parameters
     ----------
     path : Path
         File to read.
     given, stated : str
-        CRS by the user and in the file, see :func:`decided_crs`.
+        CRS from the user and from the file; see :func:`decided_crs`.
 
     Attributes
     ----------
     faults : Faults
-        Faults of the file; replace it before the next file.
+        Faults of the current file; replace this object before the next file is read.
     crs : str
     notes : tuple of Finding
     """
@@ -159,7 +162,7 @@ class Gathering:
         self, name: str, role: Role, coordinates: Sequence[float], sigma: Sequence[float] = UNKNOWN, *,
         line: int, fixed: bool = False,
     ) -> None:  # fmt: skip
-        """Take a ground point."""
+        """Add a ground point."""
         if not name:
             self.faults.add("points.id_missing", place=f"line {line}")
         elif name in self._point:
@@ -170,13 +173,16 @@ class Gathering:
             self._ground.append((role, coordinates, sigma, fixed, line))
 
     def start(self, name: str, coordinates: Sequence[float]) -> None:
-        """Take approximate coordinates of a tie point."""
+        """Add approximate coordinates of a tie point."""
         self._starts[name] = coordinates
 
     def feature(
         self, name: str, role: str, coordinates: Sequence[float], sigma: Sequence[float], *, number: int, fixed: bool
     ) -> None:
-        """Add a control or check point of a layer, given its number from 1; sigmas must be above zero or nan."""
+        """Add a control or check point of a layer; ``number`` counts from 1.
+
+        Standard deviations must be > 0 or nan.
+        """
         if role not in (Role.CONTROL, Role.CHECK):
             self.faults.add("points.role", place=f"feature {number}", value=repr(role))
         elif any(value <= 0.0 for value in sigma):
@@ -188,7 +194,7 @@ class Gathering:
         self, image: str, name: str, line_px: float, sample_px: float,
         sigma: Sequence[float] = UNKNOWN[:2], *, line: int,
     ) -> None:  # fmt: skip
-        """Add an image point: pixels with (0, 0) in the centre of the first pixel, sigmas of line and sample."""
+        """Add an image point with line, sample and their standard deviations; (0, 0) is the first pixel's centre."""
         if not image or not name:
             self.faults.add("interchange.name_missing", place=f"line {line}")
             return
@@ -204,7 +210,7 @@ class Gathering:
             self._measured[key] = ((line_px, sample_px), sigma, line)
 
     def finished(self) -> Survey:
-        """Survey of all records; raise InputError if faults were noted or the file has no records."""
+        """Return the survey of all records; raise InputError if there are faults or no records."""
         if not self._ground and not self.faults:
             self.faults.add("interchange.empty")
         self.faults.raise_if_any()

@@ -1,6 +1,6 @@
-"""Shared parts of text formats: lines to cells, cells to numbers, numbers of bundles, output paths.
+"""Common functions of text formats: split lines into cells, read numbers, and prepare output files.
 
-Numbers are written with the fewest digits that read back to the same double.
+Numbers are written with the fewest digits from which the same double can be read again.
 """
 
 from __future__ import annotations
@@ -28,23 +28,24 @@ from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.limits import within_memory
 
 Separator = Literal["comma", "blank", "either"]
-#: Bytes that are unpacked at once, and memory for each of them with the numbers read from it.
+#: Number of bytes that are unpacked together; below: memory for each byte and the numbers that are read from it.
 _CHUNK: Final = 1 << 20
 _UNPACKED: Final = 5
 
 
 def cells_of(path: Path, faults: Faults, separator: Separator) -> list[tuple[int, list[str]]]:
-    """Line numbers and cells of all lines that are neither blank nor begin with ``#``.
+    """Return the line numbers and cells of all lines that are not blank and do not begin with ``#``.
 
     Parameters
     ----------
     path : Path
-        UTF-8 text, with or without byte order mark, any line ends.
+        UTF-8 text with any line ends; a byte order mark is allowed.
     faults : Faults
-        Collects the faults of the file; the list is then empty or lacks the faulty lines.
+        Collects the faults of the file. Faulty lines are not returned.
     separator : str
-        "comma" (or semicolon or tab, if the first line contains one), "blank", or "either": commas in a line that
-        contains one, else blanks.
+        "comma", "blank" or "either". With "comma", semicolon or tab are the separator if
+        the first line contains one. With "either", commas separate the cells of a line
+        that contains a comma; blanks separate the cells of others.
     """
     text = read_text(path, faults)
     if text is None:
@@ -62,23 +63,26 @@ def cells_of(path: Path, faults: Faults, separator: Separator) -> list[tuple[int
 
 
 def separator_of(line: str) -> str:
-    """Separator of a delimited file from one of its lines: semicolon and tab come before decimal commas."""
+    """Find the separator of a file in one of its lines.
+
+    Semicolon and tab have priority, as a comma may be decimal.
+    """
     return next((mark for mark in ("\t", ";") if mark in line), ",")
 
 
 def read_rows(
     path: Path, faults: Faults, separator: Separator, columns: Sequence[str], counts: Sequence[int]
 ) -> Iterator[Row]:
-    """Records of a file without header; the order of the cells is fixed.
+    """Read the records of a file without header; the order of the cells is fixed.
 
     Parameters
     ----------
     path, faults, separator
         See :func:`cells_of`.
     columns : sequence of str
-        Names of the cells, in their order.
+        Names of the cells in their order.
     counts : sequence of int
-        Allowed numbers of cells; other records are left out, and noted.
+        Allowed numbers of cells. Other records are noted and left out.
     """
     expected = f"{counts[0]} to {counts[-1]}" if len(counts) > 2 else " or ".join(map(str, counts))
     for n, cells in cells_of(path, faults, separator):
@@ -89,9 +93,9 @@ def read_rows(
 
 
 def stated_in(path: Path, pattern: re.Pattern[str], text: str | None = None) -> str:
-    """First group of the first match of a pattern in a text file, "" without a match; InputError if unreadable.
+    """Search a text file for a pattern and return the first group of the first match; "" if there is no match.
 
-    ``text`` replaces the text of the file.
+    If ``text`` is given, it is searched instead of the file. InputError: the file cannot be read.
     """
     faults = Faults(str(path))
     match = pattern.search((read_text(path, faults) if text is None else text) or "")
@@ -100,18 +104,21 @@ def stated_in(path: Path, pattern: re.Pattern[str], text: str | None = None) -> 
 
 
 def named(n: int, cells: Sequence[str], names: Sequence[str]) -> Row:
-    """Record of cells in the order of their names; missing cells are empty."""
+    """Make a record from cells in the order of their names; missing cells are empty."""
     padded = [*cells, *[""] * (len(names) - len(cells))]
     return Row(n, dict(zip(names, padded, strict=False)))
 
 
 def numbers(row: Row, columns: Sequence[str], faults: Faults) -> tuple[float, ...]:
-    """Convert cells to finite numbers; a cell that is not a number gives nan and a noted error."""
+    """Convert cells to finite numbers; if a cell is not a number, note the fault and give nan."""
     return tuple(number(row, column, faults) for column in columns)
 
 
 def sigma(row: Row, column: str, unit: str, faults: Faults) -> float:
-    """Standard deviation of a cell; nan (unknown) if it is empty or 0, with the fault noted if below 0."""
+    """Read a standard deviation.
+
+    An empty cell or 0 gives nan (unknown). A negative value is noted as a fault.
+    """
     if not row.cells[column]:
         return np.nan
     value = number(row, column, faults)
@@ -121,18 +128,21 @@ def sigma(row: Row, column: str, unit: str, faults: Faults) -> float:
 
 
 def digits(value: float) -> str:
-    """Shortest text that reads back to the same double; whole numbers without ``.0``."""
+    """Return the shortest text from which the same double can be read.
+
+    Whole numbers have no ``.0``.
+    """
     text = repr(float(value))
     return text.removesuffix(".0")
 
 
 def row_of(cells: Iterable[str]) -> str:
-    """Line of a file with commas; cells that a reader or a spreadsheet would misread are quoted."""
+    """Join cells with commas; quote cells that a reader or a spreadsheet would misinterpret."""
     return ",".join(map(quoted, cells))
 
 
 def require_plain(names: Iterable[str], what: str, path: Path) -> None:
-    """Raise InputError if a name is empty, contains blanks or commas, or begins with ``#``."""
+    """Raise InputError if a name is empty, contains a blank or a comma, or begins with ``#``."""
     for name in names:
         if not name or name[:1] == "#" or any(c.isspace() or c in ',"' for c in name):
             raise InputError.of("interchange.name", file=path, place=what, value=name)
@@ -142,15 +152,15 @@ def require_plain(names: Iterable[str], what: str, path: Path) -> None:
 
 
 class TextLines:
-    """Lines of a UTF-8 file, without their ends.
+    """Lines of a UTF-8 file without their line ends.
 
     Parameters
     ----------
     path : Path
     text : str, optional
-        Content of the file, if it was read before.
+        Content of the file, if it has already been read.
     latin1 : bool, optional
-        Read a file that is not UTF-8 as Latin-1, with a note in ``notes``.
+        If the file is not UTF-8, read it as Latin-1 and add a note to ``notes``.
 
     Raises
     ------
@@ -172,16 +182,17 @@ class TextLines:
         self.path, self.lines = path, text.split("\n")
 
     def content(self) -> list[tuple[int, str]]:
-        """Numbers (from 1) and text of the lines that are neither blank nor a comment."""
+        """Return numbers (from 1) and texts of all lines that are neither blank nor comments."""
         return [(n, line) for n, line in enumerate(self.lines, start=1) if line.strip() and line[0] != "#"]
 
     def numbers(self, rows: Sequence[tuple[int, Sequence[str]]], width: int, needed: str) -> Array:
-        """Cells of lines, given with the number of each line, as finite numbers (n, width).
+        """Convert the cells of numbered lines to finite numbers (n, width).
 
         Raises
         ------
         InputError
-            A line has another number of cells, or a cell is not a number: names the first such line.
+            A line has another number of cells, or a cell is not a number. The message
+            names the first such line.
         """
         cells = [row for _, row in rows]
         values = finite(list(chain.from_iterable(cells))) if {*map(len, cells)} <= {width} else None
@@ -190,28 +201,28 @@ class TextLines:
         return values.reshape(-1, width)
 
     def refuse(self, number: int, needed: str, value: object = None) -> NoReturn:
-        """Raise InputError for a line; ``value`` replaces the text of the line in the message."""
+        """Raise InputError for a line; the message shows ``value``, or the text of the line."""
         line = repr(self.lines[number - 1]) if number <= len(self.lines) else "the end of the file"
         raise InputError.of("interchange.cells", file=self.path.name, place=f"line {number}",
                             value=line if value is None else value, needed=needed)  # fmt: skip
 
 
 def whole(cell: str) -> int | None:
-    """Whole number above zero of ASCII digits alone; None for others (``int`` would accept 1_0)."""
+    """Read a whole number above zero that consists of ASCII digits; else None (``int`` would also accept 1_0)."""
     return int(cell) if cell.isascii() and cell.isdigit() and 0 < len(cell) < 19 and int(cell) > 0 else None
 
 
 def require_once(
     values: npt.NDArray[Any] | Sequence[object], kind: str, file: str, at: Callable[[int], tuple[str, object]]
 ) -> None:
-    """Refuse values (n,) that occur twice; ``at`` gives place and value of a row for the message.
+    """Refuse values (n,) that occur twice; ``at`` returns place and value of a row for the message.
 
-    Texts are a list: each text of an array takes the memory of the longest one.
+    Texts must be given as a list: in an array, each text needs as much memory as the longest text.
 
     Raises
     ------
     InputError
-        Names the first repetition.
+        A value occurs twice; the message names the first repetition.
     """
     if not isinstance(values, np.ndarray):
         number: dict[object, int] = {}
@@ -223,7 +234,7 @@ def require_once(
 
 
 def positions(ids: Array, wanted: Array) -> Index:
-    """Position of each wanted id (n,) among the ids (m,), -1 where it is missing."""
+    """Return the position of each wanted id (n,) among the ids (m,); -1 if it is missing."""
     if not len(ids):
         return np.full(len(wanted), -1)
     order = np.argsort(ids)
@@ -232,15 +243,15 @@ def positions(ids: Array, wanted: Array) -> Index:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder that may exist; raise InputError if that fails."""
+    """Create a folder if it does not exist; raise InputError if this fails."""
     with writing(folder, option=""):
         folder.mkdir(parents=True, exist_ok=True)
 
 
 def read_packed(path: Path, code: str) -> bytes:
-    """Return the content of a file, decompressed if its first bytes are the signature of gzip or bzip2.
+    """Return the content of a file; decompress it if it begins with the signature of gzip or bzip2.
 
-    InputError with this ``code`` if it cannot be read.
+    InputError with this ``code``: the file cannot be read.
     """
     if not path.is_file():
         raise InputError.of(code, file=path.name, value="no such file")

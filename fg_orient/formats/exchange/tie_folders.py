@@ -1,20 +1,25 @@
-"""Tie points in folders: matches of the Ames Stereo Pipeline, a file for each pair, and tables of MicMac.
+"""Tie points in folders with several files: matches of the Ames Stereo Pipeline, and tables of MicMac.
 
-Interest point matches of the Ames Stereo Pipeline: binary files ``PREFIX-LEFT__RIGHT.match`` of image pairs.
+Interest point matches of the Ames Stereo Pipeline are binary files ``PREFIX-LEFT__RIGHT.match`` of image pairs.
 
-Two counts (uint64), then the interest points of the left image and the same number of the right one: the k-th points
-match. A record, packed, little-endian: x, y (float32), ix, iy (int32), orientation, scale, interest (float32),
-polarity (one byte), octave, scale level (uint32), length of the descriptor (uint64), descriptor (float32 each). x is
-the column, y the row, (0, 0) the centre of the first pixel.
+A file begins with two numbers of points (uint64), which are equal. The interest points of
+the left image follow, then those of the right image; the k-th points of both images
+match. A record is packed, little-endian. It contains x, y (float32), ix, iy (int32),
+orientation, scale, interest (float32), polarity (one byte), octave, scale level (uint32),
+length of the descriptor (uint64), and the descriptor (float32 each). x is the column and
+y is the row; (0, 0) is the centre of the first pixel.
 
-The layout is from a description; no file of the program was available, and the format is unverified. The reader
-therefore checks conditions that a wrong layout would violate: equal counts, a polarity of 0 or 1, finite pixels next to
-their rounded values, and no remaining byte.
+This layout comes from a description. No file of the program was available, so the format
+is unverified. The reader therefore checks conditions that a wrong layout would violate:
+the two numbers are equal, a polarity is 0 or 1, pixels are finite and near their rounded
+values, and no byte remains at the end.
 
-Multi-image tie points of MicMac: a folder with one table ``PMUL-IMAGE.csv`` per image, columns Pt.x, Pt.y, Id.
+Multi-image tie points of MicMac are a folder with a table ``PMUL-IMAGE.csv`` for each
+image. Its columns are Pt.x, Pt.y, Id.
 
-Pt.x is the sample and Pt.y the line; image points of the same Id in several tables are one tie point. Whole numbers
-are centres of pixels according to MicMac's description; tie points alone cannot confirm it.
+Pt.x is the sample and Pt.y is the line. Image points with the same Id in several tables
+belong to one tie point. According to MicMac's description, whole numbers are centres of
+pixels. Tie points alone cannot confirm this.
 """
 
 from __future__ import annotations
@@ -38,16 +43,16 @@ RECORD: Final = np.dtype([
     ("x", "<f4"), ("y", "<f4"), ("ix", "<i4"), ("iy", "<i4"), ("orientation", "<f4"), ("scale", "<f4"),
     ("interest", "<f4"), ("polarity", "u1"), ("octave", "<u4"), ("level", "<u4"), ("length", "<u8"),
 ])  # fmt: skip
-#: Limit of the difference of whole-numbered and exact pixel, by rounding or truncation.
+#: Maximum difference of an exact pixel from its whole number, which may be rounded or truncated.
 WHOLE: Final = 1.0 + 1e-3
-#: Text between prefix and images, and between the images, in the name of a file.
+#: In a file name, the text between the prefix and the images, and the text between the two images.
 _BEFORE, _BETWEEN = "-", "__"
 
 
 def read_match(path: str | Path) -> tuple[Array, Array]:
-    """Matched pixels of one file: left and right (n, 2), line and sample.
+    """Read the matched pixels of one file: left and right (n, 2), line and sample.
 
-    InputError if the file cannot be read, is truncated, or is not of this layout.
+    InputError: the file cannot be read, is truncated, or has another layout.
     """
     path = Path(path)
     raw = read_packed(path, "ties.unreadable")
@@ -68,7 +73,10 @@ def read_match(path: str | Path) -> tuple[Array, Array]:
 
 
 def _records(raw: bytes, n: int) -> tuple[npt.NDArray[Any], int]:
-    """N records without their descriptors, and the position behind them; zeros and -1 if the file is too short."""
+    """Read n records without their descriptors; return them and the position after them.
+
+    If the file is too short, the records are zeros, and the position is -1.
+    """
     heads, at, size = [], 16, RECORD.itemsize
     for _ in range(n):
         if at + size > len(raw):
@@ -79,7 +87,7 @@ def _records(raw: bytes, n: int) -> tuple[npt.NDArray[Any], int]:
 
 
 def write_match(path: str | Path, left: Array, right: Array) -> None:
-    """Write matched pixels (n, 2), line and sample, without descriptors, in single precision."""
+    """Write matched pixels (n, 2), line and sample, in single precision and without descriptors."""
     both = np.concatenate([left, right])
     records = np.zeros(len(both), RECORD)
     for name, whole, k in (("y", "iy", 0), ("x", "ix", 1)):
@@ -91,7 +99,10 @@ def write_match(path: str | Path, left: Array, right: Array) -> None:
 
 
 def images_of(path: Path) -> tuple[str, str]:
-    """Names of both images from the file name; InputError if it is not PREFIX-LEFT__RIGHT.match."""
+    """Return the names of both images.
+
+    Raise InputError if the file name is not PREFIX-LEFT__RIGHT.match.
+    """
     left, between, right = path.stem.partition(_BETWEEN)
     name = left.partition(_BEFORE)[2]
     if path.suffix != ".match" or not (name and between and right) or name == right:
@@ -100,7 +111,7 @@ def images_of(path: Path) -> tuple[str, str]:
 
 
 def read_matches(paths: tuple[Path, ...], settings: Settings) -> Survey:
-    """Read a file, or all of a folder, and join their matches to tie points."""
+    """Read one file or all files of a folder, and join their matches to tie points."""
     files = sorted(paths[0].glob("*.match")) if paths[0].is_dir() else [paths[0]]
     if not files:
         raise InputError.of("ties.missing", file=paths[0], needed="a folder with files of matches (*.match)")
@@ -120,14 +131,14 @@ def read_matches(paths: tuple[Path, ...], settings: Settings) -> Survey:
 
 
 def write_matches(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
-    """Write one file for two images, or a folder with a file ``run-A__B.match`` for each pair."""
+    """Write a file for two images, or a folder with a file ``run-A__B.match`` for each image pair."""
     o = survey.observed
     pixels = np.column_stack([o.line, o.sample])
     pairs = pairs_of(o.image, o.point)
     if paths[0].suffix == ".match":
         if len(survey.images) != 2:
             raise InputError.of("match.pair", file=paths[0].name, value=f"{len(survey.images)} images")
-        images_of(paths[0])  # the reader would refuse a name without the images
+        images_of(paths[0])  # refuses a name that the reader would refuse
         rows = pairs.get((0, 1), np.empty((0, 2), np.intp))
         write_match(paths[0], pixels[rows[:, 0]], pixels[rows[:, 1]])
         return
@@ -138,14 +149,17 @@ def write_matches(survey: Survey, paths: tuple[Path, ...], settings: Settings) -
 
 
 def _plain(images: Sequence[str], k: int) -> str:
-    """Name of an image that the name of a file can contain."""
+    """Return the name of an image in a form that a file name can contain."""
     if _BETWEEN in images[k] or images[k].startswith("_"):
         raise InputError.of("match.image", value=images[k])
     return _inside(images[k])
 
 
 def _inside(image: str) -> str:
-    """Name of an image; InputError if a file named after it could lie outside the folder."""
+    """Return the name of an image.
+
+    Raise InputError if a file with this name could lie outside the folder.
+    """
     if "/" in image or "\\" in image:
         raise InputError.of("match.image", value=image)
     return image
@@ -167,14 +181,14 @@ FORMAT = Format(
 
 HEADER: Final = "Pt.x,Pt.y,Id"
 PREFIX: Final = "PMUL-"
-#: Whole numbers are exact in double precision up to this.
+#: Up to this value, whole numbers are exact in double precision.
 _EXACT: Final = 2.0**53
 
 
 def read_image(path: str | Path) -> tuple[Array, npt.NDArray[np.int64]]:
-    """Pixels (n, 2), line and sample, and ids (n,) of the table of one image, plain or compressed by gzip.
+    """Read pixels (n, 2), line and sample, and ids (n,) from the table of one image; gzip is allowed.
 
-    InputError if the file cannot be read, or with the first faulty line.
+    InputError: the file cannot be read, or a line is faulty; the message names the first faulty line.
     """
     path = Path(path)
     try:
@@ -194,7 +208,10 @@ def read_image(path: str | Path) -> tuple[Array, npt.NDArray[np.int64]]:
 
 
 def image_of(path: Path) -> str:
-    """Name of the image of a table; InputError if the file is not named PMUL-IMAGE.csv."""
+    """Return the name of the image of a table.
+
+    Raise InputError if the file name is not PMUL-IMAGE.csv.
+    """
     name = path.name.removesuffix(".gz")
     if not (name.startswith(PREFIX) and name.endswith(".csv") and len(name) > len(PREFIX) + 4):
         raise InputError.of("micmac.name", file=path.name, value=path.name)
@@ -217,7 +234,10 @@ def read_ties(paths: tuple[Path, ...], settings: Settings) -> Survey:
 
 
 def write_ties(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
-    """Write a table for each image; points get numbers from 0 unless their ids are such."""
+    """Write a table for each image.
+
+    If ids are not whole numbers, the points are numbered from 0.
+    """
     make_folder(paths[0])
     numbers = [name if name == str(int(name)) else "" for name in survey.ids if name.isascii() and name.isdigit()]
     names = survey.ids if len(numbers) == len(survey.ids) and all(numbers) else tuple(map(str, range(len(survey.ids))))

@@ -1,8 +1,10 @@
-"""Tie points of other programs as surveys, and matches of image pairs joined into tie points (tracks).
+"""Make surveys from tie points of other programs, and join matches of image pairs to tie points (tracks).
 
-Two matched keypoints show one ground point, and so do all keypoints matched with either: a track is a connected
-component of the graph of keypoints. Wrong matches connect different ground points: a track with two places in one image
-is a conflict. The matches do not show which connection is wrong; the whole track is therefore left out and counted.
+Two matched keypoints show the same ground point. All keypoints that match one of them
+show this point, too. Therefore a track is a connected component of the graph of
+keypoints. Wrong matches connect different ground points. A track that has two places in
+one image is a conflict. The matches do not show which connection is wrong. Therefore the
+whole track is left out and counted.
 """
 
 from __future__ import annotations
@@ -28,12 +30,12 @@ def tie_survey(
     images: Sequence[str], ids: Sequence[str], image: Index, point: Index, line: Array, sample: Array,
     notes: Sequence[Finding] = (),
 ) -> Survey:  # fmt: skip
-    """Survey of tie points.
+    """Make a survey of tie points.
 
     Parameters
     ----------
     images, ids : sequences of str
-        Images and points.
+        Names of the images and points.
     image, point : (n,) int arrays
         Positions in ``images`` and ``ids``.
     line, sample : (n,) arrays
@@ -51,10 +53,10 @@ def tie_survey(
 def matched_survey(
     images: Sequence[str], image: Index, line: Array, sample: Array, matches: Index, notes: Sequence[Finding] = ()
 ) -> Survey:
-    """Survey of matched keypoints.
+    """Make a survey of matched keypoints.
 
-    Tie points are named by numbers from 1. Tie points with two places in one image are left out, and a note counts
-    them.
+    Tie points are numbered from 1. Tie points with two places in one image are left out,
+    and a note gives their number.
 
     Parameters
     ----------
@@ -74,7 +76,7 @@ def matched_survey(
 
 
 def pairs_of(image: Index, point: Index) -> dict[tuple[int, int], Index]:
-    """Pairs of images that show the same points.
+    """Find the pairs of images that show the same points.
 
     Parameters
     ----------
@@ -84,7 +86,8 @@ def pairs_of(image: Index, point: Index) -> dict[tuple[int, int], Index]:
     Returns
     -------
     dict of (int, int) to (k, 2) int array
-        Rows of both image points by first and second image, the first one being smaller; sorted.
+        Rows of both image points, for each pair of images. The first image has the
+        smaller number. The pairs are sorted.
     """
     order = np.lexsort((image, point))
     p, parts = point[order], []
@@ -103,7 +106,10 @@ def pairs_of(image: Index, point: Index) -> dict[tuple[int, int], Index]:
 
 
 def model_survey(model: FrameModel) -> Survey:
-    """Return the tie points of a frame model; a note counts the cameras, poses and coordinates, which are left out."""
+    """Return the tie points of a frame model.
+
+    Cameras, poses and coordinates are left out, and a note counts them.
+    """
     left_out = finding("points.model_left_out", poses=len(model.poses), cameras=len(model.cameras),
                        points=len(model.point_ids))  # fmt: skip
     return tie_survey(
@@ -113,7 +119,10 @@ def model_survey(model: FrameModel) -> Survey:
 
 
 def model_format(read_model: Callable[[tuple[Path, ...], Settings], FrameModel], **fields: Any) -> Format:
-    """Return the registration record of a format of frame models; its tie points are the tie points of the model."""
+    """Make the registry record of a frame-model format.
+
+    Its point reader returns the tie points of the model.
+    """
     usual = {"ground_axes": "local x, y, z (left out)", "holds": TIES_ONLY}
     read = lambda paths, settings: model_survey(read_model(paths, settings))  # noqa: E731
     return Format(read_model=read_model, **{"read": read, **usual, **fields})
@@ -130,20 +139,23 @@ def join(image: Index, line: Array, sample: Array, matches: Index) -> tuple[tupl
     image : (n,) int array
         Image of each keypoint.
     line, sample : (n,) arrays
-        Its pixel. Keypoints of one image at equal pixels are one (detectors give a place several orientations).
+        Pixels of the keypoints. Keypoints of an image at the same pixel count as one
+        keypoint; detectors may give a place several orientations.
     matches : (m, 2) int array
         Rows of matched keypoints.
 
     Returns
     -------
     tracks, conflicts : pairs of (k,) int arrays
-        Tie points, and groups with two places in one image: rows of the given keypoints, and the group of each, sorted
-        by group, then image. Groups count from 0 in the order of their first keypoints.
+        Tie points, and groups with two places in one image. Each contains the rows of
+        keypoints, and the group of each row, sorted by group, then by image. Groups are
+        numbered from 0 in the order of their first keypoints.
 
     Raises
     ------
     ValueError
-        A match names a missing keypoint, or two of one image: readers refuse these with their place in the file.
+        A match names a missing keypoint or two keypoints of one image. Readers refuse
+        such matches before, with their place in the file.
     """
     image, matches = np.asarray(image, np.intp), np.asarray(matches, np.intp).reshape(-1, 2)
     if matches.size and not (0 <= matches.min() and matches.max() < len(image)):
@@ -166,9 +178,10 @@ def join(image: Index, line: Array, sample: Array, matches: Index) -> tuple[tupl
 def conflict_note(
     n_tracks: int, conflicts: tuple[Index, Index], names: Sequence[str], image: Index, line: Array, sample: Array
 ) -> tuple[Finding, ...]:
-    """Return a note with the number of tie points left out and the first of them; empty without conflict.
+    """Return a note with the number of omitted tie points and the first of them; empty if there is no conflict.
 
-    ``names`` are the names of the images; ``image``, ``line``, ``sample`` are the arguments of :func:`join`.
+    ``names`` contains the names of the images; ``image``, ``line``, ``sample`` are the
+    arguments of :func:`join`.
     """
     keypoint, track = conflicts
     if not len(keypoint):
@@ -184,7 +197,7 @@ def conflict_note(
 
 
 def _places(image: Index, line: Array, sample: Array) -> Index:
-    """For each keypoint (n,) the first one of its image at the same pixel."""
+    """Return, for each keypoint (n,), the first keypoint of its image at the same pixel."""
     order = np.lexsort((sample, line, image))
     i, y, x = image[order], line[order], sample[order]
     new = np.ones(len(order), bool)

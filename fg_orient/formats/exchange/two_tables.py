@@ -1,12 +1,15 @@
-"""Ground control of MicMac and Pix4D: a text file of points and one of their image points, both without header.
+"""Ground control of MicMac and Pix4D: one text file of points and one of image points, both without header.
 
-MicMac: ``name X Y Z precXY precZ`` and ``name image x y``, blanks between them. X is longitude or easting. The files do
-not state the CRS. Bilinear interpolation in MicMac gives the value of a pixel at whole coordinates; (0, 0) is therefore
-assumed to be the centre of the first pixel.
+MicMac writes ``name X Y Z precXY precZ`` and ``name image x y``, separated by blanks. X
+is longitude or easting. The files do not state the CRS. MicMac's bilinear interpolation
+gives the value of a pixel at whole coordinates. Therefore it is assumed that (0, 0) is
+the centre of the first pixel.
 
-Pix4D: ``label, coordinate 1, coordinate 2, z`` and, if given, ``horizontal accuracy, vertical accuracy``. The two
-coordinates have the order of the definition of the CRS (latitude first for EPSG:4326). Marks: ``image, label, x, y``
-and, if given, a scale, which is ignored. Pixels count from the corner of the first pixel: its centre is (0.5, 0.5).
+Pix4D writes ``label, coordinate 1, coordinate 2, z``. The cells ``horizontal accuracy,
+vertical accuracy`` may follow. The two coordinates have the order of the CRS definition;
+for EPSG:4326, latitude is first. Marks have the cells ``image, label, x, y``. A scale may
+follow, which is ignored. Pixels count from the corner of the first pixel, so that its
+centre is (0.5, 0.5).
 """
 
 from __future__ import annotations
@@ -29,23 +32,23 @@ from fg_orient.model.names import Role
 
 @dataclass(frozen=True)
 class Layout:
-    """Cells of two text files without header, for reader and writer.
+    """Layout of two text files without header, for the reader and the writer.
 
     Parameters
     ----------
     separator : str
-        See :func:`fg_orient.formats.exchange.text.cells_of`. Files with blanks begin with a comment that names the
-        cells.
+        Separator; see :func:`fg_orient.formats.exchange.text.cells_of`. If cells are
+        separated by blanks, the writer begins a file with a comment that names the cells.
     point : sequence of str
         Cells of a point: name, three coordinates, horizontal and vertical standard deviation.
     mark : sequence of str
-        Cells of an image point: ``image``, ``x``, ``y`` and the name of the point, which is that of ``point``.
+        Cells of an image point: ``image``, ``x``, ``y`` and the name of the point as in ``point``.
     counts : two sequences of int
-        Allowed numbers of cells of points and image points.
+        Allowed numbers of cells of a point and of an image point.
     centre_px : float
         Coordinate of the centre of the first pixel.
     in_crs_order : bool
-        Coordinates have the order of the definition of the CRS; else longitude or easting is first.
+        Coordinates have the order of the CRS definition. If False, longitude or easting is first.
     """
 
     separator: Separator
@@ -56,7 +59,7 @@ class Layout:
     in_crs_order: bool = False
 
     def read(self, paths: tuple[Path, ...], settings: Settings) -> Survey:
-        """Read control points and, if there is a second file, image points."""
+        """Read control points; also read image points if there is a second file."""
         gathered = Gathering(paths[0], settings.crs)
         faults = gathered.faults
         backwards = self.in_crs_order and north_first(gathered.crs)
@@ -74,7 +77,10 @@ class Layout:
         return gathered.finished()
 
     def write(self, survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
-        """Write the files as :meth:`read` reads them; the second file only if there are image points."""
+        """Write files that :meth:`read` can read.
+
+        The second file is written only if there are image points.
+        """
         blank, o = self.separator == "blank", survey.observed
         if blank:
             require_plain((*survey.ids, *survey.images), "name", paths[0])

@@ -1,1 +1,4 @@
-"""Metadata files of sensors: one module per format, with its registration record (docs/extending/sensor.md)."""
+"""Metadata formats of sensors.
+
+Each format has one module with its registry record (docs/extending/sensor.md).
+"""

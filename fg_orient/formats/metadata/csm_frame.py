@@ -1,12 +1,15 @@
-"""Frame states of the Community Sensor Model (USGSCSM, ``USGS_ASTRO_FRAME_SENSOR_MODEL``), read and written.
+"""Read and write frame states of the Community Sensor Model (USGSCSM, ``USGS_ASTRO_FRAME_SENSOR_MODEL``).
 
-A state is the name of its model and an object in JSON. Pixels of CSM are (0.5, 0.5) at the centre of the first one. The
-seven parameters are the projection centre (m) and the quaternion (x, y, z, w) of the rotation to body-fixed axes from
-camera axes; ``ideal = f (x, y)/z``, the distortion leads to measured millimetres, ``m_iTransL`` and ``m_iTransS`` to
-detector pixels about ``m_ccdCenter`` (line, sample). Fields follow the published definitions (docs/planetary.md). The
-axes of the three angles are the body-fixed ones.
+A state is the name of its model and a JSON object. In CSM, the centre of the first pixel
+is (0.5, 0.5). The seven parameters of a state are the projection centre (m) and a
+quaternion (x, y, z, w), which rotates camera axes to body-fixed axes. The ideal
+coordinates are ``f (x, y)/z``. The distortion converts them to measured millimetres.
+``m_iTransL`` and ``m_iTransS`` convert these to detector pixels relative to
+``m_ccdCenter`` (line, sample). The fields follow the published definitions
+(docs/planetary.md). The three angles refer to the body-fixed axes.
 
-A distortion that USGSCSM does not have is fitted when a state is written: the record states the differences.
+If USGSCSM does not have the distortion of a camera, the writer fits one of its
+distortions. The returned record states the differences.
 """
 
 from __future__ import annotations
@@ -29,9 +32,9 @@ from fg_orient.model.errors import InputError
 from fg_orient.sensors.focal_plane import Detector, Distortion
 from fg_orient.sensors.framing import FramingCamera, FramingSensor, Taken, angles_of
 
-#: Pixels per side of the image at which a distortion is fitted and compared.
+#: A distortion is fitted and compared at this number of pixels per side of the image.
 SIDE: Final = 41
-#: Camera axes of a state, which look along their third axis forwards, from axes that look backwards.
+#: Rotates camera axes that look along the negative third axis to axes that look along the positive third axis.
 _HALF_TURN: Final = np.diag([-1.0, 1.0, -1.0])
 
 
@@ -41,8 +44,8 @@ def read_state(path: str | Path) -> FramingSensor:
     Raises
     ------
     InputError
-        A value is missing or impossible, the distortion is neither radial nor transverse, or the principal point is
-        not zero.
+        A value is missing or impossible. Or the distortion is neither radial nor
+        transverse, or the principal point is not zero.
     """
     path = Path(path)
     state = open_state(path, FRAME_MODEL)
@@ -71,7 +74,7 @@ def read_state(path: str | Path) -> FramingSensor:
 
 
 def _body(state: JsonFile) -> Body | None:
-    """Body of the axes; None for the Earth."""
+    """Return the body to which the axes are fixed; None for the Earth."""
     axes = state.number("m_majorAxis"), state.number("m_minorAxis")
     if is_earth(*axes):
         return None
@@ -100,17 +103,17 @@ def _detector(state: JsonFile) -> Detector:
 
 
 def write_state(path: Path, sensor: Any, correction: Any = None) -> dict[str, Any]:
-    """Write a frame image, with its correction (6,) from an adjustment.
+    """Write the state of a frame image with its correction (6,) from an adjustment.
 
     Returns
     -------
     dict
-        ``distortion``; ``largest_px``, ``mean_px``: differences of the written camera over the image.
+        ``distortion``; ``largest_px`` and ``mean_px``, the differences of the written camera over the image.
 
     Raises
     ------
     InputError
-        The sensor is not a frame image in inertial axes.
+        The sensor is not a frame image with inertial axes.
     """
     if not isinstance(sensor, FramingSensor):
         raise InputError.of("csm.frame (failure): only a frame image of an ISD or of a CSM state becomes a frame state "
@@ -123,7 +126,10 @@ def write_state(path: Path, sensor: Any, correction: Any = None) -> dict[str, An
 
 
 def _forward(camera: FramingCamera) -> FramingCamera:
-    """Same camera with a focal length above zero: its axes make a half-turn about the second one."""
+    """Return the same camera with a positive focal length.
+
+    Its axes are rotated by 180 degrees about axis 2.
+    """
     if camera.focal_mm > 0.0:
         return camera
     detector, distortion = camera.detector, camera.distortion
@@ -135,7 +141,10 @@ def _forward(camera: FramingCamera) -> FramingCamera:
 
 
 def _fitted(camera: FramingCamera, sensor: FramingSensor) -> Distortion:
-    """Distortion that a state can hold: unchanged, or the transverse or radial one that is nearest over the image."""
+    """Return a distortion that a state can contain.
+
+    It is the given one, or the transverse or radial distortion with the smallest difference over the image.
+    """
     own = camera.distortion
     if own.model in DISTORTIONS.values():
         return own
@@ -157,7 +166,7 @@ def _fitted(camera: FramingCamera, sensor: FramingSensor) -> Distortion:
 
 
 def _differences(one: FramingCamera, other: FramingCamera, sensor: FramingSensor) -> Array:
-    """Distances (n,) px between pixels of the same ideal coordinates, over the image."""
+    """Return the distances (n,), px, between the pixels that both cameras give for the same ideal coordinates."""
     line, sample = sensor.grid(SIDE)
     ideal = one.distortion.ideal(one.detector.millimetres(line, sample))
     there = other.detector.pixels(other.distortion.measured(ideal))
@@ -165,7 +174,7 @@ def _differences(one: FramingCamera, other: FramingCamera, sensor: FramingSensor
 
 
 def _fields(sensor: FramingSensor, camera: FramingCamera) -> dict[str, Any]:
-    """All fields of a state; those that the model does not use have neutral values."""
+    """Return all fields of a state; fields that the model does not use have neutral values."""
     from scipy.spatial.transform import Rotation  # loaded for these files only
 
     detector, centre = camera.detector, camera.centre_m
@@ -173,7 +182,7 @@ def _fields(sensor: FramingSensor, camera: FramingCamera) -> dict[str, Any]:
     quaternion = Rotation.from_matrix(camera.rotation.T).as_quat().tolist()
     kind = next(k for k, name in DISTORTIONS.items() if name == camera.distortion.model)
     affine = np.array([detector.samples, detector.lines])
-    back = np.linalg.inv(affine[:, 1:])  # millimetres from detector samples and lines
+    back = np.linalg.inv(affine[:, 1:])  # detector samples and lines to millimetres
     shift = (-back @ affine[:, 0]).tolist()
     return {
         "m_modelName": FRAME_MODEL, "m_imageIdentifier": Path(sensor.file).stem,

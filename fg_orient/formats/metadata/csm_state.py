@@ -1,10 +1,12 @@
-"""Line-scan states of the Community Sensor Model (USGSCSM, ``USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL``), read and written.
+"""Read and write line-scan states of the Community Sensor Model (``USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL``).
 
-A state is the name of its model and an object in JSON. Pixels of CSM are (0.5, 0.5) at the centre of the first one. The
-time of a line is linear within each segment; positions and quaternions (x, y, z, w: body-fixed from camera axes) are
-interpolated by Lagrange polynomials through eight samples. The line of sight in camera axes is ``(z x, z y, focal)``
-with z = ``m_zDirection``, and x, y of the focal plane without distortion (``fg_orient.sensors.focal_plane``). Fields
-follow the published definitions; the library itself is not needed (docs/line-scan.md).
+A state is the name of its model and a JSON object. In CSM, the centre of the first pixel
+is (0.5, 0.5). The time of a line is a linear function in each segment. Lagrange
+polynomials through eight samples interpolate positions and quaternions. A quaternion (x,
+y, z, w) rotates camera axes to body-fixed axes. The line of sight in camera axes is ``(z
+x, z y, focal)``, where z is ``m_zDirection``, and x, y are coordinates in the focal plane
+without distortion (``fg_orient.sensors.focal_plane``). The fields follow the published
+definitions. The library USGSCSM is not needed (docs/line-scan.md).
 """
 
 from __future__ import annotations
@@ -37,13 +39,14 @@ from fg_orient.sensors.metadata import (
     SegmentTiming,
 )
 
-#: Heights at which a written file is compared with its image, m, and lines and samples of the comparison.
+#: Heights, m, at which a written file is compared with its image; below: numbers of compared lines and samples.
 HEIGHTS_M: Final = (0.0, 1000.0)
 SIDE: Final = 25
-#: Times before and after a sample that its polynomial uses; a state of an aircraft has fewer.
+#: Platform flag of satellites. Their polynomials use four samples on each side; those of aircraft use fewer.
 _SATELLITE: Final = 1
-#: Camera axes of a state (z to the ground) from ours (forward, left, z from the ground): for a detector line along x,
-#: and for one along y, so that the line is across.
+#: Rotates our camera axes (forward, left, z away from the ground) to the camera axes of a
+#: state (z to the ground). One matrix is for a detector line along x, the other for a
+#: detector line along y.
 _THEIRS: Final = {
     "x": np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), "y": np.diag([1.0, -1.0, -1.0]),
 }  # fmt: skip
@@ -55,8 +58,9 @@ def read_state(path: str | Path, light: tuple[str, ...] = ()) -> GeneralMetadata
     Raises
     ------
     InputError
-        A value is missing or impossible, or the state has a feature that is not read: parameters that are not zero,
-        another distortion than radial or transverse, the interpolation of aircraft, another body than the Earth.
+        A value is missing or impossible, or the state has a feature that is not
+        supported: parameters that are not zero, a distortion that is neither radial nor
+        transverse, the interpolation for aircraft, or another body than the Earth.
     """
     path = Path(path)
     state = open_state(path, LINE_SCAN_MODEL)
@@ -73,7 +77,7 @@ def read_state(path: str | Path, light: tuple[str, ...] = ()) -> GeneralMetadata
 
 
 def _require_plain(state: JsonFile) -> None:
-    """Refuse features that are not read."""
+    """Refuse features that are not supported."""
     changed = np.flatnonzero(state.numbers("m_currentParameterValue", -1, default=[0.0]))
     if len(changed):
         place = f"m_currentParameterValue, number {changed[0] + 1}"
@@ -88,7 +92,10 @@ def _require_plain(state: JsonFile) -> None:
 
 
 def _timing(state: JsonFile) -> LineTiming:
-    """Times of lines; a segment begins half a line before the centre of its first line."""
+    """Read the times of the lines.
+
+    A segment begins half a line before the centre of its first line.
+    """
     line = state.numbers("m_intTimeLines", -1)
     start, period = (state.numbers(name, len(line)) for name in ("m_intTimeStartTimes", "m_intTimes"))
     if (period == 0.0).any():
@@ -99,7 +106,7 @@ def _timing(state: JsonFile) -> LineTiming:
 
 
 def _listed(state: JsonFile, name: str, width: int, place: str) -> tuple[Array, Array]:
-    """Times (n,) and values (n, width) of a list, at least two."""
+    """Read times (n,) and values (n, width) of a list with at least two entries."""
     values = state.numbers(name, -1)
     start, step = (state.number(f"m_{word}{place}") for word in ("t0", "dt"))
     n = len(values) // width
@@ -125,9 +132,9 @@ def _attitude(state: JsonFile) -> QuaternionList:
 
 
 def _directions(state: JsonFile, n_samples: int) -> tuple[DirectionTable, str]:
-    """Directions of all samples, and the axis of the camera along which the detector line lies.
+    """Return the directions of all samples, and the camera axis along which the detector line lies.
 
-    The line of the detector is always the first one: the time contains the line of the image.
+    The detector has only one line. The line of the image determines the time.
     """
     distortion = distortion_of(state)
     lines, samples = (tuple(state.numbers(name, 3).tolist()) for name in ("m_iTransL", "m_iTransS"))
@@ -149,14 +156,16 @@ def _directions(state: JsonFile, n_samples: int) -> tuple[DirectionTable, str]:
 
 
 def write_compared(path: Path, sensor: Any, correction: Any = None) -> dict[str, Any]:
-    """Write a state, read it and compare it with the image: from pixels to the ground by the file, back by the image.
+    """Write a state, read it again, and compare it with the image.
 
-    A frame image becomes a frame state.
+    The file converts pixels to ground points, and the image converts them back to pixels.
+    A frame image is written as a frame state.
 
     Returns
     -------
     dict
-        As of :func:`fg_orient.formats.csm_write.write_state`, and ``largest_px``, ``mean_px`` over image and heights.
+        Record of :func:`fg_orient.formats.csm_write.write_state`, and the differences
+        ``largest_px`` and ``mean_px`` over image and heights.
     """
     if isinstance(sensor, FramingSensor):
         return write_frame(path, sensor, correction)

@@ -1,12 +1,18 @@
-"""DigitalGlobe ISD XML of level 1B images (WorldView, GeoEye, QuickBird): the rigorous line-scan model.
+"""Read the rigorous line-scan model from DigitalGlobe ISD XML of level 1B (WorldView, GeoEye, QuickBird).
 
-``EPH`` contains Earth-fixed positions and velocities, ``ATT`` quaternions from the spacecraft to Earth-fixed axes
-(scalar last), both in equal steps; ``TLC`` times of lines; ``GEO`` the camera: principal distance, perspective centre
-and camera attitude in the spacecraft, and the detector line. Camera axes are those of the file: the line of sight of a
-detector at (x, y) mm is (x, y, PD); sample s is at ``origin + pitch s (sin a, -cos a)``, a = DETROTANGLE.
+The file has these parts:
 
-The attitudes contain the effects on light: without further effects the model meets the RPC of the same file to 0.3 px
-in the mean, with the velocity aberration it misses it by 48 px (docs/line-scan.md gives the figures of two images).
+- ``EPH`` contains Earth-fixed positions and velocities in equal steps;
+- ``ATT`` contains quaternions from spacecraft axes to Earth-fixed axes (scalar last) in equal steps;
+- ``TLC`` contains times of lines;
+- ``GEO`` contains the camera: principal distance, perspective centre, attitude in the spacecraft, and detector line.
+
+Camera axes are those of the file. The line of sight of a detector at (x, y) mm is (x, y,
+PD). Sample s lies at ``origin + pitch s (sin a, -cos a)`` with a = DETROTANGLE.
+
+The attitudes already contain the effects on light. Without further effects, the mean
+difference between the model and the RPC of the same file is 0.3 px. With velocity
+aberration, it is 48 px (docs/line-scan.md gives figures of two images).
 """
 
 from __future__ import annotations
@@ -35,17 +41,18 @@ from fg_orient.sensors.metadata import (
     SegmentTiming,
 )
 
-#: Product levels with these letters are not resampled.
+#: Images of this product level are not resampled.
 LEVEL: Final = "1B"
-#: Effects on light that the model has unless others are chosen.
+#: Default effects on light.
 USUAL: Final = LightEffects()
 SECTIONS: Final = ("IMD", "EPH", "ATT", "GEO")
-#: Numbers of a record: its number, position, velocity, 6 covariances; its number, quaternion, 10 covariances.
+#: Length of a record of states: its number, position, velocity, 6 covariances. Length of
+#: a record of attitudes: its number, quaternion, 10 covariances.
 _STATE, _ATTITUDE = 13, 15
 _STEP_S: Final = (1e-4, 60.0)
-#: Principal distance, position and pitch of detectors, mm.
+#: Allowed ranges of the principal distance, and of the position and pitch of detectors, mm.
 _DISTANCE_MM, _POSITION_MM, _PITCH_MM = (1e2, 1e6), (-2e3, 2e3), (1e-4, 1.0)
-#: Camera axes of the file (z to the ground) from ours (z from the ground).
+#: Rotates our camera axes (z away from the ground) to the axes of the file (z to the ground).
 _THEIRS: Final = np.diag([1.0, -1.0, -1.0])
 
 
@@ -56,12 +63,13 @@ def read_isd(path: str | Path, light: tuple[str, ...] = ()) -> GeneralMetadata:
     ----------
     path : path
     light : tuple of str
-        Effects on light in place of none.
+        Effects on light; by default, there are none.
 
     Raises
     ------
     InputError
-        A value is missing, malformed or implausible, or the camera has an optical distortion, which is not read.
+        A value is missing, malformed or implausible, or the camera has an optical
+        distortion, which is not supported.
     """
     root = read_xml(path)
     image, band = root.one("IMD"), _band(root)
@@ -85,7 +93,7 @@ def read_isd(path: str | Path, light: tuple[str, ...] = ()) -> GeneralMetadata:
 
 
 def _band(root: XmlNode) -> str:
-    """Band of the RPC, or the first band of the camera."""
+    """Return the band of the RPC; without an RPC, the first band of the camera."""
     mounting = root.one("GEO/DETECTOR_MOUNTING")
     bands = [child.tag.removeprefix("BAND_") for child in mounting.children() if child.tag.startswith("BAND_")]
     if not bands:
@@ -95,7 +103,10 @@ def _band(root: XmlNode) -> str:
 
 
 def _timing(image: XmlNode, epoch: np.datetime64) -> LineTiming:
-    """Times of lines: linear between the pairs of the list, and with the last rate after it."""
+    """Read the times of lines.
+
+    They are linear between the pairs of the list, and the last rate is used after it.
+    """
     nodes = image.every("TLCLISTList/TLCLIST")
     line, seconds = np.array([node.vector(2) for node in nodes]).T
     start = image.one("TLCTIME").seconds_since(epoch)
@@ -114,7 +125,7 @@ def _timing(image: XmlNode, epoch: np.datetime64) -> LineTiming:
 
 
 def _table(section: XmlNode, name: str, size: int, epoch: np.datetime64) -> tuple[list[XmlNode], Array, Array]:
-    """Elements of a list, their times (n,), and their numbers (n, size - 1) without the number of the record."""
+    """Return the elements of a list, their times (n,), and their numbers (n, size - 1) without the record number."""
     nodes = section.every(f"{name}List/{name}", checks.MIN_EPHEMERIS_POINTS)
     values = np.array([node.vector(size) for node in nodes])
     wrong = np.flatnonzero(values[:, 0] != np.arange(1.0, len(nodes) + 1.0))
@@ -144,7 +155,10 @@ def _attitude(section: XmlNode, epoch: np.datetime64) -> QuaternionList:
 
 
 def _detectors(geometry: XmlNode, band: str, n_samples: int) -> DirectionTable:
-    """Directions of the first and last sample: the detectors lie on a straight line in the focal plane."""
+    """Return the directions of the first and last sample.
+
+    The detectors lie on a straight line in the focal plane.
+    """
     distortion = geometry.maybe("OPTICAL_DISTORTION")
     if distortion is not None and distortion.one("POLYORDER").integer(-1, 20) >= 0:
         raise distortion.fault("digitalglobe.distortion", f"order {distortion.one('POLYORDER').text()}")
@@ -160,7 +174,10 @@ def _detectors(geometry: XmlNode, band: str, n_samples: int) -> DirectionTable:
 
 
 def _is_rigorous(path: Path, head: str) -> bool:
-    """True for a file of level 1B with states and camera; other files contain the RPC only, or a resampled image."""
+    """Return whether a file has level 1B with states and camera.
+
+    Other files contain only an RPC, or describe a resampled image.
+    """
     if xml_root(head) != "isd":
         return False
     root = read_xml(path)

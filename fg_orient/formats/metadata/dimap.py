@@ -1,7 +1,8 @@
-"""DIMAP metadata files of pushbroom images: recognition of the version, and the reader to use.
+"""Recognise the version of a DIMAP metadata file and call its reader.
 
-Read: DIMAP 1.1 of SPOT 1 to 5 at level 1A, DIMAP 2.x sensor products of Pléiades 1A/1B and SPOT 6/7, and the PHR_DIMAP
-of CNES. For other known files, the message names the file and the product to use instead.
+Supported files are DIMAP 1.1 of SPOT 1 to 5 at level 1A, DIMAP 2.x sensor products of
+Pléiades 1A/1B and SPOT 6/7, and the PHR_DIMAP of CNES. For other known files, the message
+names the kind of the file and the product to use instead.
 """
 
 from __future__ import annotations
@@ -39,14 +40,14 @@ def read_dimap(path: str | os.PathLike[str]) -> PushbroomMetadata:
     Returns
     -------
     PushbroomMetadata
-        Pixels 0-based, times in seconds of the day ``epoch``, ECEF metres, radians.
+        Pixels are counted from 0, times are seconds of the day ``epoch``. Units are ECEF metres and radians.
 
     Raises
     ------
     InputError
-        The file is unusable: one line with file, place, value and remedy.
+        The file cannot be used; the message is one line with file, place, value and remedy.
     OutOfTimeRange
-        Angular speeds (SPOT 1 to 4) do not cover more than 0.2 s of the image.
+        More than 0.2 s of the image has no angular speeds (SPOT 1 to 4).
     """
     root = read_xml(path)
     if root.tag == dimap2.PHR_ROOT:
@@ -78,7 +79,10 @@ def read_dimap(path: str | os.PathLike[str]) -> PushbroomMetadata:
 
 
 def _is_rigorous(path: Path, head: str) -> bool:
-    """True for a file of the rigorous model, which a PHR_DIMAP may contain in addition to its RPC."""
+    """Return whether a file contains the rigorous model.
+
+    A PHR_DIMAP may contain it in addition to its RPC.
+    """
     root = xml_root(head)
     if root == dimap2.PHR_ROOT:
         return read_xml(path).maybe(dimap2.PHR_MODEL) is not None
@@ -86,7 +90,7 @@ def _is_rigorous(path: Path, head: str) -> bool:
 
 
 def read_sensor(path: Path, *, extrapolate_attitude_s: float = 0.0) -> PushbroomSensor:
-    """Sensor of a DIMAP file; see :func:`read_dimap`."""
+    """Read a DIMAP file and return its sensor; see :func:`read_dimap`."""
     return PushbroomSensor(read_dimap(path), extrapolate_attitude_s=extrapolate_attitude_s)
 
 

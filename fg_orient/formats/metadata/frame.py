@@ -1,9 +1,11 @@
-"""Frame images in TOML: files of one image with its exterior orientation, and the camera files that they name.
+"""Read and write frame images in TOML: a file of each image with its exterior orientation, and camera files.
 
-docs/frame-cameras.md describes both. A camera file states the direction of its polynomial. Coefficients have the form
-in which the programs print them: ``brown_ideal_to_measured`` with OpenCV's p1 and p2 and no unit,
-``brown_measured_to_ideal`` with the photogrammetric P1 and P2 (y up) in the file's unit of length. A camera file may
-have the convention of another program instead (``fg_orient.sensors.conventions``), with a covariance.
+docs/frame-cameras.md describes both kinds of files. A camera file states the direction of
+its distortion polynomial. The coefficients have the form in which other programs print
+them. The model ``brown_ideal_to_measured`` has OpenCV's p1 and p2, without unit. The
+model ``brown_measured_to_ideal`` has the photogrammetric P1 and P2 (y up), in the unit of
+length of the file. A camera file may instead use the convention of another program
+(``fg_orient.sensors.conventions``). It can then contain a covariance matrix.
 """
 
 from __future__ import annotations
@@ -35,7 +37,7 @@ _KIND: Final = re.compile(r"""^\s*kind\s*=\s*["']frame["']""", re.MULTILINE)
 
 
 class CameraFile(Table):
-    """A whole camera file."""
+    """Whole camera file."""
 
     schema_: Literal[1] = Field(alias="schema", description="schema = 1")
     name: Text = Field(description='a name in quotes, such as "Olympus C4040Z"')
@@ -61,7 +63,7 @@ class CameraFile(Table):
 
 
 class ConventionFile(Table):
-    """A whole camera file in the convention of another program."""
+    """Whole camera file in the convention of another program."""
 
     schema_: Literal[1] = Field(alias="schema", description="schema = 1")
     name: Text = Field(description='a name in quotes, such as "Olympus C4040Z"')
@@ -76,7 +78,10 @@ class ConventionFile(Table):
     )
 
     def converted(self, file: str | Path, convention: str = "") -> ConvertedCamera:
-        """Camera in another convention, or in its own one; InputError with the file for impossible values."""
+        """Convert a camera to another convention, or to its own.
+
+        Impossible values raise InputError.
+        """
         from fg_orient.sensors.camera_conversion import convert_camera  # not above: it loads scipy.optimize
 
         try:
@@ -90,7 +95,7 @@ class ConventionFile(Table):
 
 
 def read_convention(path: str | Path) -> ConventionFile | None:
-    """Read a camera file in a program's convention, or one exported by Metashape; None for a file with a ``model``."""
+    """Read a camera file in the convention of a program, or one from Metashape; None if the file has a ``model``."""
     if Path(path).suffix.lower() == ".xml":
         from fg_orient.formats.metadata.metashape_camera import read_metashape_camera  # it loads lxml
 
@@ -111,7 +116,10 @@ def write_convention(path: str | Path, camera: ConvertedCamera, pixel_mm: float 
 
 
 def read_camera(path: str | Path) -> Interior:
-    """Read a camera file; InputError with all faults, or if it cannot be read."""
+    """Read a camera file.
+
+    Raise InputError if it cannot be read or has faults, which are all listed.
+    """
     theirs = read_convention(path)
     if theirs is not None:
         return theirs.converted(path).interior
@@ -119,7 +127,7 @@ def read_camera(path: str | Path) -> Interior:
     px = 1.0 if file.pixel_mm is None else 1.0 / file.pixel_mm
     x, y = file.principal
     corrects = file.model == MEASURED_TO_IDEAL
-    # y up, x: P1 (r^2 + 2 x^2) + 2 P2 x y becomes y down, x: 2 p1 x y + p2 (r^2 + 2 x^2)
+    # with y up, x has P1 (r^2 + 2 x^2) + 2 P2 x y; with y down, it has 2 p1 x y + p2 (r^2 + 2 x^2)
     p = (-file.p2, file.p1) if corrects else (file.p1, file.p2)
     return Interior(
         file.lines, file.samples, file.focal * px, np.array([y, x]) * px - file.first_pixel,
@@ -129,9 +137,10 @@ def read_camera(path: str | Path) -> Interior:
 
 
 def write_camera(path: str | Path, interior: Interior) -> None:
-    """Write a camera file in pixels, (0, 0) = centre of the first pixel; the polynomial's unit is written as 1 mm.
+    """Write a camera file in pixels; (0, 0) is the centre of the first pixel.
 
-    Numbers are written with all digits: reading gives the same camera.
+    The unit of the polynomial is written as 1 mm. Numbers have all digits, so that
+    reading gives the same camera.
     """
     corrects = interior.model == MEASURED_TO_IDEAL
     px = float(interior.unit_px or interior.focal_px) if corrects else 1.0
@@ -153,7 +162,7 @@ def write_camera(path: str | Path, interior: Interior) -> None:
 
 
 class FrameFile(Table):
-    """A whole frame image."""
+    """Whole file of a frame image."""
 
     schema_: Literal[1] = Field(alias="schema", description="schema = 1")
     kind: Literal["frame"] = Field(description='kind = "frame"')
@@ -169,12 +178,12 @@ class FrameFile(Table):
 
 
 def read_frame_file(path: str | Path) -> FrameSensor:
-    """Read a frame image in TOML, and its camera, whose path is relative to it.
+    """Read a frame image in TOML, and its camera file; the path of the camera is relative to the image file.
 
     Raises
     ------
     InputError
-        One of the files cannot be read, or a value is missing or not possible.
+        One of the files cannot be read, or a value is missing or impossible.
     """
     path = Path(path)
     read = read_toml(path, FrameFile)
@@ -190,18 +199,21 @@ def read_frame_file(path: str | Path) -> FrameSensor:
 
 
 def _rotation(read: FrameFile, centre_m: Array) -> Array:
-    """Camera axes from Earth-fixed axes; angles refer to East, North, Up at the projection centre."""
+    """Return the rotation from Earth-fixed axes to camera axes.
+
+    Angles refer to East, North, Up at the camera.
+    """
     if read.rotation is not None:
         return np.array(read.rotation)
     lon, lat, _ = ecef_to_geodetic(centre_m[None])
-    assert read.omega_phi_kappa_deg is not None  # or the rotation
+    assert read.omega_phi_kappa_deg is not None  # the file has either angles or a rotation matrix
     return np.asarray(rotation_of_opk(*np.radians(read.omega_phi_kappa_deg)) @ enu_from_ecef(lon, lat)[0])
 
 
 def write_frame_file(path: str | Path, sensor: FrameSensor, camera: str) -> None:
-    """Write a georeferenced frame image with first pixel (0, 0) in Earth-fixed coordinates, with all digits.
+    """Write a georeferenced frame image in Earth-fixed coordinates with all digits; its first pixel is (0, 0).
 
-    ``camera`` is the path of its camera file, relative to ``path`` (:func:`write_camera`).
+    ``camera`` is the path of the camera file, relative to ``path`` (:func:`write_camera`).
     """
     own = sensor.camera
     head = {

@@ -1,14 +1,18 @@
-"""Frame images from image support data (ISD) of ALE, JSON, ``name_model = USGS_ASTRO_FRAME_SENSOR_MODEL``.
+"""Read frame images from image support data (ISD) of ALE: JSON with ``USGS_ASTRO_FRAME_SENSOR_MODEL``.
 
-An ISD has positions (km) and rotations (quaternions, scalar first, and constant rotations behind them) in an inertial
-frame, the rotation of the body, the focal length (mm), the affine map of the detector, summing and distortion. States
-of several times are interpolated at the centre time: positions by a cubic Hermite spline, rotations by the shortest
-way.
+An ISD contains positions (km) and rotations in an inertial frame, and the rotation of the
+body. Rotations are quaternions (scalar first), followed by constant rotations. The ISD
+also contains the focal length (mm), the affine map of the detector, summing and
+distortion. If there are states at several times, they are interpolated at the centre
+time: positions by a cubic Hermite spline, rotations by spherical linear interpolation.
 
-ISIS's labels of the same name (``.pvl``, ``.lbl`` beside the ISD) complete it: group ``AlphaCube`` has the reduction of
-an image, ``Instrument`` the serial number. The distortion of metric cameras is in ``naif_keywords`` (``OD_K``,
-``DECENTER``, ``PP``), if ``optical_distortion`` is zero. A detector without a centre begins in the middle of the scan.
-The sign of the focal length follows from the direction of the body: some cameras look along their third axis backwards.
+An ISIS label with the same name (``.pvl`` or ``.lbl``) in the same folder completes the
+ISD. Its group ``AlphaCube`` contains the reduction of the image, and ``Instrument`` the
+serial number. If ``optical_distortion`` is zero, the distortion of metric cameras is read
+from ``naif_keywords`` (``OD_K``, ``DECENTER``, ``PP``). If a detector has no stated
+centre, its coordinates begin in the middle of the scan. The direction of the body
+determines the sign of the focal length, because some cameras look along their negative
+third axis.
 """
 
 from __future__ import annotations
@@ -33,22 +37,22 @@ from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.focal_plane import Detector, Distortion
 from fg_orient.sensors.framing import FramingCamera, FramingSensor, Taken, angles_of, turn_of
 
-#: Name of the format in tables.
+#: Name of the format in messages.
 FORM: Final = "ISD"
 LABELS: Final = (".pvl", ".lbl", ".cub")
-#: Largest time, s, between the states of an image and its centre time if there is one state only.
+#: If there is only one state, its time may differ from the centre time by at most this, s.
 NEAR_S: Final = 0.1
-#: Distortions of an ISD and the models of ``focal_plane``.
+#: Names of distortions in an ISD, and the corresponding models of ``focal_plane``.
 _DISTORTION: Final = {"radial": "radial", "transverse": "transverse"}
 
 
 def read_isd(path: str | Path) -> FramingSensor:
-    """Read an ISD and the label beside it.
+    """Read an ISD and the label in the same folder.
 
     Raises
     ------
     InputError
-        A file is unusable; the message names the value.
+        A file cannot be used; the message names the value.
     """
     path = Path(path)
     isd, beside = JsonFile.read(path), _label_file(path)
@@ -72,7 +76,7 @@ def read_isd(path: str | Path) -> FramingSensor:
 
 
 def _label_file(path: Path) -> Path | None:
-    """File of the label beside an ISD, if there is one."""
+    """Return the label file of an ISD, if there is one."""
     return next((p for suffix in LABELS if (p := path.with_suffix(suffix)).is_file()), None)
 
 
@@ -81,7 +85,7 @@ def _group(label: Pvl | None, name: str) -> Pvl | None:
 
 
 def _serial(label: Pvl | None) -> str:
-    """Serial number as ISIS makes it: platform, instrument, start time; "" without a label."""
+    """Return the serial number in the form of ISIS: platform, instrument, start time; "" without a label."""
     own = _group(label, "Instrument")
     if own is None:
         return ""
@@ -90,7 +94,10 @@ def _serial(label: Pvl | None) -> str:
 
 
 def _state(isd: JsonFile, place: str, time: float, key: str, width: int) -> tuple[Array, Array]:
-    """Times (n,) and values (n, width) of the states of an ISD; the centre time must lie among them."""
+    """Read times (n,) and values (n, width) of the states.
+
+    The centre time must lie between the first and the last.
+    """
     values = isd.numbers(f"{place}.{key}", -1, width)
     times = isd.numbers(f"{place}.ephemeris_times", len(values))
     near = NEAR_S if len(times) == 1 else 0.0
@@ -101,7 +108,7 @@ def _state(isd: JsonFile, place: str, time: float, key: str, width: int) -> tupl
 
 
 def _position(isd: JsonFile, time: float) -> Array:
-    """Position (3,) km at the centre time."""
+    """Return the position (3,), km, at the centre time."""
     times, values = _state(isd, "instrument_position", time, "positions", 3)
     if len(times) == 1:
         return np.asarray(values[0])
@@ -112,7 +119,7 @@ def _position(isd: JsonFile, time: float) -> Array:
 
 
 def _turn(isd: JsonFile, place: str, time: float) -> Array:
-    """Rotation (3, 3) of the states at the centre time, from inertial axes."""
+    """Return the rotation (3, 3) from inertial axes at the centre time, interpolated between the states."""
     times, values = _state(isd, place, time, "quaternions", 4)
     if (np.abs(np.linalg.norm(values, axis=1) - 1.0) > 1e-6).any():
         raise InputError.of("earth.quaternion", file=isd.path, place=f"{place}.quaternions")
@@ -124,12 +131,15 @@ def _turn(isd: JsonFile, place: str, time: float) -> Array:
 
 
 def _constant(isd: JsonFile, place: str) -> Array:
-    """Constant rotation (3, 3) behind that of the states."""
+    """Return the constant rotation (3, 3) that follows the rotation of the states."""
     return np.reshape(isd.numbers(f"{place}.constant_rotation", 9, default=np.eye(3).ravel()), (3, 3))
 
 
 def _body(isd: JsonFile) -> Body | None:
-    """Body of its radii, None for the Earth; its name from the NAIF code in the names of the keywords."""
+    """Return the body with the radii of the ISD, None for the Earth.
+
+    The names of keywords contain its NAIF code.
+    """
     unit = {"km": 1e3, "m": 1.0}.get(isd.text("radii.unit", "km"))
     if unit is None:
         raise InputError.of("isd.unit", file=isd.path, place="radii.unit", value=isd.text("radii.unit"))
@@ -144,7 +154,7 @@ def _body(isd: JsonFile) -> Body | None:
 
 
 def _keyword(isd: JsonFile, name: str, count: int) -> Array | None:
-    """Numbers of a keyword of NAIF with this ending."""
+    """Return the numbers of the NAIF keyword with this ending."""
     keys = isd.value("naif_keywords", {})
     found = next((key for key in keys if re.fullmatch(rf"INS-?\d+_{name}", str(key))), None)
     if found is None:
@@ -153,7 +163,10 @@ def _keyword(isd: JsonFile, name: str, count: int) -> Array | None:
 
 
 def _distortion(isd: JsonFile) -> tuple[Distortion, tuple[Finding, ...]]:
-    """Distortion of the ISD, or of NAIF's keywords of a metric camera if that is zero."""
+    """Return the distortion of the ISD.
+
+    If it is zero, the distortion of a metric camera in the NAIF keywords.
+    """
     stated: Any = isd.value("optical_distortion", {})
     if not isinstance(stated, dict) or len(stated) > 1:
         raise InputError.of("isd.distortion", file=isd.path, place="optical_distortion", value=repr(stated)[:60],
@@ -178,7 +191,7 @@ def _distortion(isd: JsonFile) -> tuple[Distortion, tuple[Finding, ...]]:
 
 
 def _detector(isd: JsonFile, label: Pvl | None, size: tuple[int, int]) -> Detector:
-    """Detector of the ISD; the label states the reduction of the image."""
+    """Return the detector of the ISD; the label states the reduction of the image."""
     summing = np.array([isd.number(f"detector_{axis}_summing", 1.0) for axis in ("line", "sample")])
     start = np.array([isd.number(f"starting_detector_{axis}", 0.0) for axis in ("line", "sample")])
     parent, alpha = np.array(size, float) * summing, _group(label, "AlphaCube")
@@ -209,20 +222,24 @@ def _three(values: Array) -> tuple[float, float, float]:
 
 
 def _focal(isd: JsonFile, turn: Array, position: Array) -> float:
-    """Focal length, mm: negative if the body lies behind the third axis of the camera."""
+    """Return the focal length, mm.
+
+    It is negative if the camera looks along its negative third axis.
+    """
     focal = abs(isd.number("focal_length_model.focal_length"))
     return focal if turn[2] @ position < 0.0 else -focal
 
 
 def write_isd(path: Path, sensor: Any, correction: Any = None) -> dict[str, Any]:
-    """Write the ISD of an image again with adjusted position and pointing, and its label beside it.
+    """Write the ISD of an image with adjusted position and attitude, and its label in the same folder.
 
-    ``correction`` (6,): from an adjustment. The file has one state at its centre time; all else is unchanged.
+    ``correction`` (6,) comes from an adjustment. The file has one state at its centre
+    time. Everything else is unchanged.
 
     Raises
     ------
     InputError
-        The image is not one of an ISD.
+        The image was not read from an ISD.
     """
     if not (isinstance(sensor, FramingSensor) and sensor.taken.form == FORM):
         raise InputError.of("isd.write (failure): only an image that was read from an ISD is written as one -> write a "

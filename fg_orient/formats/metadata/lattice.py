@@ -1,7 +1,8 @@
-"""Lattices of lines of sight: ASTER XML as the Ames Stereo Pipeline writes it, and a TOML description of others.
+"""Read lattices of lines of sight: ASTER XML from the Ames Stereo Pipeline, and a TOML description for others.
 
-docs/line-scan.md describes both. ``WORLD_SIGHT_VECTOR`` of an ASTER file has Earth-fixed directions at the pixels of
-``LATTICE_POINT`` (sample, line), and ``SAT_POS`` the position of the satellite at each row.
+docs/line-scan.md describes both. In an ASTER file, ``WORLD_SIGHT_VECTOR`` contains
+Earth-fixed directions at the pixels of ``LATTICE_POINT`` (sample, line). ``SAT_POS``
+contains the position of the satellite for each row.
 """
 
 from __future__ import annotations
@@ -28,11 +29,11 @@ from fg_orient.sensors.lattice import Lattice
 from fg_orient.sensors.light_sizes import chosen, noted
 from fg_orient.sensors.metadata import GeneralMetadata, LightEffects
 
-#: Seconds of a line of ASTER's visible and near infrared telescopes; the file does not state them.
+#: Line period of ASTER's visible and near infrared telescopes, s; the file does not state it.
 ASTER_LINE_S: Final = 2.199e-3
-#: Pixels of the lattice that are equal.
+#: Pixels of the lattice are equal if they differ by less than this.
 SAME_PX: Final = 1e-6
-#: Largest difference of a direction's length from 1.
+#: Maximum difference of the length of a direction from 1.
 UNIT: Final = 1e-3
 _KIND: Final = re.compile(r"""^\s*kind\s*=\s*["']lattice["']""", re.MULTILINE)
 _DIRECTIONS: Final = ("line", "sample", "x", "y", "z")
@@ -50,7 +51,7 @@ class GridTable(Table):
 
 
 class LatticeFile(Table):
-    """A whole lattice description."""
+    """Whole lattice description."""
 
     schema_: Literal[1] = Field(alias="schema", description="schema = 1")
     kind: Literal["lattice"] = Field(description='kind = "lattice"')
@@ -62,12 +63,13 @@ class LatticeFile(Table):
 
 
 def read_lattice_file(path: str | Path, light: tuple[str, ...] = ()) -> GeneralMetadata:
-    """Read a lattice description and its two tables, paths relative to it.
+    """Read a lattice description and its two tables; their paths are relative to the description.
 
     Raises
     ------
     InputError
-        All faults of the description, or those of a table; the tables are not a lattice of one camera.
+        The description or a table has faults; all faults of this file are listed. Or the
+        tables are not a lattice of one camera.
     """
     path = Path(path)
     read = read_toml(path, LatticeFile)
@@ -91,7 +93,7 @@ def read_aster(path: str | Path, light: tuple[str, ...] = ()) -> GeneralMetadata
     Raises
     ------
     InputError
-        A list is missing or damaged, or is not a lattice of one camera.
+        A list is missing or damaged, or the directions are not a lattice of one camera.
     """
     root = read_xml(path)
     pixels = _rows(root.one("LATTICE_POINT"), 2)
@@ -115,7 +117,7 @@ def read_aster(path: str | Path, light: tuple[str, ...] = ()) -> GeneralMetadata
 
 
 def _rows(node: XmlNode, columns: int) -> Array:
-    """Numbers (n, columns) of an element with one record on each line."""
+    """Read the numbers (n, columns) of an element that has one record in each line."""
     words = node.text().split()
     if len(words) % columns:
         raise node.fault("lattice.columns (failure): each record has {columns} numbers -> the file is truncated or "
@@ -124,7 +126,10 @@ def _rows(node: XmlNode, columns: int) -> Array:
 
 
 def _grid(cells: Array, file: str) -> tuple[Array, Array, Array]:
-    """Lines (r,), samples (c,) and unit directions (r, c, 3) of records line, sample, x, y, z in any order."""
+    """Arrange records line, sample, x, y, z as a grid: lines (r,), samples (c,), unit directions (r, c, 3).
+
+    The records may have any order.
+    """
     cells = cells[np.lexsort((cells[:, 1], cells[:, 0]))]
     line, sample = np.unique(cells[:, 0]), np.unique(cells[:, 1])
     shape = len(line), len(sample)
@@ -143,7 +148,10 @@ def _grid(cells: Array, file: str) -> tuple[Array, Array, Array]:
 
 
 def _positions(positions_m: Array, file: str) -> Array:
-    """Positions (r, 3) of the satellite; refuse a distance from the Earth's centre that is impossible."""
+    """Return the positions (r, 3) of the satellite.
+
+    Refuse an impossible distance from the Earth's centre.
+    """
     radius, (low, high) = np.linalg.norm(positions_m, axis=1), RADIUS_M
     bad = np.flatnonzero((radius < low) | (radius > high))
     if len(bad):

@@ -1,8 +1,10 @@
-"""Interior orientation with its covariance from the camera file of Metashape (*Export Cameras*, XML).
+"""Read an interior orientation and its covariance matrix from a camera file of Metashape (*Export Cameras*, XML).
 
-``chunk/sensors/sensor`` has a ``calibration`` (class "adjusted") with the size of the image and those of f, cx, cy, b1,
-b2, k1 to k4, p1, p2 that are not 0, and perhaps a ``covariance``: ``params``, names, and ``coeffs``, the elements of
-the matrix row by row. Values that it does not name were not estimated: their variance is 0.
+``chunk/sensors/sensor`` contains a ``calibration`` of class "adjusted". It has the size
+of the image and the values of f, cx, cy, b1, b2, k1 to k4, p1, p2; values that are 0 are
+missing. It may also have a ``covariance`` with the names ``params`` and the elements
+``coeffs`` of the matrix, row by row. A value that is not among the names was not
+estimated, and its variance is 0.
 """
 
 from __future__ import annotations
@@ -15,19 +17,19 @@ import numpy as np
 from factors.arrays import Array
 from fg_orient.formats.xml import XmlNode, read_xml
 
-#: Values of the convention "metashape".
+#: Names of the values in the convention "metashape".
 NAMES: Final = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2")
 LARGEST_SIDE: Final = 1_000_000
 
 
 def read_metashape_camera(path: str | Path) -> dict[str, object]:
-    """Entries of a camera file in the convention "metashape".
+    """Read the file and return the entries of a camera file in the convention "metashape".
 
     Raises
     ------
     InputError
-        No frame sensor with an adjusted calibration, or several; a value that is no number; a covariance that does not
-        fit to its names.
+        The file has no frame sensor with an adjusted calibration, or has several; a value
+        is not a number; or the covariance matrix does not fit its names.
     """
     group = read_xml(path).one("chunk/sensors")
     found = [(s, c) for s in group.every("sensor") if (c := _adjusted(s)) is not None]
@@ -47,12 +49,12 @@ def read_metashape_camera(path: str | Path) -> dict[str, object]:
 
 
 def _adjusted(sensor: XmlNode) -> XmlNode | None:
-    """Adjusted calibration of a sensor."""
+    """Return the adjusted calibration of a sensor."""
     return next((c for c in sensor.every("calibration", at_least=0) if c.element.get("class") == "adjusted"), None)
 
 
 def _side(size: XmlNode, name: str) -> int:
-    """Number of lines or samples."""
+    """Read the number of lines or samples."""
     text = size.element.get(name, "")
     if not (text.isascii() and text.isdigit() and len(text) < 10 and 0 < int(text) <= LARGEST_SIDE):
         raise size.fault("metashape.size", f"{name} = {text!r}")
@@ -60,7 +62,7 @@ def _side(size: XmlNode, name: str) -> int:
 
 
 def _covariance(node: XmlNode) -> Array:
-    """Covariance (11, 11) of all values."""
+    """Return the covariance matrix (11, 11) of all values."""
     names = node.one("params").text().split()
     unknown = [name for name in names if name not in NAMES]
     if unknown or len(set(names)) != len(names):

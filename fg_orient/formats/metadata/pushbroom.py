@@ -1,6 +1,6 @@
-"""Sensor descriptions: TOML files of pushbroom images, so that a new sensor needs no code.
+"""Read sensor descriptions, which are TOML files of pushbroom images; a new sensor then needs no code.
 
-``docs/sensor-description.md`` describes the format; tables of states and directions are CSV files.
+``docs/sensor-description.md`` describes the format. Tables of states and directions are CSV files.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ Three = tuple[Number, Number, Number]
 Coefficients = Annotated[tuple[Number, ...], Field(min_length=1, max_length=12)]
 Count = Annotated[int, Field(strict=True, ge=2, le=10_000_000)]
 
-#: Possible distances of a platform from the Earth's centre (m), and possible speeds (m/s).
+#: Range of possible distances of a platform from the Earth's centre (m); below: range of possible speeds (m/s).
 RADIUS_M: Final = (6.40e6, 5.0e7)
 SPEED_M_S: Final = (1.0, 1.2e4)
-#: Largest tangent of a viewing direction.
+#: Maximum tangent of a viewing direction.
 WIDEST_TANGENT: Final = 5.0
 _STATE: Final = ("time_s", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s")
 _ANGLES: Final = ("time_s", "roll_deg", "pitch_deg", "yaw_deg")
@@ -55,7 +55,7 @@ _DIRECTIONS: Final = ("sample", "tan_forward", "tan_left")
 _KIND: Final = re.compile(r"""^\s*kind\s*=(?!\s*["']pushbroom["'])""", re.MULTILINE)
 _ARC_SECOND: Final = np.pi / 180.0 / 3600.0
 _RECORD: Final = re.compile(r"^\s*\d{4}\s+\d{1,2}\s+\d{1,2}\s")
-#: Largest possible pole coordinates (arc seconds) and UT1 - UTC (s).
+#: Maximum pole coordinates x, y (arc seconds) and UT1 - UTC (s).
 _LIMITS: Final = (1.0, 1.0, 1.0)
 
 
@@ -76,7 +76,7 @@ class TimeTable(Table):
 
 
 class CameraTable(Table):
-    """The ``[camera]`` table: a lens, or the name of a table of directions."""
+    """The ``[camera]`` table: either a lens, or the file of a table of directions."""
 
     focal_length_m: Positive | None = Field(default=None, description="the focal length in m, above 0")
     pitch_m: Number | None = Field(default=None, description="metres per sample along camera Y; below 0 to the right")
@@ -127,7 +127,7 @@ class LightTable(Table):
 
 
 class SensorFile(Table):
-    """A whole sensor description."""
+    """Whole sensor description."""
 
     schema_: Literal[1] = Field(alias="schema", description="schema = 1")
     kind: Literal["pushbroom"] = Field(description='kind = "pushbroom"')
@@ -144,12 +144,12 @@ class SensorFile(Table):
 
 
 def read_sensor_file(path: str | Path) -> GeneralMetadata:
-    """Read a sensor description and the tables that it names, paths relative to it.
+    """Read a sensor description and the tables that it names; their paths are relative to the description.
 
     Raises
     ------
     InputError
-        All faults of the description, or those of a table.
+        The description or a table has faults; all faults of this file are listed.
     """
     path = Path(path)
     read = read_toml(path, SensorFile)
@@ -176,7 +176,7 @@ def _timing(table: TimeTable, path: Path) -> tuple[np.datetime64, LineTiming]:
 
 
 def _camera(read: SensorFile, path: Path) -> Camera:
-    """Lens or table of directions; exactly one of them is complete."""
+    """Return the lens or the table of directions; exactly one of them must be complete."""
     c, n = read.camera, read.image.samples
     lens = (c.focal_length_m, c.pitch_m, c.principal_sample)
     if (c.directions is None) == (None in lens) or (c.directions is not None and lens != (None,) * 3):
@@ -184,7 +184,7 @@ def _camera(read: SensorFile, path: Path) -> Camera:
     camera: Camera
     if c.directions is None:
         delta = (np.array(c.delta_forward_m), np.array(c.delta_left_m))
-        camera = LineCamera(*lens, c.forward_m, n, *delta)  # type: ignore[arg-type]  # none of them is None
+        camera = LineCamera(*lens, c.forward_m, n, *delta)  # type: ignore[arg-type]    # all are present
     else:
         path = path.parent / c.directions
         sample, forward, left = _increasing(path, _DIRECTIONS).T
@@ -199,7 +199,7 @@ def _camera(read: SensorFile, path: Path) -> Camera:
 
 
 def _mounting(table: MountingTable, path: Path) -> Array:
-    """Payload from camera: the stated matrix, or the matrix of the angles."""
+    """Return the rotation from camera axes to payload axes: the stated matrix, or the matrix of the angles."""
     if table.matrix is None:
         return np.asarray(orbital.attitude_matrices(np.radians([table.angles_deg]))[0])
     m = np.array(table.matrix)
@@ -211,7 +211,7 @@ def _mounting(table: MountingTable, path: Path) -> Array:
 
 
 def _increasing(file: Path, columns: tuple[str, ...]) -> Array:
-    """Table (n, k) of at least two records whose first column increases."""
+    """Read a table (n, k) with at least two records; its first column must increase."""
     values = read_numbers(file, [columns])[0]
     if len(values) < 2 or (np.diff(values[:, 0]) <= 0.0).any():
         raise InputError.of("earth.order", file=file, place=f"column {columns[0]}", value=f"{len(values)} records")
@@ -248,7 +248,7 @@ def _attitude(table: AttitudeTable, path: Path) -> AngleAttitude | QuaternionLis
 def _earth(
     read: SensorFile, epoch: np.datetime64, orbit: Ephemeris, path: Path
 ) -> tuple[EarthRotation | None, tuple[Finding, ...]]:
-    """Orientation of the Earth if a frame needs it, and notes."""
+    """Return the Earth orientation if a reference frame needs it, and notes."""
     inertial = {f for f in (read.orbit.frame, read.attitude.frame) if f in ("GCRS", "EME2000")}
     if not inertial:
         return None, () if read.earth is None else (finding("image.earth_not_needed"),)
@@ -269,15 +269,16 @@ def _earth(
 
 
 def read_earth_orientation(path: str | Path) -> EarthOrientation:
-    """Read a C04 file, or a part of one with at least two days.
+    """Read a C04 file of the IERS, or a part of it with at least two days.
 
-    Celestial pole offsets that refer to the equinox (columns dPsi, dEps, against IAU 1980) are not used, with a note:
-    against IAU 2006/2000A they are below 1 mas, 3 cm on the ground.
+    Celestial pole offsets that refer to the equinox (columns dPsi, dEps, relative to IAU
+    1980) are not used, and a note reports this. The offsets relative to IAU 2006/2000A
+    are below 1 mas, which is 3 cm on the ground.
 
     Raises
     ------
     InputError
-        The file cannot be read, has no such records, has gaps, or an impossible value.
+        The file cannot be read, contains no records of this kind, has gaps, or has an impossible value.
     """
     try:
         text = Path(path).read_bytes().decode("latin-1")
@@ -287,7 +288,7 @@ def read_earth_orientation(path: str | Path) -> EarthOrientation:
     records = [(n, line.split()) for n, line in enumerate(lines, 1) if _RECORD.match(line)]
     if len(records) < 2:
         raise InputError.of("earth.no_records", file=path, value=f"{len(records)} records")
-    # year, month, day (, hour), MJD, x, y, UT1 - UTC; then LOD, dX, dY, or since C04 20 dX, dY directly
+    # columns: year, month, day (, hour), MJD, x, y, UT1 - UTC; then LOD, dX, dY; since C04 20 only dX, dY
     hour = finite(records[0][1][3:4])
     columns = (4, 5, 6, 7, 8, 9) if hour is not None and (hour < 100.0).all() else (3, 4, 5, 6, 8, 9)
     values = [finite([words[k] for k in columns if k < len(words)]) for _, words in records]

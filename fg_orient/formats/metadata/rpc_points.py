@@ -1,4 +1,4 @@
-"""Ground points by the RPC of a file, with which ``locate`` compares the rigorous model of the same file."""
+"""Compute ground points by the RPC of a file; ``locate`` compares them with the file's rigorous model."""
 
 from __future__ import annotations
 
@@ -14,17 +14,19 @@ from fg_orient.model.errors import FgOrientError, Finding, finding
 from fg_orient.sensors.metadata import FramePoint
 from fg_orient.sensors.rpc_sensor import RpcSensor
 
-#: Points along and across the image.
+#: Number of points along the image and across it.
 SIDE: Final = 3
 
 
 def rpc_points(path: str | Path, size: tuple[int, int]) -> tuple[tuple[FramePoint, ...], Finding]:
-    """Ground points of 3 x 3 pixels at the mean height of the RPC, with a note; no points without a valid RPC.
+    """Return the ground points of 3 x 3 pixels at the mean height of the RPC, and a note.
+
+    If the file has no valid RPC, there are no points.
 
     Parameters
     ----------
     path : path
-        ISD file with a section RPB.
+        ISD file that contains a section RPB.
     size : (int, int)
         Lines and samples of the image.
     """

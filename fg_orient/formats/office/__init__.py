@@ -1,1 +1,1 @@
-"""Tables of offices and surveyors, whose form is found out: encoding, separator, header, columns, units, CRS."""
+"""Read tables from offices and surveyors whose encoding, separator, header, columns, units and CRS are unknown."""

@@ -1,4 +1,4 @@
-"""CRS of EPSG in which coordinates of a table may lie, and their transformation, searched once for all readings."""
+"""Find the EPSG codes that the coordinates of a table may have, and their transformations to ECEF."""
 
 from __future__ import annotations
 
@@ -23,40 +23,42 @@ from fg_orient.geodesy import (
 from fg_orient.geodesy.crs import WGS84
 from fg_orient.model.errors import InputError
 
-#: Margin of the area of a CRS, degrees; distance beyond the images at which a CRS is left out, m.
+#: Margin of the area of use of a CRS, degrees; below: a CRS is left out if its points lie
+#: farther than this from the images, m.
 _MARGIN_DEG: Final = 1.0
 _MARGIN_M: Final = 20_000.0
-#: Width of the area of a national datum, degrees.
+#: Maximum width of the area of a national datum, degrees.
 WIDEST_DEG: Final = 70.0
-#: Difference of coordinates in two datums that agree, degrees.
+#: Two datums agree if their coordinates differ by less than this, degrees.
 _AGREES_DEG: Final = 1e-9
-#: Names of CRS that are left out: older global datums, and realisations of systems that offices name WGS84 or ETRS89.
+#: CRS with these words in their names are left out. They are older global datums, or
+#: realisations of systems for which offices use the names WGS84 or ETRS89.
 _LEFT_OUT: Final = ("WGS 72", "WGS 66", "NSWC", "PZ-90", "ITRF", "ETRF", "IGS", "IGb", "WGS 84 (", "NSIDC", "ETRS89/",
                     "Hughes")  # fmt: skip
 
 
 def scene_box(sensors: Mapping[str, Any]) -> tuple[float, float, float, float]:
-    """West, south, east, north (degrees) of all images."""
+    """Return west, south, east, north (degrees) of all images."""
     corners = np.vstack([s.footprint() for s in sensors.values()])
     return (*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist())
 
 
 def possible_crs(kind: str, coordinates: Array, box: tuple[float, float, float, float] | None) -> list[str]:
-    """List EPSG codes of CRS in which coordinates of a kind may lie in the box; the usual CRS come first.
+    """List the EPSG codes in which the coordinates may lie in the box; usual CRS are first.
 
     Parameters
     ----------
     kind : str
         "geocentric", "geographic" or "projected".
     coordinates : (n, 3) array
-        As in the table, easting or longitude first; nan where a cell is empty.
+        Coordinates of the table, easting or longitude first. Empty cells are nan.
     box : four floats or None
-        West, south, east, north of all images, degrees; None without images.
+        West, south, east, north of all images, degrees; None if there are no images.
 
     Returns
     -------
     list of str
-        Codes such as "EPSG:32636"; empty without images, except for geocentric coordinates.
+        Codes such as "EPSG:32636". Without images, the list is empty, except for geocentric coordinates.
     """
     if kind == "geocentric":
         return ["EPSG:4978"]
@@ -81,7 +83,7 @@ def possible_crs(kind: str, coordinates: Array, box: tuple[float, float, float, 
 
 
 def usual_first(crs: str) -> tuple[bool, int]:
-    """Order of CRS that give the same places: WGS84 first, then by number."""
+    """Sort key of CRS that give the same places: WGS84 is first, then they are sorted by number."""
     number = int(crs.partition(":")[2].partition("+")[0])
     return not (number in (4979, 3857) or 32600 < number <= 32660 or 32700 < number <= 32760), number
 
@@ -97,7 +99,7 @@ def _query(kind: str, box: tuple[float, ...]) -> list[Any]:
 
 @cache
 def _projected(box: tuple[float, ...]) -> list[tuple[str, Any]]:
-    """Projected CRS of a box, and their projection of longitude and latitude on the own datum."""
+    """Return the projected CRS of a box, and their projections of longitude and latitude on their own datum."""
     proj = offline_pyproj()
     out = []
     for info in {one.code: one for one in _query("PROJECTED_CRS", box)}.values():
@@ -111,7 +113,10 @@ def _projected(box: tuple[float, ...]) -> list[tuple[str, Any]]:
 
 @cache
 def _geographic(box: tuple[float, ...]) -> list[str]:
-    """Geographic CRS of the countries of a box that have projected CRS, too, and do not agree with WGS84."""
+    """Return geographic CRS of the countries in a box.
+
+    Only CRS that also have projected CRS, and that do not agree with WGS84, are returned.
+    """
     mapped = {info.name.partition(" / ")[0] for info in _query("PROJECTED_CRS", box)}
     out = []
     for info in (one for one in _query("GEOGRAPHIC_2D_CRS", box) if one.name in mapped):
@@ -133,14 +138,15 @@ def in_ecef(crs: str, coordinates: Array, sensors: Mapping[str, Any]) -> Array |
     crs : str
         EPSG code of the coordinates.
     coordinates : (n, 3) array
-        A missing height is replaced by the mean height of the scenes.
+        Coordinates of the table. The mean height of the scenes replaces a missing height.
     sensors : mapping of str to Sensor
-        Georeferenced images, which limit the area of the transformation.
+        Georeferenced images; they limit the area of the transformation.
 
     Returns
     -------
     (n, 3) array or None
-        ECEF m, nan if a horizontal coordinate is missing; None if the coordinates are impossible in the CRS.
+        ECEF coordinates, m; nan if a horizontal coordinate is missing. None if the
+        coordinates are impossible in the CRS.
     """
     heights = [s.mean_height_m for s in sensors.values()] or [0.0]
     whole = np.isfinite(coordinates[:, :2]).all(axis=1)
@@ -165,7 +171,10 @@ def in_ecef(crs: str, coordinates: Array, sensors: Mapping[str, Any]) -> Array |
 
 @cache
 def _transformer(crs: str, box: tuple[float, float, float, float]) -> Any:
-    """Find the operation from a CRS to ECEF for a box in degrees, once for all readings; None if it does not exist."""
+    """Find the operation from a CRS to ECEF for a box in degrees; None if it does not exist.
+
+    The result is kept, because many interpretations of a table need it.
+    """
     try:
         return operation_to_ecef(crs, spatial_crs(crs), np.array(box).reshape(2, 2))[0]
     except InputError:
@@ -173,6 +182,6 @@ def _transformer(crs: str, box: tuple[float, float, float, float]) -> Any:
 
 
 def lonlat(ecef: Array) -> Array:
-    """Longitude and latitude (n, 2) degrees."""
+    """Return longitude and latitude (n, 2), degrees."""
     lon, lat, _ = ecef_to_geodetic(ecef)
     return np.stack([lon, lat], axis=1)

@@ -1,4 +1,4 @@
-"""Coordinates of the ground points of tables of unknown form: the best reading, its CRS and the kind of its heights."""
+"""Determine the coordinates of ground points in tables of unknown form: columns, CRS and kind of heights."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from fg_orient.geodesy import crs_kind
 from fg_orient.geodesy.geoid import LIMIT_M, world_undulation_m
 from fg_orient.model.errors import InputError
 
-#: Vertical CRS that are proposed: EGM96, EGM2008.
+#: Vertical CRS that are proposed to the user: EGM96 and EGM2008.
 _GEOIDS: Final = (("EPSG:5773", "above EGM96"), ("EPSG:3855", "above EGM2008"))
 
 
@@ -30,7 +30,7 @@ def read_coordinates(
     grounds: list[tuple[Table, list[Triple]]], row: Mapping[str, int], labels: list[tuple[str, ...]], fit: Fit,
     parts: Sequence[ImagePart], office: Office, decisions: Decisions,
 ) -> tuple[Reading | None, str, Array]:  # fmt: skip
-    """Decide how the coordinates of all tables of ground points are read.
+    """Decide how to interpret the coordinates of all tables of ground points.
 
     Parameters
     ----------
@@ -39,29 +39,29 @@ def read_coordinates(
     row : mapping of str to int
         Row of each of the n ground points.
     labels : list of tuples of str
-        Possible images of the labels of the tables of image points.
+        Possible images for the labels in the tables of image points.
     fit : Fit
-        Images and image points, against which readings are tested.
+        Images and image points, with which readings are compared.
     parts : sequence of ImagePart
-        Columns of image points.
+        Columns of the image points.
     office : Office
         Statements of the user.
     decisions : Decisions
-        Receives the assumptions and questions.
+        Collects the assumptions and questions.
 
     Returns
     -------
     reading : Reading or None
         Best reading of the largest table.
     crs : str
-        CRS with the vertical CRS of the heights.
+        Horizontal CRS together with the vertical CRS of the heights.
     coordinates : (n, 3) array
-        Easting or longitude first, nan where a table has none.
+        Coordinates with easting or longitude first; nan if a table does not contain them.
 
     Raises
     ------
     InputError
-        No columns of coordinates, no CRS that fits the images, or tables with different columns.
+        There are no columns of coordinates, no CRS fits the images, or the tables have different columns.
     """
     grounds = sorted(grounds, key=lambda one: -len(one[0]))
     table, triples = grounds[0]
@@ -95,11 +95,14 @@ def read_coordinates(
 
 
 class Spread:
-    """Triples of a table by the row of the survey."""
+    """Conversion of triples from the rows of a table to the rows of the survey."""
 
     @staticmethod
     def of(table: Table, triple: Triple, row: Mapping[str, int]) -> Triple:
-        """Return a triple with the coordinates (n, 3) in the rows of the survey; nan in rows of other tables."""
+        """Return a triple whose coordinates (n, 3) have the rows of the survey.
+
+        Rows of other tables are nan.
+        """
         out = np.full((len(row), 3), np.nan)
         for k, name in enumerate(table.texts(id_column(table))):
             if name in row:
@@ -108,7 +111,7 @@ class Spread:
 
 
 def _take(table: Table, triple: Triple, row: Mapping[str, int], coordinates: Array, decisions: Decisions) -> None:
-    """Add the coordinates of a table; they must agree with the coordinates in other tables."""
+    """Add the coordinates of a table; they must agree with those of other tables."""
     columns = [k for k in triple.columns if k >= 0]
     filled = np.any([table.filled(k) for k in columns], axis=0)
     at = np.array([row[name] for name in table.texts(id_column(table))], np.intp)
@@ -128,7 +131,10 @@ def _take(table: Table, triple: Triple, row: Mapping[str, int], coordinates: Arr
 def _with_heights(
     table: Table, best: Reading, fit: Fit, coordinates: Array, office: Office, decisions: Decisions
 ) -> str:
-    """Return the CRS with the vertical CRS of the heights; ellipsoidal heights have no vertical CRS."""
+    """Return the CRS together with the vertical CRS of the heights.
+
+    Ellipsoidal heights have no vertical CRS.
+    """
     if office.heights:
         return best.crs if office.heights == "ellipsoidal" else f"{best.crs}+{office.heights.partition(':')[2]}"
     if best.triple.columns[2] < 0:
@@ -167,7 +173,10 @@ def _with_heights(
 
 
 def _tried(best: Reading, choice: Choice, fit: Fit, coordinates: Array) -> Evidence | None:
-    """Evidence with these heights, None without images; without the grid with the least undulation that is possible."""
+    """Return the evidence for this kind of heights; None without images.
+
+    If the grid is missing, the undulation with the best evidence in the possible range is used.
+    """
     if not fit.sensors or not len(fit.used):
         return None
     code = best.crs if choice.value == "ellipsoidal" else f"{best.crs}+{choice.value.partition(':')[2]}"

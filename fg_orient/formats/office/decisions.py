@@ -1,7 +1,8 @@
-"""Statements of the user about tables of unknown form, assumptions of their reader, and its questions.
+"""Statements of the user about tables of unknown form, and assumptions and questions of their reader.
 
-A question has ranked choices. If the data or the names decide clearly, the first choice is assumed, and listed. Else
-the user decides: by an option, or by an answer on a terminal. Every assumption is listed.
+The choices of a question are ranked. If the data or the names clearly support the first
+choice, it is assumed. Otherwise the user decides by an option or by an answer on a
+terminal. Every assumption is listed.
 """
 
 from __future__ import annotations
@@ -15,22 +16,25 @@ from fg_orient.model.errors import Finding, InputError, finding
 
 @dataclass(frozen=True)
 class Office:
-    """Statements of the user; the reader finds or asks values that are None or "".
+    """Statements of the user. The reader determines values that are None or "", or asks for them.
 
     Parameters
     ----------
     columns : mapping of str to str
-        Header by key: E, N, H, lon, lat, X, Y, Z, id, image, line, sample, role, sE, sN, sH, sEN, sline, ssample, spx.
+        Header of the column for each key: E, N, H, lon, lat, X, Y, Z, id, image, line,
+        sample, role, sE, sN, sH, sEN, sline, ssample, spx.
     crs, heights, decimal, role_column : str
-        ``EPSG:n[+m]``; "ellipsoidal" or ``EPSG:m``; "comma" or "point"; header, or "none".
+        ``crs`` is ``EPSG:n[+m]``; ``heights`` is "ellipsoidal" or ``EPSG:m``; ``decimal``
+        is "comma" or "point"; ``role_column`` is a header or "none".
     units : mapping of str to str
-        Unit by key, such as H to "ft".
+        Unit for each key, for example "ft" for H.
     first_pixel : float or None
-        Coordinate of the centre of the first pixel.
+        Coordinate of the first pixel's centre.
     images : mapping of str to str
-        Image by its name in the table.
+        Image for each name in the table.
     lift_m : float
-        Approximately what makes the heights ellipsoidal, if another statement than ``heights`` says it.
+        Approximate height that must be added to the heights to make them ellipsoidal, m.
+        It is used if a statement other than ``heights`` gives it.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -45,13 +49,13 @@ class Office:
 
     @property
     def given(self) -> dict[str, Any]:
-        """Return the options that need no question, by name."""
+        """Return the options that the user has given, by their names; they need no question."""
         return {"crs": self.crs, "decimal": self.decimal, "columns": self.columns}
 
 
 @dataclass(frozen=True)
 class Assumption:
-    """Assumption: subject, value, reason, and the option with which the user can change it ("": no option)."""
+    """Assumption: subject, value, reason, and the option that changes it ("" if there is no option)."""
 
     subject: str
     value: str
@@ -59,13 +63,13 @@ class Assumption:
     option: str = ""
 
     def as_dict(self) -> dict[str, str]:
-        """Plain record."""
+        """Return the assumption as a dict."""
         return {"subject": self.subject, "value": self.value, "reason": self.reason, "option": self.option}
 
 
 @dataclass(frozen=True)
 class Choice:
-    """An answer as it is given to the option, and in words for the user."""
+    """Possible answer: the value of the option, and its description for the user."""
 
     value: str
     words: str = ""
@@ -74,19 +78,19 @@ class Choice:
 
 @dataclass(frozen=True)
 class Question:
-    """A question that an option answers; the likeliest choice is the first one.
+    """Question that an option can answer; the most likely choice is first.
 
     Parameters
     ----------
     option, subject : str
     choices : sequence of Choice
-        None: any text, such as numbers.
+        Possible answers. If there are none, any text is allowed, for example numbers.
     clear : bool
         The first choice is clearly better than the others.
     reason : str
-        Why the first choice is assumed, or why nothing decides.
+        Reason why the first choice is assumed, or why the reader cannot decide.
     example : str
-        A value of the option, for messages.
+        Example of a value of the option, for messages.
     """
 
     option: str
@@ -99,7 +103,7 @@ class Question:
 
 @dataclass
 class Decisions:
-    """Options that were given, a function that asks, assumptions so far and questions without an answer."""
+    """Given options, the function that asks the user, assumptions so far, and questions without an answer."""
 
     given: Mapping[str, Any] = field(default_factory=dict)
     ask: Callable[[Question], str] | None = None
@@ -107,21 +111,21 @@ class Decisions:
     unanswered: list[Finding] = field(default_factory=list)
 
     def note(self, subject: str, value: object, reason: str, option: str = "") -> None:
-        """List an assumption once."""
+        """Add an assumption to the list, unless it is already there."""
         one = Assumption(subject, str(value), reason, option)
         if one not in self.assumed:
             self.assumed.append(one)
 
     def settle(self, question: Question, file: object = "", *, later: bool = False) -> Choice | None:
-        """Choose an answer.
+        """Find the answer of a question.
 
-        A question without an answer is raised as an error, or with ``later`` kept for :meth:`require_answers` (None
-        then).
+        If there is no answer, an error is raised. With ``later``, the question is kept
+        for :meth:`require_answers` instead, and None is returned.
 
         Raises
         ------
         InputError
-            Nobody answers.
+            The question has no answer.
         """
         if question.clear:
             first = question.choices[0]
@@ -144,6 +148,6 @@ class Decisions:
         return None
 
     def require_answers(self) -> None:
-        """Raise InputError with the questions that nobody answered."""
+        """Raise InputError with all questions that have no answer."""
         if self.unanswered:
             raise InputError(*self.unanswered)

@@ -1,8 +1,11 @@
-"""How well readings of a table fit the images: ground points projected into them, compared with the measured pixels.
+"""Measure how well a reading of a table fits the images.
 
-The orientation of an image that is not adjusted is wrong by metres to tens of metres, which moves all its points by
-nearly the same pixels. The scatter about this move shows whether the coordinates are read well; the move itself decides
-only between readings that are far apart, or if the images prove accurate.
+A reading is one interpretation of the columns, units and CRS of a table. Its ground
+points are projected into the images and compared with the measured pixels. Before the
+adjustment, the orientation of an image has errors of metres to tens of metres. They shift
+all points of the image by nearly the same number of pixels. The scatter about this shift
+shows whether the coordinates were interpreted correctly. The shift itself is used only to
+decide between readings that are far apart, or if the images are shown to be accurate.
 """
 
 from __future__ import annotations
@@ -19,23 +22,25 @@ from fg_orient.formats.office.ground import Triple
 from fg_orient.formats.scenes import REACH, Scene
 from fg_orient.model.distributions import MAD
 
-#: A reading is rejected if its scatter is this many times the scatter of another one, which is at least this, px.
+#: A reading is rejected if its scatter is larger than this multiple of the scatter of
+#: another reading. The second value is the lower limit of that scatter, px.
 RATIO: Final = 3.0
 LEAST_PX: Final = 0.5
-#: Fewest points in an image whose scatter is used.
+#: Minimum number of points in an image; with fewer points, its scatter is not used.
 FEWEST: Final = 5
-#: It is also rejected if it shifts its images by this distance (m) and by this factor more than another one.
+#: A reading is also rejected if it shifts the images by this distance (m) and by this factor more than another reading.
 FAR_M: Final = 40.0
 FAR_RATIO: Final = 8.0
-#: Largest move of images whose orientation has proved accurate, px; a reading with more, and with as many times more,
-#: is rejected. Shifts below the last number are noise.
+#: Images are shown to be accurate if a reading shifts them by less than this, px. A
+#: reading that shifts them by more, and by this factor more than the other one, is
+#: rejected. Shifts below the last value are noise.
 ACCURATE_PX: Final = 2.0
 ACCURATE_RATIO: Final = 5.0
 NOISE_PX: Final = 0.1
-#: A reading is believed if scatter (px) and move (m) are not larger.
+#: Maximum scatter (px) and maximum shift (m) of a plausible reading.
 MAX_SCATTER_PX: Final = 20.0
 MAX_MOVE_M: Final = 1000.0
-#: Readings are the same if no point moves by more in the images, px.
+#: Two readings are equal if their points differ by less than this in the images, px.
 SAME_PX: Final = 0.1
 
 
@@ -45,9 +50,9 @@ class Evidence(NamedTuple):
     Parameters
     ----------
     scatter_px : float
-        Scatter of the differences between projected and measured image points, in the worst image.
+        Scatter of the differences between projected and measured image points in the worst image.
     move_px, move_m : float
-        Largest common shift of an image; nan without image points.
+        Largest common shift of the points of an image; nan without image points.
     fewest : int
         Number of points in the image with the fewest points.
     """
@@ -58,18 +63,18 @@ class Evidence(NamedTuple):
     fewest: int
 
     def words(self) -> str:
-        """For lists."""
+        """Describe the evidence in words for lists."""
         if np.isnan(self.move_px):
             return ""
         return f"scatter {self.scatter_px:.3g} px, images moved by {self.move_px:.3g} px ({self.move_m:.3g} m)"
 
     @property
     def believable(self) -> bool:
-        """Whether the reading may be right at all."""
+        """Return whether the reading is plausible."""
         return bool(np.isnan(self.move_px) or (self.scatter_px <= MAX_SCATTER_PX and self.move_m <= MAX_MOVE_M))
 
     def beats(self, other: Evidence) -> bool:
-        """Whether another reading is clearly worse."""
+        """Return whether another reading is clearly worse."""
         if np.isnan(self.move_px):
             return False
         scatter = min(self.fewest, other.fewest) >= FEWEST and other.scatter_px > RATIO * max(self.scatter_px, LEAST_PX)
@@ -87,20 +92,20 @@ NO_EVIDENCE: Final = Evidence(np.nan, np.nan, np.nan, 0)
 
 @dataclass(frozen=True, eq=False)
 class Marks:
-    """Image points as they are in the tables.
+    """Image points as the tables contain them.
 
     Parameters
     ----------
     labels : tuple of str
         Names of images in the tables.
     label : (n,) int array
-        Row of ``labels`` of each image point.
+        Position in ``labels`` of each image point.
     ids : n strings
         Ids of the points.
     first, second : (n,) arrays
-        Pixel coordinates; ``first`` is the line, unless line and sample are exchanged.
+        Pixel coordinates. ``first`` is the line, unless line and sample are exchanged.
     places : n pairs of str
-        File and place of each image point, for messages.
+        File of each image point and its place in the file, for messages.
     """
 
     labels: tuple[str, ...]
@@ -116,7 +121,7 @@ class Marks:
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """One way to read the tables.
+    """One interpretation of the tables.
 
     Parameters
     ----------
@@ -130,9 +135,10 @@ class Reading:
         Whether line and sample are exchanged.
     evidence : Evidence
     predicted : (n, 2) array
-        Places in the images, or on the ground without image points, to compare readings.
+        Places of the points in the images; without image points, on the ground. They are
+        used to compare readings.
     same : tuple of str
-        CRS that give the same places.
+        Other CRS that give the same places.
     """
 
     triple: Triple
@@ -145,7 +151,7 @@ class Reading:
 
 
 class Fit:
-    """Images and marks against which readings are tried.
+    """Images and image points with which readings are compared.
 
     Parameters
     ----------
@@ -155,7 +161,7 @@ class Fit:
     row : mapping of str to int
         Row of each ground point.
     lift_m : float
-        What makes the heights of the table ellipsoidal, as far as the user states it.
+        Height that makes the heights of the table ellipsoidal, if the user states it, m.
     """
 
     def __init__(self, sensors: Mapping[str, Any], marks: Marks, row: Mapping[str, int], lift_m: float = 0.0) -> None:
@@ -166,12 +172,15 @@ class Fit:
         self.gsd_m = {name: _gsd_m(s) for name, s in sensors.items()}
 
     def in_ecef(self, crs: str, coordinates: Array) -> Array | None:
-        """Points (n, 3) in ECEF, nan where a coordinate is missing; None if the CRS cannot hold them."""
+        """Transform points (n, 3) to ECEF; nan if a coordinate is missing. None if they are impossible in the CRS."""
         lift = np.array([0.0, 0.0, self.lift_m if "+" not in crs and crs != "EPSG:4978" else 0.0])
         return in_ecef(crs, coordinates + lift, self.sensors)
 
     def crossing_m(self, images: Sequence[str]) -> float:
-        """Median distance of two rays to the same point, with these images for the labels; infinite without any."""
+        """Return the median distance of two rays to the same point, m; infinite if there are no two rays.
+
+        The argument assigns images to the labels.
+        """
         m, first, rays = self.marks, dict[str, int](), list[tuple[Array, Array]]()
         for k, name in enumerate(images):
             own = np.flatnonzero(m.label == k)
@@ -190,7 +199,7 @@ class Fit:
         return float(np.median(apart)) if apart else float("inf")
 
     def near(self, ecef: Array) -> bool:
-        """Whether more than half of the points (n, 3) lie near an image."""
+        """Return whether more than half of the points (n, 3) lie near an image."""
         if not self.scenes or not len(ecef):
             return True
         centres = np.stack([scene.centre_m for scene in self.scenes])
@@ -199,13 +208,13 @@ class Fit:
         return bool(((apart <= reach).any(axis=1)).mean() > 0.5)
 
     def predicted(self, ecef: Array) -> dict[str, Array]:
-        """Pixels (n, 2) of the points of the marks in every image."""
+        """Project the points of the image points into every image: pixels (n, 2)."""
         ground = ecef[self.rows]
         return {name: np.stack(s.project(ground), axis=1) for name, s in self.sensors.items()}
 
     def evidence(self, predicted: Mapping[str, Array], images: Sequence[str], exchanged: bool,
                  first_pixel: float = 0.0) -> tuple[Evidence, Array]:  # fmt: skip
-        """Evidence of images for the labels, and the pixels (n, 2) of the marks by the reading."""
+        """Return the evidence for an assignment of images to labels, and the predicted pixels (n, 2)."""
         m = self.marks
         if not len(self.used) or not self.sensors:
             return NO_EVIDENCE, np.empty((0, 2))
@@ -231,7 +240,7 @@ class Fit:
 
 
 def _gsd_m(sensor: Any) -> float:
-    """Size of a pixel on the ground in the middle of the image, m."""
+    """Return the size of a pixel on the ground in the middle of the image, m."""
     line, sample = 0.5 * (sensor.first_line + sensor.last_line), 0.5 * (sensor.first_sample + sensor.last_sample)
     step = min(10.0, sensor.last_line - line)
     ends = sensor.locate([line, line + step], [sample, sample], height_m=sensor.mean_height_m)

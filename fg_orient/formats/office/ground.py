@@ -1,4 +1,4 @@
-"""Ground points of tables: which columns may be coordinates, in which order and units."""
+"""Find the columns of a table that may be coordinates of ground points, and their possible order and units."""
 
 from __future__ import annotations
 
@@ -18,33 +18,34 @@ from fg_orient.formats.office.words import ANGLES, LENGTHS
 from fg_orient.model.errors import InputError
 
 Kind = Literal["geographic", "projected", "geocentric"]
-#: Distances from the centre of the Earth of points near its surface, m.
+#: Range of distances from the centre of the Earth for points near its surface, m.
 _RADIUS: Final = (6.33e6, 6.40e6)
-#: Heights of points, m.
+#: Range of plausible heights of points, m.
 _HEIGHTS: Final = (-600.0, 9000.0)
-#: Columns without a usual name that are tried in all orders.
+#: Maximum number of columns without usual names that are tried in all orders.
 _TRIED: Final = 5
-#: Factors of heights and coordinates whose unit no header names.
+#: Possible units and factors of heights and coordinates if no header names the unit.
 _HEIGHT_UNITS: Final = {"m": 1.0, "ft": 0.3048}
 _LENGTH_UNITS: Final = {"m": 1.0, "km": 1000.0}
 
 
 @dataclass(frozen=True, eq=False)
 class Triple:
-    """Coordinates of one reading of a table.
+    """Three columns of a table, interpreted as coordinates.
 
     Parameters
     ----------
     kind : str
         "geographic", "projected" or "geocentric".
     columns : tuple of int
-        Columns of east (longitude, x), north (latitude, y) and height (z); the last may be -1.
+        Columns of east (longitude, x), north (latitude, y) and height (z). The last one
+        is -1 if there is no height.
     coordinates : (n, 3) array
-        Degrees or m.
+        Coordinates, degrees or m.
     named : bool
-        The headers name the axes in this order.
+        Whether the headers name the axes in this order.
     units : str
-        Units of horizontal coordinates and height, as the option ``units`` has them.
+        Units of horizontal coordinates and height in the form of the option ``units``.
     """
 
     kind: Kind
@@ -54,7 +55,7 @@ class Triple:
     units: str
 
     def words(self, table: Table) -> str:
-        """Columns as the option ``columns`` has them."""
+        """Return the columns in the form of the option ``columns``."""
         keys = {"geographic": ("lon", "lat", "H"), "projected": ("E", "N", "H"), "geocentric": ("X", "Y", "Z")}[
             self.kind
         ]
@@ -62,7 +63,10 @@ class Triple:
 
 
 def ground_triples(table: Table, units: dict[str, str]) -> list[Triple]:
-    """List the readings of a table as ground points; empty if it has no ground points."""
+    """List all interpretations of a table as ground points.
+
+    The list is empty if it has no ground points.
+    """
     keyed = {key: table.one(key) for key in ("lon", "lat", "E", "N", "H", "X", "Y", "Z")}
     height = keyed["H"] if keyed["H"] is not None else -1
     orders: list[tuple[tuple[int, int, int], bool]] = []
@@ -79,7 +83,7 @@ def ground_triples(table: Table, units: dict[str, str]) -> list[Triple]:
             there, missing = (e, north) if n is None else (n, east)
             free = [k for k in table.numeric if not table.names[k].key]
             if not free and table.one("x") is None:
-                assert there is not None  # one of both
+                assert there is not None  # one of the two exists
                 raise InputError.of(
                     "office.half", file=table.file, place=table.headers[there], option="columns", key=missing
                 )
@@ -129,7 +133,7 @@ def _refuse_geocentric(table: Table) -> list[Triple]:
 
 
 def _triples(table: Table, columns: tuple[int, int, int], named: bool, units: dict[str, str]) -> list[Triple]:
-    """Readings of three columns: geographic or projected, in every unit that is not stated and possible."""
+    """Return the interpretations of three columns: geographic or projected, in every possible unit."""
     out = []
     heights = _heights(table, columns[2], units)
     for kind, horizontal, unit in _horizontals(table, columns[:2], units):
@@ -141,7 +145,7 @@ def _triples(table: Table, columns: tuple[int, int, int], named: bool, units: di
 
 
 def _heights(table: Table, column: int, units: dict[str, str]) -> list[tuple[Array, str]]:
-    """Heights (n,) in m for each possible unit; nan without a column."""
+    """Return the heights (n,), m, for each possible unit; nan if there is no column of heights."""
     if column < 0:
         return [(np.full(len(table), np.nan), "")]
     values, unit = table.numbers(column), units.get("H") or table.names[column].unit
@@ -156,7 +160,7 @@ def _within(values: Array, limits: tuple[float, float]) -> bool:
 
 
 def _horizontals(table: Table, columns: Sequence[int], units: dict[str, str]) -> list[tuple[Kind, Array, str]]:
-    """Horizontal coordinates (n, 2), east or longitude first, for each kind and unit that is possible."""
+    """Return horizontal coordinates (n, 2), east or longitude first, for each possible kind and unit."""
     angles = [table.angles(k) for k in columns]
     known = [a for a in angles if a is not None]
     if known:
@@ -181,7 +185,10 @@ def _horizontals(table: Table, columns: Sequence[int], units: dict[str, str]) ->
 
 
 def note_numbers(table: Table, triple: Triple, rows: Array, decisions: Decisions) -> None:
-    """Raise InputError for cells of the coordinates that are no numbers; wholly blank records are tie points."""
+    """Raise InputError if cells of coordinates are not numbers.
+
+    Records with blank coordinates are tie points.
+    """
     faults = Faults(table.file)
     for axis, column in enumerate(triple.columns):
         if column >= 0:

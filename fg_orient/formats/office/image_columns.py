@@ -1,4 +1,4 @@
-"""Image points of tables: which columns they are, and which images the words of a table name."""
+"""Find the columns of image points in a table, and the images that the words of the table name."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from fg_orient.model.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class ImagePart:
-    """Columns of image points: a pair of columns for each image, or one pair and a column of images.
+    """Columns of image points: either a pair of columns for each image, or one pair and a column of images.
 
     Parameters
     ----------
     table : Table
     id : int
     image : int
-        Column of images; -1: the images are named by ``groups``.
+        Column with the names of images. -1: ``groups`` names the images.
     pairs : list of (int, int)
-        Columns of line and sample.
+        Pairs of columns with line and sample.
     groups : list of str
-        Words that name the image of each pair; "" if none do.
+        Words that name the image of each pair; "" if no words name it.
     named : bool
-        The headers tell line from sample.
+        Whether the headers distinguish line from sample.
     """
 
     table: Table
@@ -37,7 +37,7 @@ class ImagePart:
 
 
 def image_part(table: Table, images: Sequence[str]) -> ImagePart | None:
-    """Find the columns of image points of a table; None if it has no image points."""
+    """Find the columns of image points of a table; None if the table has no image points."""
     image = table.one("image")
     lines, samples = table.having("line"), table.having("sample")
     named = bool(lines)
@@ -71,7 +71,10 @@ def image_part(table: Table, images: Sequence[str]) -> ImagePart | None:
 
 
 def _about(table: Table, images: Sequence[str]) -> str:
-    """Words of the sheet, the text above the header or the file that name an image."""
+    """Return the words that name an image.
+
+    They may be in the sheet, in the text above the header, or in the file.
+    """
     for text in (table.sheet.name, table.titles, table.sheet.path.stem):
         if text and match_image(text, images):
             return text
@@ -79,7 +82,7 @@ def _about(table: Table, images: Sequence[str]) -> str:
 
 
 def match_image(text: str, images: Sequence[str]) -> str:
-    """Image whose name a text has, or that has the text in its name; "" unless it is exactly one."""
+    """Return the image whose name is contained in a text, or whose name contains the text; "" if it is not unique."""
     if text in images:
         return text
     own = plain(text.replace(".", " ").replace("_", " ").replace("-", " "))
@@ -97,13 +100,13 @@ def match_image(text: str, images: Sequence[str]) -> str:
 
 
 def _own_words(name: str, names: Sequence[str]) -> set[str]:
-    """Words of a name that no other name has."""
+    """Return the words of a name that no other name contains."""
     others = [set(n.split()) for n in names if n != name]
     return set(name.split()) - set().union(*others)
 
 
 def _unnamed(table: Table, images: Sequence[str]) -> ImagePart | None:
-    """Image points of a table without usual names: a column of images, or a sheet named after one."""
+    """Find image points in a table without usual names, by a column of images or by the sheet's name."""
     image = table.one("image")
     if image is None:
         for k in range(len(table.headers)):

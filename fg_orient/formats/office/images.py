@@ -1,4 +1,4 @@
-"""Images and tables among the files of a folder; one metadata file for each image."""
+"""Find images and tables among the files of a folder; each image gets one metadata file."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from fg_orient.formats.rpc import rpc_format
 from fg_orient.formats.sensor import read_sensor
 from fg_orient.model.errors import InputError
 
-#: Ends of the names of files that may hold an image or its metadata.
+#: Files with these suffixes may contain an image or its metadata.
 IMAGES: Final = (".xml", ".dim", ".rpb", ".tif", ".tiff", ".vrt", ".geom", ".toml", ".ntf")
-#: Most files that are looked at.
+#: Maximum number of files that are examined.
 MAX_FILES: Final = 5000
 _BEFORE: Final = re.compile(r"^(DIM|RPC|IMG|PHRDIMAP|METADATA)[_-](?=.)", re.IGNORECASE)
 _AFTER: Final = re.compile(r"(_RPC|_metadata|_R\d+C\d+|\.aux|\.tif|\.tiff)$", re.IGNORECASE)
-#: A list of 90 numbers is an RPC only if its name says so: tables of numbers look like it.
+#: A list of 90 numbers is an RPC only if its file name indicates it, because tables of numbers look the same.
 _LIST: Final = "list of 90 numbers"
 
 
 @dataclass(frozen=True)
 class FoundImage:
-    """An image: id, metadata file and sensor."""
+    """Image with its id, metadata file and sensor."""
 
     id: str
     path: Path
@@ -36,7 +36,7 @@ class FoundImage:
 
 
 def sorted_files(sources: Sequence[Path]) -> tuple[list[tuple[Path, bool]], list[Path]]:
-    """Sort files and folders into tables and files that may contain images, with whether the user named them.
+    """Divide files and folders into tables and files that may contain images; note whether the user named them.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def sorted_files(sources: Sequence[Path]) -> tuple[list[tuple[Path, bool]], list
 
 
 def _below(folder: Path) -> list[Path]:
-    """Files of a folder and its folders, without hidden and lock files."""
+    """Return all files below a folder, without hidden files and lock files."""
     found: list[Path] = []
     for at, folders, names in os.walk(folder):
         folders[:] = sorted(name for name in folders if not name.startswith("."))
@@ -79,12 +79,15 @@ def _is_rpc(path: Path) -> bool:
 
 
 def read_images(files: Sequence[tuple[Path, bool]], decisions: Decisions) -> list[FoundImage]:
-    """Read the images; of several files about one image the rigorous model is used, else the RPC file, else tags.
+    """Read the images.
+
+    If several files describe the same image, the rigorous model is used; if there is
+    none, the RPC file; otherwise the tags of the image.
 
     Raises
     ------
     InputError
-        A file that was named is unusable; no file holds an image.
+        A file that the user named cannot be used, or no file contains an image.
     """
     found: dict[str, tuple[int, FoundImage]] = {}
     refused = []
@@ -120,7 +123,7 @@ def read_images(files: Sequence[tuple[Path, bool]], decisions: Decisions) -> lis
 
 
 def _id_of(path: Path) -> str:
-    """Name of the image of a metadata file."""
+    """Return the name of the image that a metadata file describes."""
     stem = path.stem if path.suffix.lower() != ".dim" or path.stem.upper() != "METADATA" else path.parent.name
     while True:
         shorter = _AFTER.sub("", _BEFORE.sub("", stem))

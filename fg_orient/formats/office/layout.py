@@ -1,4 +1,4 @@
-"""Header, data and columns of a sheet whose form is unknown."""
+"""Find the header, the data and the columns of a sheet of unknown form."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from fg_orient.formats.office.workbook import Cell
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
 
-#: Keys of columns that ``columns`` may name.
+#: Keys that the option ``columns`` may contain.
 KEYS: Final = (
     *(key for key in NAMES if key not in ("x", "y")),
     "X",
@@ -33,15 +33,15 @@ KEYS: Final = (
     "ssample",
     "spx",
 )
-#: Words of a last row that is no point.
+#: If the last row contains one of these words, it is a summary and not a point.
 _SUMMARY: Final = frozenset(
     "mean average total sum std ortalama toplam summe mittel mittelwert moyenne somme media suma min max".split()
 )
-#: Largest heights, m (30 000 ft), and pixels of images.
+#: Maximum height, m (30 000 ft, read as m), and maximum pixel coordinates.
 _LARGEST: Final = {"H": 30_000.0, "line": 300_000.0, "sample": 300_000.0}
-#: Rows that are searched for a header.
+#: Number of rows in which a header is searched for.
 _LOOKED_AT: Final = 30
-#: Header rows at most.
+#: Maximum number of rows of a header.
 _HEADERS: Final = 3
 
 
@@ -51,7 +51,7 @@ def table_of(sheet: Sheet, decisions: Decisions, columns: Mapping[str, str]) -> 
     Raises
     ------
     InputError
-        A row does not fit the others, or nothing decides on the decimal sign.
+        A row does not fit the others, or the decimal sign cannot be determined.
     """
     counts = [sum(map(is_number, row)) for row in sheet.rows]
     filled = [sum(cell != "" for cell in row) for row in sheet.rows]
@@ -81,12 +81,12 @@ def table_of(sheet: Sheet, decisions: Decisions, columns: Mapping[str, str]) -> 
 
 
 def names_columns(sheet: Sheet) -> bool:
-    """Whether a row of a sheet has two usual names of columns."""
+    """Return whether a row of a sheet contains at least two usual column names."""
     return any(sum(bool(named(str(cell)).key) for cell in row if cell != "") > 1 for row in sheet.rows[:_LOOKED_AT])
 
 
 def names_ties(sheet: Sheet) -> bool:
-    """Whether a sheet has rows of tie points, which have no numbers."""
+    """Return whether a sheet has rows of tie points; such rows contain no numbers."""
     return any(isinstance(cell, str) and role_of(cell) is Role.TIE for row in sheet.rows for cell in row)
 
 
@@ -99,7 +99,7 @@ def _joined(row: list[Cell]) -> str:
 
 
 def _header(sheet: Sheet, counts: list[int], filled: list[int], enough: int) -> tuple[int, list[str], str]:
-    """First row of the data, headers by column, and the text above."""
+    """Return the first row of the data, the header of each column, and the text above the header."""
     block: list[int] = []
     k = enough - 1
     while k >= 0 and len(block) < _HEADERS + 2:
@@ -144,14 +144,14 @@ def _titles(sheet: Sheet, end: int) -> str:
 
 
 def _is_units(row: list[Cell]) -> bool:
-    """Whether a row names units."""
+    """Return whether a row contains the names of units."""
     words = [plain(str(cell).strip("[]() ")) for cell in row if str(cell).strip("-– ") != ""]
     known = [word for word in words if word in LENGTHS or word in ANGLES or word in PIXELS or word in ("", "°")]
     return bool(words) and 2 * len(known) >= len(words)
 
 
 def _require_width(sheet: Sheet, rows: list[int], width: int) -> None:
-    """Refuse rows with more cells than the header, and rows without numbers among the others."""
+    """Refuse rows with more cells than the header, and rows without numbers between rows with numbers."""
     faults = Faults(str(sheet.path))
     usual = Counter(len(sheet.rows[k]) for k in rows).most_common(1)
     for k in rows:
@@ -166,7 +166,7 @@ def _require_width(sheet: Sheet, rows: list[int], width: int) -> None:
 
 
 def _stated(headers: list[str], names: list[Named], columns: Mapping[str, str]) -> frozenset[int]:
-    """Give the columns that the user names their keys, and take the keys from other columns."""
+    """Assign keys to the columns that the user names; other columns lose these keys."""
     stated = set()
     for key, header in columns.items():
         at = next((k for k, own in enumerate(headers) if header == own or plain(header) == plain(own)), None)
@@ -182,7 +182,7 @@ def _stated(headers: list[str], names: list[Named], columns: Mapping[str, str]) 
 
 
 def _find_roles(cells: list[list[Cell]], names: list[Named]) -> None:
-    """Give a column of unknown name, whose cells are all words for roles, the key of roles."""
+    """Assign the key of roles to a column of unknown name if all its cells are words for roles."""
     told = [any(own) and all(c == "" or (isinstance(c, str) and role_of(c)) for c in own) for own in cells]
     found = [k for k, one in enumerate(names) if told[k] and not one.key]
     if len(found) == 1:
@@ -190,7 +190,7 @@ def _find_roles(cells: list[list[Cell]], names: list[Named]) -> None:
 
 
 def require_known(columns: Mapping[str, str], tables: list[Table]) -> None:
-    """Refuse names of columns that no table has, and keys that do not exist."""
+    """Refuse column names that no table contains, and keys that do not exist."""
     headers = [header for table in tables for header in table.headers]
     for key, header in columns.items():
         if key not in KEYS:
@@ -201,7 +201,7 @@ def require_known(columns: Mapping[str, str], tables: list[Table]) -> None:
 
 
 def _style(table: Table, decisions: Decisions) -> Style:
-    """How the numbers of a table are written; its ids do not count."""
+    """Determine how the numbers of a table are written; ids are ignored."""
     columns = [table.columns[k] for k in table.numeric if table.names[k].key != "id" and table.angles(k) is None]
     possible = possible_styles(columns)
     given = decisions.given.get("decimal", "")
@@ -233,7 +233,7 @@ def _style(table: Table, decisions: Decisions) -> Style:
 
 
 def _plausible(table: Table, style: Style) -> bool:
-    """Whether heights and pixels of a table are possible in a style."""
+    """Return whether heights and pixels of a table are possible if numbers are read in this style."""
     for key, limit in _LARGEST.items():
         for k in table.having(key):
             found = np.abs(values(table.columns[k], style)) * LENGTHS.get(table.names[k].unit, 1.0)

@@ -1,4 +1,4 @@
-"""Cells as numbers: decimal comma or point, groups of thousands, degrees with minutes and seconds."""
+"""Convert cells to numbers: decimal comma or point, groups of thousands, degrees with minutes and seconds."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from fg_orient.formats.office.workbook import Cell
 
 
 class Style(NamedTuple):
-    """Decimal sign of texts, and whether thousands may be grouped by the other sign, blanks or apostrophes."""
+    """Decimal sign, and whether the other sign, blanks or apostrophes may group thousands."""
 
     decimal: str = "."
     grouped: bool = False
 
 
-#: Share of the cells that have to be numbers in a style, of those in the best style.
+#: A style is possible if it reads at least this share of the cells that the best style reads as numbers.
 NEARLY_ALL: Final = 0.9
 USUAL: Final = Style()
-#: All texts that are numbers in some table.
+#: Styles that together accept every text that is a number in any table.
 ANY: Final = (Style(".", True), Style(",", True))
 _PLAIN: Final = {
-    # possessive: thousands of digits are not divided in all ways
+    # possessive: otherwise a text of thousands of digits would be divided in all possible ways
     ".": re.compile(r"[+-]?(?:[0-9]++(?:\.[0-9]*+)?|\.[0-9]++)(?:[eE][+-]?[0-9]+)?"),
     ",": re.compile(r"[+-]?(?:[0-9]++(?:,[0-9]*+)?|,[0-9]++)(?:[eE][+-]?[0-9]+)?"),
 }
@@ -41,17 +41,20 @@ _ANGLE: Final = re.compile(
 _DEGREES: Final = re.compile(
     r"(?P<before>[NSEWKGDB])?\s*(?P<number>[+-]?[0-9]+(?:[.,][0-9]+)?)\s*[°º]?\s*(?P<after>[NSEWKGDB])?"
 )
-#: Letters of the hemispheres in English, German, French, Spanish; Turkish: Kuzey, Güney, Doğu, Batı.
+#: Letters of the hemispheres in English, German, French and Spanish, and in Turkish (Kuzey, Güney, Doğu, Batı).
 _SOUTH_OR_WEST: Final = "SWGB"
 
 
 def bare(cell: str) -> str:
-    """Cell without blanks at its ends and with a usual minus and blank."""
+    """Return a cell without outer blanks.
+
+    Unusual minus signs and blanks are replaced by usual ones.
+    """
     return cell.replace("\u2212", "-").replace("\u00a0", " ").replace("\u202f", " ").strip()
 
 
 def value_of(cell: Cell, style: Style) -> float:
-    """Return the number of a cell in this style; nan if it is not a number."""
+    """Read the number of a cell in this style; nan if it is not a number."""
     if not isinstance(cell, str):
         return float(cell) if math.isfinite(cell) else math.nan
     text = bare(cell)
@@ -64,7 +67,10 @@ def value_of(cell: Cell, style: Style) -> float:
 
 
 def angle_of(cell: Cell) -> float:
-    """Degrees of a cell with minutes and seconds, or with a sign of degrees or a hemisphere; nan for other cells."""
+    """Read an angle and return degrees; nan for other cells.
+
+    An angle has minutes and seconds, a degree sign or a hemisphere.
+    """
     if not isinstance(cell, str):
         return math.nan
     text = bare(cell)
@@ -89,14 +95,14 @@ def angle_of(cell: Cell) -> float:
 
 
 def is_number(cell: Cell) -> bool:
-    """Whether a cell is a number in any style, or an angle."""
+    """Return whether a cell is an angle, or a number in any style."""
     if not isinstance(cell, str):
         return True
     return any(np.isfinite([*(value_of(cell, style) for style in ANY), angle_of(cell)]))
 
 
 def angles(cells: Sequence[Cell]) -> Array | None:
-    """Return degrees (n,) of cells that are all angles or blank; None if most cells are not angles."""
+    """Return degrees (n,) if the cells are angles or blank; None if most cells are not angles."""
     values = np.array([angle_of(cell) for cell in cells])
     filled = np.array([cell != "" for cell in cells], bool)
     return values if filled.any() and np.isfinite(values[filled]).mean() > 0.5 else None
@@ -108,9 +114,10 @@ def values(cells: Sequence[Cell], style: Style) -> Array:
 
 
 def possible_styles(columns: Sequence[Sequence[Cell]]) -> tuple[Style, ...]:
-    """Styles in which nearly all cells of these columns are numbers; one if all give the same numbers.
+    """Return the styles in which nearly all cells of these columns are numbers.
 
-    Groups of thousands are not used if a number above 999 has no group.
+    If all styles give the same numbers, only one is returned. Groups of thousands are not
+    used if a number above 999 has no group.
 
     Parameters
     ----------
@@ -120,7 +127,7 @@ def possible_styles(columns: Sequence[Sequence[Cell]]) -> tuple[Style, ...]:
     Returns
     -------
     tuple of Style
-        One or two: decimal point and decimal comma.
+        One or two styles: decimal point and decimal comma.
     """
     texts = [cell for cells in columns for cell in cells if isinstance(cell, str) and cell != ""]
     found: dict[Style, Array] = {}
@@ -139,7 +146,7 @@ def possible_styles(columns: Sequence[Sequence[Cell]]) -> tuple[Style, ...]:
 
 
 def unpacked(values: Array, form: str) -> Array:
-    """Convert plain numbers to degrees.
+    """Convert numbers in a packed form or in another unit to degrees.
 
     Parameters
     ----------
@@ -150,7 +157,7 @@ def unpacked(values: Array, form: str) -> Array:
     Returns
     -------
     (n,) array
-        Degrees; nan if the number is impossible in this form.
+        Degrees; nan if a number is impossible in this form.
     """
     if form == "deg":
         return values

@@ -1,4 +1,4 @@
-"""Image points of tables of unknown form, and the pixel from which they count."""
+"""Read the image points of tables of unknown form, and determine the origin of their pixel coordinates."""
 
 from __future__ import annotations
 
@@ -16,12 +16,15 @@ from fg_orient.formats.office.weights import pixel_sigmas
 from fg_orient.formats.points import COLUMNS
 from fg_orient.model.errors import InputError
 
-#: Places of the centre of the first pixel in programs.
+#: Coordinates that programs give to the centre of the first pixel.
 FIRST_PIXELS: Final = (0.0, 1.0, 0.5)
 
 
 def read_marks(parts: Sequence[ImagePart]) -> tuple[Marks, Array]:
-    """Read the image points of all tables, and their standard deviations (n, 2), nan if missing."""
+    """Read the image points of all tables, and their standard deviations (n, 2), px.
+
+    Missing values are nan.
+    """
     labels: dict[str, int] = {}
     label, ids, pixels, sigmas = list[int](), list[str](), list[list[float]](), list[list[float]]()
     seen: dict[tuple[int, str], str] = {}
@@ -58,7 +61,10 @@ def read_marks(parts: Sequence[ImagePart]) -> tuple[Marks, Array]:
 
 
 def _require_own_ids(parts: Sequence[ImagePart]) -> None:
-    """Refuse two tables of several images each with common ids: they may use the same id for different points."""
+    """Refuse two tables of several images each if they have common ids.
+
+    The tables may use the same id for different points.
+    """
     before: set[str] = set()
     for part in (part for part in parts if part.image >= 0 and len(set(part.table.texts(part.image))) > 1):
         own = set(part.table.texts(part.id))
@@ -71,24 +77,24 @@ def first_pixel(
     given: float | None, parts: Sequence[ImagePart], marks: Marks, fit: Fit, reading: Reading | None, crs: str,
     coordinates: Array, decisions: Decisions,
 ) -> float:  # fmt: skip
-    """Decide the coordinate of the centre of the first pixel.
+    """Determine the coordinate of the first pixel's centre.
 
     Parameters
     ----------
     given : float or None
-        Statement of the user.
+        Value that the user states.
     parts : sequence of ImagePart
-        Columns of image points; tables of this program count from 0.
+        Columns of image points. Tables of this program count from 0.
     marks : Marks
     fit : Fit
     reading : Reading or None
-        None without ground points.
+        Chosen reading; None if there are no ground points.
     crs : str
         CRS of ``coordinates``.
     coordinates : (n, 3) array
         Coordinates of the ground points.
     decisions : Decisions
-        Receives the assumption, or the question if the images are not accurate enough.
+        Collects the assumption; if the images are not accurate enough, it collects a question.
 
     Returns
     -------
@@ -98,7 +104,7 @@ def first_pixel(
     Raises
     ------
     InputError
-        An image point is outside its image with any first pixel.
+        For every possible value, an image point lies outside its image.
     """
     if given is not None:
         return given
@@ -142,9 +148,9 @@ def outside(
     images : sequence of str
         Image of each label.
     exchanged : bool
-        Whether the second coordinate is the line.
+        Whether the second coordinate, not the first one, is the line.
     sensors : mapping of str to Sensor
-        Images by name; without images no point is outside.
+        Images by name. Without images, no point is outside.
     first_pixel : float
         Coordinate of the centre of the first pixel.
 
@@ -164,7 +170,7 @@ def outside(
 def require_inside(
     marks: Marks, images: Sequence[str], exchanged: bool, sensors: Mapping[str, Any], first_pixel: float
 ) -> None:
-    """Raise InputError for image points outside their images."""
+    """Raise InputError if image points lie outside their images."""
     wrong = np.flatnonzero(outside(marks, images, exchanged, sensors, first_pixel)).tolist()
     if wrong:
         faults = Faults(marks.places[wrong[0]][0])

@@ -1,4 +1,4 @@
-"""A project made from the files of an office: images, tables of unknown form, and assumptions about them."""
+"""Make a project from the files of an office: images, tables of unknown form, and assumptions about them."""
 
 from __future__ import annotations
 
@@ -35,17 +35,17 @@ _POINTS, _OBSERVATIONS = "points.csv", "observations.csv"
 
 @dataclass(frozen=True)
 class Given:
-    """Values that tables may lack.
+    """Values from the user that tables may not contain.
 
     Parameters
     ----------
     sigma_ground_m, sigma_image_px : tuple of float, optional
-        East, North, Up; line, sample.
+        Standard deviations East, North, Up, m; line, sample, px.
     height_m : float, optional
     check : sequence of str
         Ids of check points.
     level : ZeroLevel
-        Zero level of the heights, which become ellipsoidal.
+        Zero level of the heights; the heights are converted to ellipsoidal heights.
     """
 
     sigma_ground_m: tuple[float, float, float] | None = None
@@ -57,7 +57,7 @@ class Given:
 
 @dataclass(frozen=True, eq=False)
 class Draft:
-    """A project before it is written: images, survey (None without tables) and files that were read."""
+    """Project before it is written: images, survey (None without tables), and the files that were read."""
 
     images: list[FoundImage]
     survey: Survey | None
@@ -73,17 +73,17 @@ def draft(sources: Sequence[Path], out: Path, office: Office, given: Given, deci
     sources : sequence of Path
         Files and folders.
     out : Path
-        Folder of the project, which is not read as a source.
+        Folder of the project; it is not read as a source.
     office, given : Office, Given
-        What the user states.
+        Statements of the user.
     decisions : Decisions
-        Receives the assumptions, and asks.
+        Collects the assumptions, and asks questions.
     overwrite : bool
 
     Raises
     ------
     InputError
-        A file is unusable, or nobody answers a question.
+        A file cannot be used, or a question has no answer.
     """
     require_free(out, overwrite=overwrite, contents=PROJECT)
     image_files, tables = sorted_files(sources)
@@ -107,7 +107,7 @@ def draft(sources: Sequence[Path], out: Path, office: Office, given: Given, deci
 
 
 def _lift_m(level: ZeroLevel, images: Sequence[FoundImage]) -> float:
-    """Height of the zero level above the ellipsoid in the middle of the first georeferenced image."""
+    """Return the height of the zero level above the ellipsoid in the middle of the first georeferenced image, m."""
     corners = next((image.sensor.footprint() for image in images if image.sensor.georeferenced), None)
     if corners is None:
         return 0.0
@@ -117,7 +117,10 @@ def _lift_m(level: ZeroLevel, images: Sequence[FoundImage]) -> float:
 
 
 def _found_level(survey: Survey, folders: Sequence[Path], decisions: Decisions, file: str) -> ZeroLevel:
-    """Find the geoid file of the heights if PROJ lacks their grid: a file of its name in the folders, else ask."""
+    """Find the geoid file of the heights if PROJ does not have their grid.
+
+    It is a file with the name of the grid in the folders; if there is no such file, the user is asked.
+    """
     name = vertical_reference(survey.crs)[0] if survey.crs and survey.located.any() else ""
     error = lacking_operation(survey) if name else None
     if error is None or found_grid(error) is not None:
@@ -132,7 +135,7 @@ def _found_level(survey: Survey, folders: Sequence[Path], decisions: Decisions, 
 
 
 def _completed(survey: Survey, given: Given, decisions: Decisions, file: str) -> Survey:
-    """Complete the survey with the given values; ask for missing values."""
+    """Fill in the given values; ask the user for values that are still missing."""
     survey = filled(survey, sigma_ground_m=given.sigma_ground_m, sigma_image_px=given.sigma_image_px,
                     height_m=given.height_m, check=given.check)  # fmt: skip
     known, o = survey.located & np.array([r is not Role.TIE for r in survey.roles], bool), survey.observed
@@ -175,7 +178,7 @@ def _numbers(text: str, count: int, option: str) -> tuple[float, ...]:
 
 
 def write_draft(made: Draft, out: Path, decisions: Decisions, *, overwrite: bool = False) -> tuple[Finding, ...]:
-    """Write a project; it is read again by the strict reader before it replaces the output.
+    """Write a project. The strict reader reads it again before it replaces the output.
 
     Returns
     -------
@@ -185,7 +188,7 @@ def write_draft(made: Draft, out: Path, decisions: Decisions, *, overwrite: bool
     Raises
     ------
     InputError
-        The strict reader refuses it, or it cannot be written.
+        The strict reader refuses the project, or it cannot be written.
     """
     target = out.absolute()
     comments = ["made by fg-orient new from " + ", ".join(path.name for path in made.files)]
@@ -209,7 +212,7 @@ def write_draft(made: Draft, out: Path, decisions: Decisions, *, overwrite: bool
 
 
 def _shown(found: Sequence[Finding], folder: Path, out: Path) -> tuple[Finding, ...]:
-    """Findings about the files of the output, in place of the folder that was written first."""
+    """Return the findings with the file names of the output instead of those of the temporary folder."""
     return tuple(replace(one, file=one.file.replace(str(folder), str(out))) for one in found)
 
 

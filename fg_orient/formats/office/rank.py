@@ -1,4 +1,4 @@
-"""The reading of ground points that fits the images best, or a question where several fit."""
+"""Choose the reading of ground points that fits the images best; if several fit, ask a question."""
 
 from __future__ import annotations
 
@@ -17,31 +17,31 @@ from fg_orient.formats.office.table import Table
 from fg_orient.geodesy import crs_kind, known_crs
 from fg_orient.model.errors import InputError
 
-#: Usual units.
+#: Usual units in the form of the option ``units``.
 _USUAL: Final = ("", "H=m", "E=m", "E=m,H=m", "lon=deg", "lon=deg,H=m")
 
 
 def readings(
     triples: Sequence[Triple], crs: str, labels: Sequence[tuple[str, ...]], fit: Fit, exchange: bool
 ) -> list[Reading]:
-    """List all readings with more than half of the points near the images.
+    """List all readings for which more than half of the points lie near the images.
 
     Parameters
     ----------
     triples : sequence of Triple
         Possible columns of the coordinates of one table.
     crs : str
-        CRS that is stated; "" to try all CRS of the area.
+        Stated CRS; "" to try all CRS of the area.
     labels : sequence of tuples of str
-        Possible images of the labels.
+        Possible images for the labels.
     fit : Fit
     exchange : bool
-        Also try exchanged lines and samples.
+        Whether to try exchanged lines and samples, too.
 
     Returns
     -------
     list of Reading
-        In no order of preference.
+        Readings without order of preference.
     """
     box = scene_box(fit.sensors) if fit.sensors else None
     out = []
@@ -69,12 +69,12 @@ def readings(
 def best_reading(
     table: Table, triples: Sequence[Triple], found: list[Reading], fit: Fit, named_pixels: bool, decisions: Decisions
 ) -> Reading:
-    """Select the best reading and list its assumptions.
+    """Choose the best reading and list its assumptions.
 
     Raises
     ------
     InputError
-        None fits, or nothing decides and nobody answers.
+        No reading fits, or several fit and the question has no answer.
     """
     given = decisions.given
     if not found:
@@ -116,7 +116,7 @@ def _preference(one: Reading) -> tuple[Any, ...]:
 
 
 def _distinct(found: list[Reading]) -> list[Reading]:
-    """Return readings that differ in the images; the first of several equal readings names the others."""
+    """Return readings that differ in the images; of equal readings, the first one is kept and names the others."""
     out: list[Reading] = []
     for one in found:
         for k, other in enumerate(out):
@@ -139,7 +139,10 @@ def _alike(one: Reading, other: Reading) -> bool:
 
 
 def _champion(believable: list[Reading]) -> Reading:
-    """Return the reading that no other reading beats; of several, the reading with the smallest shift of the images."""
+    """Return the reading that no other reading beats.
+
+    If there are several, the one with the smallest image shift.
+    """
     unbeaten = [one for one in believable if not any(other.evidence.beats(one.evidence) for other in believable)]
     if not believable[0].evidence.fewest:
         return (unbeaten or believable)[0]

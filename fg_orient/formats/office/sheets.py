@@ -1,4 +1,4 @@
-"""Sheets of any file with a table: text of any encoding and separator, workbooks, layers of geographic systems."""
+"""Read the sheets of files with tables: text with any encoding and separator, workbooks, and GIS layers."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ from fg_orient.formats.office.workbook import Cell, Rows, read_workbook
 from fg_orient.formats.registry import read_bytes
 from fg_orient.model.errors import InputError
 
-#: Ends of the names of files that may hold tables.
+#: Text files with these suffixes may contain tables.
 TEXTS: Final = (".csv", ".txt", ".tsv", ".dat", ".xyz", ".asc", ".prn", ".gcp")
 WORKBOOKS: Final = (".xlsx", ".xlsm", ".ods")
 LAYERS: Final = (".gpkg", ".shp")
-#: First bytes of a Shapefile.
+#: A Shapefile begins with these bytes.
 SHAPEFILE_MARK: Final = b"\x00\x00\x27\x0a"
 
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """A table as it is in a file.
+    """Table as the file contains it.
 
     Parameters
     ----------
     path : Path
     name : str
-        Sheet or layer; "" of a text.
+        Name of the sheet or layer; "" for a text file.
     rows : list of lists of text or float
-        Numbers of workbooks and layers are floats, everything else is text.
+        Cells. Numbers of workbooks and layers are floats; everything else is text.
     lines : list of int
-        Line or row of each row in the file, from 1.
+        Line or row number in the file for each row, from 1.
     crs : str
-        CRS that the file states as a whole; "" if it states none.
+        CRS that the file states for all its data; "" if it does not state one.
     assumed : tuple of Assumption
     """
 
@@ -53,22 +53,22 @@ class Sheet:
 
     @property
     def title(self) -> str:
-        """File, and sheet or layer."""
+        """Return the name of the file, and of the sheet or layer."""
         return f"{self.path.name}, {self.name}" if self.name else self.path.name
 
     def place(self, k: int, header: str = "") -> str:
-        """Place of row k for messages."""
+        """Return the place of row k for messages."""
         where = f"sheet {self.name}, " if self.name else ""
         return f"{where}{self.unit} {self.lines[k]}" + (f", column {header}" if header else "")
 
 
 def read_sheets(path: Path) -> list[Sheet]:
-    """Sheets of a file that are not empty.
+    """Read all sheets of a file that are not empty.
 
     Raises
     ------
     InputError
-        The file cannot be read, or holds no table.
+        The file cannot be read, or it contains no table.
     """
     suffix = path.suffix.lower()
     if not path.is_file():
@@ -94,7 +94,10 @@ def read_sheets(path: Path) -> list[Sheet]:
 
 
 def _layers(path: Path) -> list[Sheet]:
-    """Layers of a GeoPackage or Shapefile: attributes, then coordinates of the points."""
+    """Read the layers of a GeoPackage or Shapefile.
+
+    Columns are the attributes, then the coordinates of the points.
+    """
     from fg_orient.formats.exchange.gis import libraries
 
     pyogrio, shapely = libraries(path)
@@ -107,7 +110,10 @@ def _layers(path: Path) -> list[Sheet]:
 
 
 def _require_plain(path: Path) -> None:
-    """Refuse a file whose content is not that of its name, or whose layers are views: GDAL would read what it names."""
+    """Refuse a file whose content does not fit its suffix, or whose layers are views.
+
+    GDAL would read other files that the content names.
+    """
     if path.suffix.lower() == ".shp":
         if read_bytes(path, 4) != SHAPEFILE_MARK:
             raise ValueError("it is not a Shapefile")

@@ -1,4 +1,4 @@
-"""Statements of a table in words: CRS, datum, zone, images."""
+"""Find the CRS, datum, zone and images that the words of a table state."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from fg_orient.model.errors import InputError
 if TYPE_CHECKING:
     from fg_orient.formats.office.fit import Reading
 
-#: Most images whose names are tried in all orders.
+#: Maximum number of images that are assigned to labels in all orders.
 MOST_IMAGES: Final = 4
-#: Words of a title or header, and the beginning of the names of their CRS.
+#: Words in a title or header, and the beginnings of the names of the corresponding CRS.
 _DATUMS: Final = (
     (r"\bED ?50\b", ("ED50",)), (r"\bWGS ?84\b", ("WGS 84",)), (r"\b(ITRF ?\d*|TUREF)\b", ("TUREF", "ITRF")),
     (r"\bETRS ?89\b", ("ETRS89",)), (r"\bRGF ?93\b", ("RGF93",)), (r"\bNTF\b", ("NTF",)), (r"\bDHDN\b", ("DHDN",)),
@@ -28,7 +28,7 @@ _ZONE: Final = re.compile(r"\b(?:UTM(?: zone)?[ /-]*|zone )([0-9]{1,2}) ?([NS])?
 
 
 def stated_crs(table: Table) -> str:
-    """Return the CRS that a file, its titles or its headers name by number; "" if they name no CRS."""
+    """Return the CRS whose number a file, its titles or its headers contain; "" if there is no number."""
     if table.sheet.crs:
         return table.sheet.crs
     codes = {found[1] for text in (table.titles, *table.headers) for found in _CODE.finditer(text)}
@@ -36,13 +36,15 @@ def stated_crs(table: Table) -> str:
 
 
 def named_pairs(labels: Sequence[str], images: Sequence[str]) -> str:
-    """Images of labels as the option ``image`` has them."""
+    """Return labels with their images in the form of the option ``image``."""
     return ",".join(f"{label}={image}" for label, image in zip(labels, images, strict=True))
 
 
 def label_images(labels: Sequence[str], images: Sequence[str], given: Mapping[str, str], decisions: Decisions,
                  file: str) -> list[tuple[str, ...]]:  # fmt: skip
-    """List possible images of the labels of a table: one by the names, else all orders.
+    """List the possible assignments of images to the labels of a table.
+
+    If the names decide, there is one assignment. Otherwise all orders are possible.
 
     Parameters
     ----------
@@ -51,21 +53,21 @@ def label_images(labels: Sequence[str], images: Sequence[str], given: Mapping[st
     images : sequence of str
         Ids of the images.
     given : mapping of str to str
-        Images of labels that the user states.
+        Assignments that the user states.
     decisions : Decisions
-        Receives the assumption if the names differ.
+        Collects the assumption if the names differ.
     file : str
         File of the table, for messages.
 
     Returns
     -------
     list of tuples of str
-        Images in the order of ``labels``.
+        Possible lists of images in the order of ``labels``.
 
     Raises
     ------
     InputError
-        Two labels name one image, or a label cannot be assigned.
+        Two labels name the same image, or a label cannot be assigned.
     """
     found = [given.get(label) or match_image(label, images) for label in labels]
     if len(labels) == 1 and not found[0] and len(images) == 1:
@@ -96,7 +98,10 @@ def label_images(labels: Sequence[str], images: Sequence[str], given: Mapping[st
 
 
 def titled(table: Table, found: list[Reading], decisions: Decisions) -> list[Reading]:
-    """Select readings in the datum and zone that titles or headers name; all readings if they name neither."""
+    """Select the readings whose datum and zone agree with titles and headers.
+
+    All readings if these name neither.
+    """
     text = " ".join((table.titles, *table.headers)).replace("_", " ")
     for pattern, names in _DATUMS:
         if re.search(pattern, text, re.IGNORECASE):

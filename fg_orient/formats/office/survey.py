@@ -1,4 +1,4 @@
-"""Tables of unknown form as one survey: ground points, image points, roles and standard deviations."""
+"""Combine tables of unknown form to one survey: ground points, image points, roles and standard deviations."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from fg_orient.model.block import ImagePoints
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
 
-#: Largest distance of two rays to the same point before the adjustment, m.
+#: Before the adjustment, two rays to the same point may pass each other at this distance at most, m.
 CROSSING_M: Final = 30.0
 
 
@@ -42,19 +42,19 @@ def read_survey(sheets: Sequence[Sheet], office: Office, decisions: Decisions, s
     sheets : sequence of Sheet
     office : Office
     decisions : Decisions
-        Receives the assumptions, and asks.
+        Collects the assumptions, and asks questions.
     sensors : mapping of str to Sensor
-        The images by id; empty if there are none.
+        Images by id; empty if there are no images.
 
     Returns
     -------
     Survey
-        Heights and standard deviations are nan where no table has them.
+        Survey. Heights and standard deviations are nan if no table contains them.
 
     Raises
     ------
     InputError
-        A table is faulty, or nothing decides on a question and nobody answers it.
+        A table has faults, or a question has no answer.
     """
     columns = dict(office.columns)
     if office.role_column and office.role_column != "none":
@@ -142,7 +142,7 @@ def _survey(
 def _crossing(
     labels: list[tuple[str, ...]], marks: Marks, fit: Fit, decisions: Decisions, file: str
 ) -> tuple[str, ...]:
-    """Assign images to the labels of a table of tie points such that the rays to the same points meet."""
+    """Assign images to the labels of a tie-point table such that the rays to the same points intersect."""
     apart = {one: fit.crossing_m(one) if fit.sensors else float("inf") for one in labels}
     ranked = sorted(labels, key=lambda one: apart[one])
     clear = apart[ranked[0]] < CROSSING_M and apart[ranked[1]] > RATIO * CROSSING_M
@@ -155,7 +155,7 @@ def _crossing(
 
 
 def _settle_ids(tables: Sequence[Table], decisions: Decisions) -> None:
-    """Of several columns that look like ids, keep the column whose cells are also ids of other tables."""
+    """If several columns look like ids, keep the column whose cells are also ids in other tables."""
     for table in tables:
         found = table.having("id")
         others = {cell for own in tables if own is not table for k in own.having("id") for cell in own.texts(k)}
@@ -168,7 +168,7 @@ def _settle_ids(tables: Sequence[Table], decisions: Decisions) -> None:
 
 
 def _undulation_m(heights: str, sensors: Mapping[str, Any]) -> float:
-    """Undulation in the middle of the images of a vertical CRS that the user states; 0 where PROJ has no grid."""
+    """Return the undulation of the stated vertical CRS in the middle of the images, m; 0 if PROJ has no grid."""
     if not sensors or heights in ("", "ellipsoidal"):
         return 0.0
     west, south, east, north = scene_box(sensors)
@@ -179,7 +179,10 @@ def _undulation_m(heights: str, sensors: Mapping[str, Any]) -> float:
 
 
 def _rows(grounds: list[tuple[Table, list[Triple]]]) -> tuple[dict[str, int], list[int]]:
-    """Row of each id of the ground points, and their lines; ids may repeat in several tables, not in one."""
+    """Return the row of each ground point id, and the lines.
+
+    An id may occur only once in each table.
+    """
     row: dict[str, int] = {}
     places: list[int] = []
     for table, _ in grounds:

@@ -1,4 +1,4 @@
-"""A table: its columns with their keys, and its cells as numbers."""
+"""Table of unknown form after its columns have keys; its cells can be read as numbers."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from fg_orient.model.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """A sheet with its columns.
+    """Sheet with its columns.
 
     Parameters
     ----------
     sheet : Sheet
     headers : list of str
-        Header of each column as it is shown; ``#2`` for a column without one.
+        Header of each column as shown to the user; a column without header has a name such as ``#2``.
     names : list of Named
     columns : list of lists
-        Cells of each column, without header.
+        Cells of each column, without its header.
     rows : list of int
-        Row of the sheet of each record.
+        Row number in the sheet for each record.
     titles : str
         Text above the header.
     style : Style
-        How its numbers are written.
+        Style in which its numbers are written.
     stated : frozenset of int
-        Columns that the user names.
+        Numbers of the columns that the user has named.
     """
 
     sheet: Sheet
@@ -52,19 +52,22 @@ class Table:
 
     @property
     def file(self) -> str:
-        """Name of the file, for messages."""
+        """Return the name of the file for messages."""
         return str(self.sheet.path)
 
     def place(self, k: int, column: int | None = None) -> str:
-        """Place of a record for messages."""
+        """Return the place of a record for messages."""
         return self.sheet.place(self.rows[k], "" if column is None else self.headers[column])
 
     def having(self, key: str) -> list[int]:
-        """Columns with a key."""
+        """Return all columns with a key."""
         return [k for k, one in enumerate(self.names) if one.key == key]
 
     def one(self, key: str) -> int | None:
-        """Return the column of a key; None if no column has it. InputError if several have it."""
+        """Return the column with a key; None if no column has it.
+
+        InputError: several columns have it.
+        """
         found = self.having(key)
         if len(found) > 1:
             stated = [k for k in found if k in self.stated]
@@ -76,12 +79,12 @@ class Table:
         return found[0] if found else None
 
     def filled(self, column: int) -> Array:
-        """Records (n,) with a cell in this column."""
+        """Return a mask (n,) of the records whose cell in this column is not empty."""
         return np.array([cell != "" for cell in self.columns[column]], bool)
 
     @cached_property
     def numeric(self) -> list[int]:
-        """Columns of numbers or angles."""
+        """Return the columns that contain numbers or angles."""
         out = []
         for k, cells in enumerate(self.columns):
             filled = [cell for cell in cells if cell != ""]
@@ -90,19 +93,19 @@ class Table:
         return out
 
     def texts(self, column: int) -> list[str]:
-        """Cells as ids: whole numbers of a workbook without decimals."""
+        """Return cells as ids; whole numbers of a workbook have no decimals."""
         return [str(int(c)) if isinstance(c, float) and c.is_integer() else str(c) for c in self.columns[column]]
 
     def numbers(self, column: int) -> Array:
-        """Return plain numbers (n,); nan if a cell is not a number."""
+        """Return the cells as numbers (n,); nan if a cell is not a number."""
         return values(self.columns[column], self.style)
 
     def angles(self, column: int) -> Array | None:
-        """Degrees (n,) if the cells are written with minutes and seconds or a hemisphere, else None."""
+        """Return degrees (n,) if the cells have minutes and seconds or a hemisphere; else None."""
         return angles(self.columns[column])
 
     def require_numbers(self, column: int, found: Array, faults: Faults, *, blank: bool = False) -> None:
-        """Note the cells of a column that are no finite numbers; ``blank`` cells are allowed."""
+        """Note the cells of a column that are not finite numbers; with ``blank``, empty cells are allowed."""
         for k in np.flatnonzero(~np.isfinite(found)).tolist():
             cell = self.columns[column][k]
             if cell == "" and not blank:
@@ -112,14 +115,15 @@ class Table:
 
 
 def id_column(table: Table) -> int:
-    """Find the column of the points' ids.
+    """Find the column with the ids of the points.
 
-    Without a usual name it is the first column; in a table of ground points the first column with unique cells.
+    If no column has a usual name, it is the first column. In a table of ground points, it
+    is the first column with unique cells.
 
     Raises
     ------
     InputError
-        There is no column that can contain ids.
+        No column can contain ids.
     """
     named = table.one("id")
     if named is not None:
@@ -134,13 +138,13 @@ def id_column(table: Table) -> int:
 
 
 def _are_ids(table: Table, column: int) -> bool:
-    """Whether the cells of a column are unique, and text or whole numbers."""
+    """Return whether the cells of a column are unique, and are texts or whole numbers."""
     cells = table.texts(column)
     whole = all(not isinstance(c, float) or c.is_integer() for c in table.columns[column])
     return whole and "" not in cells and len(set(cells)) == len(cells)
 
 
 def stated_heights(table: Table, column: int | None) -> str:
-    """Heights named by the header or by the text above it: "ellipsoidal", "orthometric" or ""."""
+    """Return the kind of heights that the header or the text above it names: "ellipsoidal", "orthometric" or ""."""
     own = table.names[column].heights if column is not None else ""
     return own or heights_of(table.titles)

@@ -1,4 +1,4 @@
-"""Text of a table of unknown encoding and separator."""
+"""Read the text of a table with unknown encoding and separator."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from fg_orient.formats.table_write import cell_text
 from fg_orient.formats.text_files import read_data
 from fg_orient.model.errors import InputError
 
-#: Largest text, bytes.
+#: Maximum size of a text file, bytes.
 MAX_TEXT: Final = 256_000_000
-#: Cells that are used to select a separator.
+#: Number of cells that are examined to choose a separator.
 _LOOKED_AT: Final = 2000
-#: Letters of Windows-1254 (Turkish) that are others in Windows-1252.
+#: Bytes of Turkish letters in Windows-1254; they are other letters in Windows-1252.
 _TURKISH: Final = re.compile(rb"[\xd0\xdd\xde\xf0\xfd\xfe]")
 _SEPARATORS: Final = {
     ";": "semicolon",
@@ -42,7 +42,7 @@ def decoded(path: Path) -> tuple[str, str]:
     Returns
     -------
     text : str
-        With LF as line end.
+        Text whose lines end with LF.
     encoding : str
         Name of the encoding.
 
@@ -54,7 +54,7 @@ def decoded(path: Path) -> tuple[str, str]:
     faults = Faults(str(path))
     data = read_data(path, faults, MAX_TEXT + 1)
     faults.raise_if_any()
-    assert data is not None  # else there is a fault
+    assert data is not None  # otherwise an error was raised
     if len(data) > MAX_TEXT:
         raise InputError.of("office.too_large", file=path, value=f"more than {MAX_TEXT} bytes")
     name = _encoding(data)
@@ -83,22 +83,22 @@ def _encoding(data: bytes) -> str:
 
 
 def rows_of(path: Path) -> tuple[Rows, list[int], str, tuple[Assumption, ...]]:
-    """Read a text table of unknown separator.
+    """Read a text table with unknown separator.
 
     Returns
     -------
     rows : list of lists of cells
     lines : list of int
-        Line of each row in the file, from 1.
+        Line number in the file for each row, from 1.
     crs : str
-        CRS that a comment states; "" without one.
+        CRS that a comment states; "" if there is no such comment.
     assumptions : tuple of Assumption
-        Separator and encoding.
+        Assumed separator and encoding.
 
     Raises
     ------
     InputError
-        The file is not text, or has no lines.
+        The file is not text, or it has no lines.
     """
     text, encoding = decoded(path)
     stated = _CRS.search(text)
@@ -114,7 +114,10 @@ def rows_of(path: Path) -> tuple[Rows, list[int], str, tuple[Assumption, ...]]:
 
 
 def _split(lines: Sequence[str]) -> tuple[str, Rows]:
-    """Separator by which most lines have the same number of cells, and most cells are numbers; and the cells."""
+    """Choose the separator and return it with the cells.
+
+    With this separator, most lines have the same number of cells, and most cells are numbers.
+    """
     best: tuple[float, str, Rows] = (0.0, ";", [[line.strip()] for line in lines])
     for mark in _SEPARATORS:
         rows: Rows = [_cells(line, mark) for line in lines]
@@ -125,7 +128,7 @@ def _split(lines: Sequence[str]) -> tuple[str, Rows]:
         records = (row for row in rows if len(row) == width and any(map(is_number, row)))
         cells = list(islice((cell for row in records for cell in row if cell != ""), _LOOKED_AT))
         score = count / len(lines) + sum(map(is_number, cells)) / max(len(cells), 1)
-        if score > best[0] + 1e-9:  # an earlier separator is kept if both are as good
+        if score > best[0] + 1e-9:  # if two separators are equally good, the earlier one is kept
             best = (score, mark, rows)
     return best[1], best[2]
 

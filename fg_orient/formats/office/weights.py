@@ -1,4 +1,4 @@
-"""Roles and standard deviations of the points of tables of unknown form."""
+"""Read roles and standard deviations of points from tables of unknown form."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from fg_orient.formats.points import FIXED
 from fg_orient.model.arrays import having_role
 from fg_orient.model.names import Role
 
-#: Standard deviations in m of surveys; below the second one a value without a unit is taken as m.
+#: Usual range of standard deviations of surveys, m. A value without unit is read as m if it is below the upper limit.
 _SURVEYED_M: Final = (5e-4, 1.0)
 _SURELY_M: Final = 0.5
 
 
 def pixel_sigmas(table: Table) -> Array:
-    """Return standard deviations (n, 2) px of line and sample, nan if missing."""
+    """Read standard deviations (n, 2), px, of line and sample; missing values are nan."""
     both = table.one("spx")
     columns = [both, both] if both is not None else [table.one("sline"), table.one("ssample")]
     faults = Faults(table.file)
@@ -33,7 +33,10 @@ def pixel_sigmas(table: Table) -> Array:
 
 
 def _positive(table: Table, column: int, factor: float, faults: Faults) -> Array:
-    """Standard deviations (n,) of a column; nan where blank or the word "fixed"."""
+    """Read the standard deviations (n,) of a column.
+
+    An empty cell or the word "fixed" gives nan.
+    """
     cells = table.columns[column]
     values = table.numbers(column) * factor
     open_ = np.array([isinstance(c, str) and c.lower() in ("", FIXED) for c in cells], bool)
@@ -60,21 +63,21 @@ def roles_and_sigmas(
     row : mapping of str to int
         Row of each of the n ground points.
     coordinates : (n, 3) array
-        Points without coordinates are tie points.
+        Coordinates of the points. Points without coordinates are tie points.
     units : mapping of str to str
-        Units that the user states.
+        Units that the user has stated.
     role_column : str
-        "none" to read without a column of roles.
+        Header of the column of roles; "none" to ignore such columns.
     decisions : Decisions
-        Receives the assumptions.
+        Collects the assumptions.
 
     Returns
     -------
     roles : list of Role
     sigmas : (n, 3) array
-        East, North, Up, m; nan if missing.
+        Standard deviations East, North, Up, m; missing values are nan.
     fixed : (n,) bool array
-        Points without uncertainty.
+        Mask of the points without uncertainty.
     """
     known = np.asarray(np.isfinite(coordinates[:, :2]).all(axis=1))
     roles = [Role.CONTROL if yes else Role.TIE for yes in known]
@@ -112,7 +115,10 @@ def _take_roles(table: Table, column: int, at: Index, roles: list[Role], known: 
 
 
 def _ground_sigmas(table: Table, units: Mapping[str, str], decisions: Decisions) -> tuple[Array, Mask]:
-    """Return standard deviations East, North, Up (n, 3) m of a table, nan if missing, and fixed points (n,)."""
+    """Read standard deviations East, North, Up (n, 3), m, of a table, and a mask of fixed points (n,).
+
+    Missing values are nan.
+    """
     plane = table.one("sEN")
     own = [table.one(key) for key in ("sE", "sN", "sH")]
     x, y = table.one("sx"), table.one("sy")

@@ -1,4 +1,7 @@
-"""Usual names of columns in English, Turkish, French, German and Spanish, units in headers, words for roles."""
+"""Usual column names in English, Turkish, French, German and Spanish.
+
+Units in headers; words for roles.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +12,8 @@ from typing import Final
 
 from fg_orient.model.names import Role
 
-#: Usual names of columns by key, in the spelling of :func:`plain`. X and Y alone are another matter: offices exchange
-#: them, and image points have them, too.
+#: Usual names of columns by key, in the spelling of :func:`plain`. Names X and Y alone
+#: are treated separately, because offices exchange them, and image points also have them.
 NAMES: Final[dict[str, str]] = {
     "id": """id | no | nr | name | number | point | point id | point no | point name | point number | label | gcp
         | gcp id | station | nokta | nokta no | nokta adi | nokta numarasi | nokta id | ykn no | punkt | punktnummer
@@ -55,14 +58,14 @@ _AXIS: Final = {
     "x": "sx", "y": "sy",
 }  # fmt: skip
 _SHORT: Final = re.compile(r"[sm](e|n|h|z|x|y|xy|en)")
-#: Words of a header that contain no information about the column.
+#: Words in a header that give no information about the column.
 _FILLERS: Final = frozenset("""coordinate coordinates koordinat koordinati koordinatlari koordinatlar koordinate
     koordinaten coordonnee coordonnees coordenada coordenadas coord value deger degeri wert valor valeur standart utm
     zone zon dilim wgs84 wgs itrf itrf96 itrf2005 etrs89 etrs ed50 rgf93 dhdn gk gauss kruger lambert tm tm3 tm30
     tm33
     ground arazi yer gelande terrain terreno the of de du des la le der die das sistem system jeodezik geodetic 32n 33n
     34n 35n 36n 37n 38n 30n 31n m deg dom""".split())  # fmt: skip
-#: Factors of units to metres; of angles to degrees, and packed degrees, minutes and seconds.
+#: Factors of units to metres; below: factors of angles to degrees, and forms with packed degrees, minutes and seconds.
 LENGTHS: Final = {
     "m": 1.0, "metre": 1.0, "meter": 1.0, "metres": 1.0, "meters": 1.0, "mt": 1.0, "metros": 1.0, "km": 1000.0,
     "dm": 0.1, "cm": 0.01, "mm": 0.001, "ft": 0.3048, "feet": 0.3048, "foot": 0.3048, "us ft": 1200.0 / 3937.0,
@@ -95,7 +98,7 @@ ROLE_WORDS: Final = {" ".join(word.split()): role for role, text in _ROLE_WORDS.
 
 @dataclass(frozen=True)
 class Named:
-    """Content of a header: key of the column ("" if unknown), unit, and other words, such as an image."""
+    """Content of a header: key of the column ("" if unknown), unit, and other words, for example an image name."""
 
     key: str
     unit: str = ""
@@ -104,7 +107,10 @@ class Named:
 
 
 def plain(text: str) -> str:
-    """Lower case without accents and punctuation, words separated by one blank."""
+    """Return a text in lower case without accents and punctuation.
+
+    Words are separated by one blank.
+    """
     low = text.replace("İ", "i").replace("I", "i").lower().replace("ı", "i").replace("ß", "ss").replace("ø", "o")
     bare = "".join(c for c in unicodedata.normalize("NFKD", low) if not unicodedata.combining(c))
     return " ".join(
@@ -116,7 +122,7 @@ _KEYS: Final = {" ".join(name.split()): key for key, names in NAMES.items() for 
 
 
 def named(header: str) -> Named:
-    """Key, unit and further words of a header."""
+    """Return the key, the unit and the other words of a header."""
     unit, text = _unit(header)
     words = plain(text.replace(".", " ").replace("_", " ")).split()
     heights = heights_of(header)
@@ -132,7 +138,7 @@ def named(header: str) -> Named:
         if unit in PIXELS and words == ["y"]:
             return Named("line", "px")
     key, rest = _longest(words)
-    if key in ("x", "y") and rest:  # Y (right), X (up): the words say which is which
+    if key in ("x", "y") and rest:  # with words as in "Y (right)" and "X (up)", the axes are clear
         inner = _longest(rest.split())
         key, rest = inner if inner[0] in ("E", "N") else (key, rest)
     if unit in PIXELS and key in ("x", "y"):
@@ -141,7 +147,7 @@ def named(header: str) -> Named:
 
 
 def heights_of(text: str) -> str:
-    """Heights that a text names: "ellipsoidal", "orthometric" or ""."""
+    """Return the kind of heights that a text names: "ellipsoidal", "orthometric" or ""."""
     words = plain(text.replace("_", " "))
     ellipsoidal, orthometric = bool(_ELLIPSOIDAL.search(words)), bool(_ORTHOMETRIC.search(words))
     if re.fullmatch(r"(kot|kotu|rakim)( m)?", words):
@@ -150,7 +156,7 @@ def heights_of(text: str) -> str:
 
 
 def _unit(header: str) -> tuple[str, str]:
-    """Unit in brackets or after a slash, and the header without it."""
+    """Return the unit, which is in brackets or after a slash, and the header without it."""
     for found in re.finditer(r"[\[({]([^\])}]*)[\])}]", header):
         inner = found[1].strip()
         word = plain(inner)
@@ -164,7 +170,7 @@ def _unit(header: str) -> tuple[str, str]:
 
 
 def _sigma(words: list[str]) -> str:
-    """Key of a column of standard deviations, "" for others."""
+    """Return the key of a column of standard deviations; "" for other columns."""
     if words and _SHORT.fullmatch(words[0]) and not set(words[1:]) - {"m", "cm", "mm"}:
         axis = words[0][1:]
         return _AXIS.get("xy" if axis == "en" else axis, "")
@@ -180,7 +186,7 @@ def _sigma(words: list[str]) -> str:
 
 
 def _longest(words: list[str]) -> tuple[str, str]:
-    """Key of the longest usual name among the words, and the words that are left."""
+    """Find the longest usual name among the words; return its key and the remaining words."""
     for length in range(len(words), 0, -1):
         for k in range(len(words) - length + 1):
             key = _KEYS.get(" ".join(words[k : k + length]))
@@ -194,6 +200,6 @@ def _longest(words: list[str]) -> tuple[str, str]:
 
 
 def role_of(cell: str) -> Role | None:
-    """Return the role that a cell names in one of the languages; None for other words."""
+    """Return the role that a cell names in any of the languages; None for other words."""
     low = cell.strip().lower()
     return ROLE_WORDS.get(low) or ROLE_WORDS.get(plain(cell))

@@ -1,7 +1,8 @@
-"""Sheets of workbooks (.xlsx, .ods) as rows of cells, read row by row; size and cells are limited.
+"""Read the sheets of workbooks (.xlsx, .ods) row by row, with limits on size and number of cells.
 
-A workbook is a zip archive: a small file may unpack to any size, and one cell in the last row and column makes a sheet
-of 1.7e10 cells. Both are counted before anything is kept.
+A workbook is a zip archive. A small file may therefore unpack to any size. A single cell
+in the last row and column makes a sheet of 1.7e10 cells. Both numbers are checked before
+data are kept in memory.
 """
 
 from __future__ import annotations
@@ -19,24 +20,24 @@ from fg_orient.model.errors import InputError
 from fg_orient.model.limits import limit, within, within_memory
 
 _CHUNK: Final = 1 << 20
-#: Bytes of memory of a cell, and of an unpacked byte, at most.
+#: Maximum memory for a cell, bytes; below: maximum memory for an unpacked byte.
 _CELL: Final = 100
 _BYTE: Final = 2
 _OFFICE: Final = "{urn:oasis:names:tc:opendocument:xmlns:office:1.0}"
 _TABLE: Final = "{urn:oasis:names:tc:opendocument:xmlns:table:1.0}"
 _TEXT: Final = "{urn:oasis:names:tc:opendocument:xmlns:text:1.0}"
-#: A cell: text, or a number of the workbook.
+#: Type of a cell: text, or a number of the workbook.
 Cell = str | float
 Rows = list[list[Cell]]
 
 
 def read_workbook(path: Path) -> dict[str, Rows]:
-    """Rows of each sheet by its name; formulas have the value that was saved.
+    """Read the rows of each sheet, by the name of the sheet; formulas have their saved values.
 
     Raises
     ------
     InputError
-        The file is damaged, encrypted or too large, or openpyxl (extra ``office``) is missing.
+        The file is damaged, encrypted or too large, or openpyxl (extra ``office``) is not installed.
     """
     with foreign_bytes("office.workbook", path):
         with zipfile.ZipFile(path) as archive:
@@ -48,13 +49,16 @@ def read_workbook(path: Path) -> dict[str, Rows]:
 
 
 def _require_small(archive: zipfile.ZipFile, path: Path) -> None:
-    """Unpack all parts, ignore their stated sizes, and stop above the limit; refuse document types."""
+    """Unpack all parts and stop above the limit.
+
+    Their stated sizes are ignored. Refuse document types.
+    """
     total, size = 0, path.stat().st_size
     most = int(limit("workbook_bytes"))
     for info in archive.infolist():
         real = copy.copy(info)
         real.file_size = most + 1
-        real.CRC = None  # type: ignore[assignment]  # the size that the archive states is not believed
+        real.CRC = None  # type: ignore[assignment]  # the stated size may be wrong: the archive is read to its end
         with archive.open(real) as stream:
             head = True
             while data := stream.read(_CHUNK):
@@ -67,21 +71,21 @@ def _require_small(archive: zipfile.ZipFile, path: Path) -> None:
 
 
 def _xlsx(path: Path) -> dict[str, Rows]:
-    """Sheets of an Excel workbook."""
+    """Read the sheets of an Excel workbook."""
     try:
         import openpyxl
     except ImportError as error:
         raise InputError.of("office.no_openpyxl", file=path) from error
     import warnings
 
-    with warnings.catch_warnings(), path.open("rb") as stream:  # openpyxl leaves a damaged file open
-        warnings.simplefilter("ignore")  # styles and extensions that openpyxl does not support
+    with warnings.catch_warnings(), path.open("rb") as stream:  # openpyxl does not close a damaged file
+        warnings.simplefilter("ignore")  # for styles and extensions that openpyxl does not support
         book = openpyxl.load_workbook(stream, read_only=True, data_only=True)
         try:
             sheets = {}
             for sheet in book.worksheets:
                 if hasattr(sheet, "reset_dimensions"):
-                    sheet.reset_dimensions()  # the size that the sheet states is not believed
+                    sheet.reset_dimensions()  # the stated size of the sheet may be wrong
                 sheets[str(sheet.title)] = _trimmed(sheet.iter_rows(values_only=True), path, str(sheet.title))
             return sheets
         finally:
@@ -89,7 +93,7 @@ def _xlsx(path: Path) -> dict[str, Rows]:
 
 
 def _trimmed(rows: Iterator[Any], path: Path, name: str) -> Rows:
-    """Rows without empty cells at their ends and empty rows at the end."""
+    """Remove empty cells at the ends of rows, and empty rows at the end."""
     out: Rows = []
     cells, kept, size = 0, 0, path.stat().st_size
     for row in rows:
@@ -113,7 +117,7 @@ def _cell(value: Any) -> Cell:
 
 
 def _ods_sheets(stream: IO[bytes]) -> Iterator[tuple[str, Iterator[list[Any]]]]:
-    """Sheets of an OpenDocument workbook; each has to be read before the next."""
+    """Yield the sheets of an OpenDocument workbook; each sheet must be read before the next one."""
     parse = etree.iterparse(stream, events=("start", "end"), resolve_entities=False, no_network=True, huge_tree=False)
     for event, node in parse:
         if event == "start" and node.tag == f"{_TABLE}table":
@@ -121,7 +125,7 @@ def _ods_sheets(stream: IO[bytes]) -> Iterator[tuple[str, Iterator[list[Any]]]]:
 
 
 def _ods_rows(parse: Any) -> Iterator[list[Any]]:
-    """Rows of a sheet. Repeated blank rows and cells count only if others follow."""
+    """Yield the rows of a sheet. Repeated blank rows and cells count only if other cells follow."""
     blank = 0
     for event, node in parse:
         if event == "end" and node.tag == f"{_TABLE}table":

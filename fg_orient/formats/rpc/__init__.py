@@ -1,4 +1,4 @@
-"""Readers and writers of RPC files; each module of this package registers one format or two related formats."""
+"""Read and write RPC files; each module of this package registers its formats."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ __all__ = ["read_rpc", "write_rpc"]
 
 
 def rpc_format(path: str | os.PathLike[str]) -> Format | None:
-    """RPC format of a file by its content; None if it is unknown. InputError if the file cannot be read."""
+    """Find the RPC format of a file from its content; None if it is unknown.
+
+    InputError: the file cannot be read.
+    """
     return format_claiming(Path(path), "rpc")
 
 
@@ -24,24 +27,25 @@ def read_rpc(path: str | os.PathLike[str], *, order: str = USUAL_ORDER, first_pi
     Parameters
     ----------
     path : path
-        ``_RPC.TXT``, ``.RPB``, DIMAP ``RPC_*.XML`` (version 1, 2, 3), DigitalGlobe XML, an image with RPC
-        tags (extra ``geo``), GDAL's ``.vrt`` and ``.aux.xml``, OSSIM ``.geom``, or a list of 90 numbers.
+        ``_RPC.TXT``, ``.RPB``, DIMAP ``RPC_*.XML`` (version 1, 2, 3), DigitalGlobe XML,
+        an image with RPC tags (extra ``geo``), GDAL's ``.vrt`` and ``.aux.xml``, OSSIM
+        ``.geom``, or a list of 90 numbers.
     order : str
-        Order of the coefficients in the file: "RPC00B", "RPC00A", or "T2.54" (Terlemezoğlu 2019). A file that
-        names another order is refused.
+        Order of the coefficients in the file: "RPC00B", "RPC00A", or "T2.54"
+        (Terlemezoğlu 2019). If the file names another order, it is refused.
     first_pixel : float, optional
-        Coordinate of the centre of the first pixel in the file; default: the convention of the format
-        (docs/rpc.md). Lists of numbers need it.
+        Coordinate of the first pixel's centre in the file. The default is the convention
+        of the format (docs/rpc.md). Lists of numbers have no default.
 
     Returns
     -------
     RpcModel
-        Pixels with (0, 0) = centre of the first pixel, coefficients in RPC00B order.
+        Model whose pixel (0, 0) is the centre of the first pixel. Its coefficients are in RPC00B order.
 
     Raises
     ------
     InputError
-        The file is not usable: one message with file, place, value and remedy.
+        The file cannot be used; the message contains file, place, value and remedy.
     """
     reading = Reading(order, first_pixel)
     form = rpc_format(path)
@@ -53,7 +57,10 @@ def read_rpc(path: str | os.PathLike[str], *, order: str = USUAL_ORDER, first_pi
 
 
 def rpc_writer(path: Path) -> Format:
-    """Format to write, by the suffix of a file; InputError if no RPC format with this suffix can be written."""
+    """Return the RPC format that writes files with this suffix.
+
+    Raise InputError if there is none.
+    """
     for form in formats("rpc").values():
         if form.write_rpc and path.suffix.lower() in form.suffixes:
             return form
@@ -61,10 +68,11 @@ def rpc_writer(path: Path) -> Format:
 
 
 def write_rpc(path: str | os.PathLike[str], model: RpcModel) -> None:
-    """Write a model whole or not at all, in the format of the file's name.
+    """Write a model completely or not at all; the suffix of the file determines the format.
 
-    ``*.TXT`` (usually ``_RPC.TXT``), ``*.RPB``, ``*.XML`` (DIMAP of the version and profile the model was read
-    from, else Pléiades), ``*.TIF`` (the tags of an existing GeoTIFF).
+    Formats are ``*.TXT`` (usually ``_RPC.TXT``), ``*.RPB``, ``*.XML`` and ``*.TIF`` (the
+    tags of an existing GeoTIFF). The XML is DIMAP. It has the version and profile of the
+    file from which the model was read; for other models, it has those of Pléiades.
 
     Raises
     ------
@@ -72,5 +80,5 @@ def write_rpc(path: str | os.PathLike[str], model: RpcModel) -> None:
         The name has another suffix, or the file cannot be written.
     """
     write = rpc_writer(Path(path)).write_rpc
-    assert write is not None  # of a format that can be written
+    assert write is not None  # rpc_writer returns only formats that can be written
     write(Path(path), model)

@@ -1,7 +1,8 @@
 """RPC in DIMAP: ``RPC_*.XML`` of Pléiades, SPOT 6/7 (version 2), Pléiades Neo (3), and the PHR_DIMAP of CNES (1).
 
-The models to the ground ("direct") and to the image ("inverse") use the same offsets and scales;
-Pléiades Neo names them ImagetoGround_Values and GroundtoImage_Values.
+A file has a model from image to ground ("direct") and a model from ground to image
+("inverse"). Both use the same offsets and scales. Pléiades Neo uses the names
+ImagetoGround_Values and GroundtoImage_Values.
 """
 
 from __future__ import annotations
@@ -32,16 +33,20 @@ from fg_orient.formats.xml import XmlNode, element, read_xml
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.rpc import RpcModel, RpcValidity
 
-#: Profile -> pixel coordinate of the first pixel's centre in the model and in its validity domain. The
-#: readers of other programs disagree on SPOT 6/7 and Pléiades Neo; docs/rpc.md gives the reasons for these values.
+#: For each profile: coordinate of the first pixel's centre in the model, and in its
+#: validity domain. The readers of other programs do not agree for SPOT 6/7 and Pléiades
+#: Neo. docs/rpc.md gives the reasons for these values.
 FIRST_PIXEL: Final = {"PHR": (1.0, 1.0), "S6": (0.0, 1.0), "S7": (0.0, 1.0), "PNEO": (0.0, 0.0)}
-#: Vendors fit both directions to 0.03 px.
+#: Largest difference between both models without a note. Vendors fit both directions to 0.03 px.
 AGREEMENT_PX: Final = 0.5
 
 
 @dataclass(frozen=True)
 class _Layout:
-    """Elements of the models to the ground and to the image, and the stems of the first, longitude before latitude."""
+    """Names of the elements of both models.
+
+    ``stems`` are the names of the coefficients of the model to the ground, longitude before latitude.
+    """
 
     direct: str
     inverse: str
@@ -49,7 +54,7 @@ class _Layout:
 
     @property
     def domains(self) -> tuple[str, str]:
-        """Elements of the validity in the image and on the ground."""
+        """Return the names of the validity elements in the image and on the ground."""
         image, ground = (name.removesuffix("_Values") for name in (self.direct, self.inverse))
         return f"{image}_Validity_Domain", f"{ground}_Validity_Domain"
 
@@ -58,12 +63,12 @@ LAYOUTS: Final = {
     "2": _Layout("Direct_Model", "Inverse_Model", ("SAMP_NUM", "SAMP_DEN", "LINE_NUM", "LINE_DEN")),
     "3": _Layout("ImagetoGround_Values", "GroundtoImage_Values", ("LON_NUM", "LON_DEN", "LAT_NUM", "LAT_DEN")),
 }
-#: PHR_DIMAP: elements of offset and scale, and those of the polynomial pairs.
+#: Names of elements in PHR_DIMAP: of offsets and scales; below: of the pairs of polynomials.
 V1_AXES: Final = {"LINE": "Row", "SAMP": "Col", "LONG": "Lon", "LAT": "Lat", "HEIGHT": "Alt"}
 V1_PAIRS: Final = {"LINE": "F_ROW", "SAMP": "F_COL"}
 V1_DIRECT: Final = ("F_LON", "F_LAT")
 V1_NAME: Final = "DIMAP 1 PHR_DIMAP"
-#: Version and profile of models that come from another format: pixels counted from 1.
+#: Version and profile for models from another format. Pixels are counted from 1.
 USUAL: Final = ("2.15", "PHR_SENSOR")
 
 
@@ -93,7 +98,7 @@ def read_rpc_dimap(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
 
 
 def _coefficient_nodes(node: XmlNode) -> list[XmlNode]:
-    """Elements ``LINE_NUM_COEFF_1`` and so on."""
+    """Return the elements ``LINE_NUM_COEFF_1`` etc."""
     return [child for child in node.children() if "_COEFF_" in child.tag]
 
 
@@ -103,7 +108,10 @@ def _add(fields: RpcFields, nodes: list[XmlNode]) -> None:
 
 
 def _direct(rows: Array, node: XmlNode, reading: Reading) -> Array:
-    """Coefficients to longitude and latitude (4, 20) in our order; scaled to denominators whose constant is 1."""
+    """Read the coefficients (4, 20) to longitude and latitude, in our order.
+
+    The denominators' constants become 1.
+    """
     rows = rows[:, permutation(reading.order, USUAL_ORDER)]
     for k in (0, 2):
         if rows[k + 1, 0] == 0.0:
@@ -113,7 +121,7 @@ def _direct(rows: Array, node: XmlNode, reading: Reading) -> Array:
 
 
 def _origin(profile: str, domain: XmlNode) -> tuple[float, float, tuple[Finding, ...]]:
-    """First pixel of the model and of its domain; a note if they are assumed."""
+    """Return the first pixel of the model and of its domain, and a note if they are assumed."""
     for prefix, (model, of_domain) in FIRST_PIXEL.items():
         if profile.upper().startswith(prefix):
             return model, of_domain, ()
@@ -123,7 +131,10 @@ def _origin(profile: str, domain: XmlNode) -> tuple[float, float, tuple[Finding,
 
 
 def _with_domain(model: RpcModel, ranges: XmlNode, names: tuple[str, str], first: float) -> RpcModel:
-    """Model with its stated validity; some SPOT 6 files have longitude and latitude exchanged."""
+    """Return the model with its stated validity.
+
+    Some SPOT 6 files have longitude and latitude exchanged.
+    """
     image, ground = ranges.one(names[0]), ranges.one(names[1])
     domain = {
         ours: (image.one(f"FIRST_{tag}").number() - first, image.one(f"LAST_{tag}").number() - first)
@@ -136,7 +147,7 @@ def _with_domain(model: RpcModel, ranges: XmlNode, names: tuple[str, str], first
     if not _holds(domain, lon, lat) and _holds(domain, lat, lon):
         domain["lon"], domain["lat"] = domain["lat"], domain["lon"]
         notes += (finding("rpc.domain_exchanged"),)
-    # pixels are cut to offset -+ scale: a model fitted to a part of the image is good there only
+    # the range of pixels is limited to offset -+ scale: a model fitted to a part of the image is valid only there
     low, high = ((model.offsets + sign * np.abs(model.scales)).tolist() for sign in (-1.0, 1.0))
     line, sample = (
         (max(domain[name][0], low[k]), min(domain[name][1], high[k])) for k, name in enumerate(("line", "sample"))
@@ -147,7 +158,7 @@ def _with_domain(model: RpcModel, ranges: XmlNode, names: tuple[str, str], first
 
 
 def _contradiction(model: RpcModel) -> tuple[Finding, ...]:
-    """Note of the largest disagreement of the file's two models inside the image, if it exceeds the limit."""
+    """Return a note with the largest difference of the file's two models in the image, if it exceeds the limit."""
     if model.direct is None:
         return ()
     v = model.validity
@@ -165,7 +176,10 @@ def _holds(domain: dict[str, tuple[float, float]], lon: float, lat: float) -> bo
 
 
 def read_rpc_dimap1(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
-    """Read the RPC of a PHR_DIMAP file of CNES: 40 numbers for each coordinate, A scale and B offset."""
+    """Read the RPC of a PHR_DIMAP file of CNES.
+
+    Each coordinate has 40 numbers, A is the scale and B the offset.
+    """
     root = read_xml(path)
     model = root.one("Geoposition/Rational_Sensor_Model/Global_RFM")
     ranges, fields = model.one("RFM_Validity"), RpcFields(root.file, reading)
@@ -189,9 +203,11 @@ def read_rpc_dimap1(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
 
 
 def format_rpc_dimap(model: RpcModel) -> bytes:
-    """Text of a model as DIMAP file of the version and profile it was read from, else of Pléiades, with all digits.
+    """Return the text of a DIMAP file with the model, with all digits.
 
-    The model to the ground is written if it is known.
+    The file has the version and profile of the file from which the model was read; for
+    other models, it has those of Pléiades. The model from image to ground is written if
+    it is known.
     """
     words = model.format.split()
     version, profile = words[1:3] if words[:1] == ["DIMAP"] else USUAL
@@ -218,7 +234,10 @@ def format_rpc_dimap(model: RpcModel) -> bytes:
 def _body(
     model: RpcModel, layout: _Layout, stems: tuple[str, ...], first: float, domain_first: float
 ) -> dict[str, Any]:
-    """Contents of ``Global_RFM``: both models, of which PHR_DIMAP has pairs of polynomials, domains and ranges."""
+    """Make the contents of ``Global_RFM``: both models, domains and ranges.
+
+    PHR_DIMAP has pairs of polynomials.
+    """
     v, texts = model.validity, texts_of(model, first)
     direct = {} if model.direct is None else {layout.direct: _coefficients(model.direct, layout.stems)}
     image, ground = dict[str, str](), dict[str, str]()
@@ -237,7 +256,7 @@ def _body(
 
 
 def _coefficients(rows: Array, stems: tuple[str, ...]) -> dict[str, str]:
-    """Elements of four polynomials: one for each coefficient, or one for each of two pairs."""
+    """Make the elements of four polynomials: one for each coefficient, or one for each of two pairs."""
     if len(stems) == 2:
         return {tag: printed(pair) for tag, pair in zip(stems, rows.reshape(2, 40), strict=True)}
     return {
@@ -248,7 +267,7 @@ def _coefficients(rows: Array, stems: tuple[str, ...]) -> dict[str, str]:
 
 
 def is_rpc(head: str) -> bool:
-    """True if a file that begins with ``head`` is a DIMAP RPC file of version 2 or 3."""
+    """Return whether a file that begins with ``head`` is a DIMAP RPC file of version 2 or 3."""
     if xml_root(head) != "Dimap_Document":
         return False
     sub = re.search(r"<METADATA_SUBPROFILE>\s*(\w+)", head)

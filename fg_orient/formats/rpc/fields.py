@@ -1,7 +1,8 @@
-"""Shared parts of all RPC readers and writers: texts by their names in ``_RPC.TXT``, and the model that they describe.
+"""Common parts of all RPC readers and writers. Each value has the name that ``_RPC.TXT`` uses for it.
 
-A reader collects texts with their places. :func:`build` converts them to numbers, moves the pixel origin to ours,
-(0, 0) = centre of the first pixel, and the coefficients to RPC00B order. A writer arranges the texts of
+A reader collects texts with their places in the file. :func:`build` converts them to
+numbers. It changes the pixel origin such that (0, 0) is the centre of the first pixel,
+and changes the coefficients to RPC00B order. A writer arranges the texts of
 :func:`texts_of`.
 """
 
@@ -24,17 +25,17 @@ from fg_orient.formats.tables import NUMBER
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.rpc import RpcModel
 
-#: Line, sample, longitude, latitude, height: the order of ``RpcModel``.
+#: Axes in the order of ``RpcModel``: line, sample, longitude, latitude, height.
 AXES: Final = ("LINE", "SAMP", "LONG", "LAT", "HEIGHT")
-#: The order of ``RpcModel.coefficients``.
+#: Polynomials in the order of ``RpcModel.coefficients``.
 POLYNOMIALS: Final = ("LINE_NUM", "LINE_DEN", "SAMP_NUM", "SAMP_DEN")
-#: Estimated errors, m.
+#: Names of the estimated errors, m.
 ERRORS: Final = ("ERR_BIAS", "ERR_RAND")
-#: RPC00B counts from the centre of the first pixel.
+#: In RPC00B, the centre of the first pixel has this coordinate.
 FIRST_PIXEL: Final = 0.0
-#: Coefficient order where a file does not name one.
+#: Order of the coefficients if the file does not name an order.
 USUAL_ORDER: Final = "RPC00B"
-#: Names of ``_RPC.TXT``, and those of all coefficients of a polynomial.
+#: Pattern of the names in ``_RPC.TXT``, and of the names for all coefficients of a polynomial.
 NAMES: Final = re.compile(
     rf"(?:{'|'.join(AXES)})_(?:OFF|SCALE)|{'|'.join(ERRORS)}|(?:{'|'.join(POLYNOMIALS)})_COEFF(?:_[^_]*)?"
 )
@@ -42,9 +43,9 @@ NAMES: Final = re.compile(
 
 @dataclass(frozen=True)
 class Reading:
-    """Conventions of a file: the order of its coefficients, and its pixel coordinate of the first pixel.
+    """Conventions of a file: the order of its coefficients, and the coordinate of its first pixel's centre.
 
-    ``first_pixel`` None: the convention of the format (docs/rpc.md).
+    If ``first_pixel`` is None, the convention of the format is used (docs/rpc.md).
     """
 
     order: str = USUAL_ORDER
@@ -57,13 +58,13 @@ class Reading:
 
 @dataclass
 class RpcFields:
-    """Texts of one file: name of ``_RPC.TXT`` -> (text, place).
+    """Texts of one file and their places, by the names of ``_RPC.TXT``.
 
     Parameters
     ----------
     file : str
     reading : Reading
-        Order of the coefficients and first pixel that the user states.
+        Order of the coefficients and first pixel, as the user states them.
     """
 
     file: str
@@ -71,13 +72,16 @@ class RpcFields:
     cells: dict[str, tuple[str, str]] = field(default_factory=dict)
 
     def add(self, name: str, text: str, place: str) -> None:
-        """Add a text; InputError if the name has a text already."""
+        """Add a text; raise InputError if the name already has a text."""
         if name in self.cells:
             raise InputError.of("rpc.doubled", file=self.file, place=place, field=name)
         self.cells[name] = (text, place)
 
     def take(self, name: str, text: str, place: str) -> bool:
-        """Add a text of a name of ``_RPC.TXT``, or all texts of ``LINE_NUM_COEFF`` etc.; False for other names."""
+        """Add a text if its name occurs in ``_RPC.TXT``; return False for other names.
+
+        A name such as ``LINE_NUM_COEFF`` adds the texts of all its coefficients.
+        """
         if not NAMES.fullmatch(name):
             return False
         many = name.endswith("_COEFF")
@@ -86,12 +90,12 @@ class RpcFields:
         return True
 
     def number(self, name: str) -> float:
-        """Finite number of a name.
+        """Return the finite number with this name.
 
         Raises
         ------
         InputError
-            It is missing or not a number.
+            The number is missing, or the text is not a number.
         """
         if name not in self.cells:
             raise InputError.of("rpc.missing", file=self.file, field=name)
@@ -101,12 +105,12 @@ class RpcFields:
         return float(text)
 
     def group(self, stem: str) -> Array:
-        """Coefficients of one polynomial: (20,), in the order of the file.
+        """Return the coefficients (20,) of one polynomial, in the order of the file.
 
         Raises
         ------
         InputError
-            There are not exactly 20, or one is not a number.
+            There are not exactly 20 coefficients, or one is not a number.
         """
         wanted = [f"{stem}_COEFF_{k}" for k in range(1, N_TERMS + 1)]
         given = [name for name in self.cells if name.startswith(f"{stem}_COEFF_")]
@@ -115,28 +119,31 @@ class RpcFields:
         return np.array([self.number(name) for name in wanted])
 
     def require_order(self, place: str, stated: str) -> None:
-        """Refuse coefficients in another order than the requested one; the InputError names both."""
+        """Refuse coefficients in another order than the requested one.
+
+        The InputError names both orders.
+        """
         asked = self.reading.order
         if stated != asked:
             known = stated if stated in EXPONENTS else f"{stated}, which is not known"
             raise InputError.of("rpc.order", file=self.file, place=place, value=stated, found=known, asked=asked)
 
     def model(self, form: str, first_pixel: float = FIRST_PIXEL, **extra: Any) -> RpcModel:
-        """Make the model.
+        """Make the model from the collected texts.
 
         Parameters
         ----------
         form : str
             Name of the format.
         first_pixel : float
-            Pixel coordinate of the centre of the first pixel in the format; that of the user has priority.
+            Coordinate of the first pixel's centre in the format. A value that the user states has priority.
         **extra
-            Further fields of ``RpcModel``; pixels 0-based.
+            Further fields of ``RpcModel``; pixels are counted from 0.
 
         Raises
         ------
         InputError
-            A field is missing or not a number, or the model is not sound.
+            A field is missing or is not a number, or the model is not valid.
         """
         offsets, scales = (np.array([self.number(f"{axis}_{word}") for axis in AXES]) for word in ("OFF", "SCALE"))
         rows = np.stack([self.group(stem) for stem in POLYNOMIALS])
@@ -150,9 +157,10 @@ class RpcFields:
 
 
 def texts_of(model: RpcModel, first_pixel: float = FIRST_PIXEL) -> dict[str, str]:
-    """Texts of a model by their names in ``_RPC.TXT``, with all digits; the 20 of ``LINE_NUM_COEFF`` are one text.
+    """Return the texts of a model by their names in ``_RPC.TXT``, with all digits.
 
-    ``first_pixel`` is the pixel coordinate of the centre of the first pixel. Unknown errors are left out.
+    The 20 coefficients of ``LINE_NUM_COEFF`` are one text. ``first_pixel`` is the
+    coordinate of the first pixel's centre. Unknown errors are left out.
     """
     offsets = model.offsets.copy()
     offsets[RANGE.image] += first_pixel
@@ -164,10 +172,10 @@ def texts_of(model: RpcModel, first_pixel: float = FIRST_PIXEL) -> dict[str, str
 
 
 def read_text(path: str | os.PathLike[str]) -> str:
-    """Read a text file; bytes that are not ASCII can only be remarks."""
+    """Read a text file; bytes that are not ASCII can only occur in remarks and are ignored."""
     return load_bytes(path, "rpc_bytes", "rpc.unreadable").decode("latin-1")
 
 
 def printed(values: Iterable[float]) -> str:
-    """Shortest texts that read back as the same numbers, separated by blanks."""
+    """Return numbers as their shortest texts without loss of digits, separated by blanks."""
     return " ".join(repr(float(value)) for value in values)

@@ -1,7 +1,8 @@
-"""RPC of GDAL: GeoTIFF tag 50844, or files next to the image (extra ``geo``); domain ``RPC`` of .vrt and .aux.xml.
+"""RPC that GDAL reads: GeoTIFF tag 50844, files beside the image (extra ``geo``), and .vrt and .aux.xml.
 
-Only the XML of a virtual raster is read, not its raster, which can be any file or address. RPC count from the centre
-of the first pixel, as in RPC00B.
+A virtual raster (.vrt) can name any file or network address as its raster. Therefore only
+its XML is read, where the domain ``RPC`` contains the model. Pixel 0 is the centre of the
+first pixel, as in RPC00B.
 """
 
 from __future__ import annotations
@@ -27,19 +28,19 @@ VRT_NAME: Final = "GDAL RPC metadata"
 
 
 def read_rpc_raster(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
-    """Read the RPC of an image, with the image's size.
+    """Read the RPC of an image and the size of the image.
 
     Raises
     ------
     InputError
-        rasterio is missing, GDAL cannot read the image, or it contains no RPC.
+        The package rasterio is not installed, GDAL cannot read the image, or the image contains no RPC.
     """
     fields = RpcFields(os.fspath(path), reading)
     rasterio = rasterio_of(fields.file, "rpc.no_rasterio")
     try:
         with opened(rasterio, path) as source:
             rpcs, size = source.rpcs, source.shape
-    except (rasterio.errors.RasterioError, ValueError, KeyError) as error:  # the latter two: damaged tags
+    except (rasterio.errors.RasterioError, ValueError, KeyError) as error:  # damaged tags raise ValueError or KeyError
         raise InputError.of("rpc.unreadable", file=fields.file, value=error) from error
     if rpcs is None:
         raise InputError.of("rpc.no_tags", file=fields.file)
@@ -50,12 +51,14 @@ def read_rpc_raster(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
 
 
 def write_rpc_raster(path: str | os.PathLike[str], model: RpcModel) -> None:
-    """Write the RPC tags of an existing GeoTIFF; its pixels stay. The file is replaced whole or not at all.
+    """Write the RPC tags of an existing GeoTIFF; its pixels are unchanged.
+
+    The file is replaced completely or not at all.
 
     Raises
     ------
     InputError
-        There is no such image, or it cannot be written.
+        The image does not exist or cannot be written.
     """
     file, target = os.fspath(path), Path(path)
     rasterio = rasterio_of(file, "rpc.no_rasterio")
@@ -71,12 +74,12 @@ def write_rpc_raster(path: str | os.PathLike[str], model: RpcModel) -> None:
 
 
 def write_rpc_copy(path: Path, model: RpcModel, image: Path) -> None:
-    """Write an image with a model: a copy as GeoTIFF, or a virtual raster (``.vrt``) that refers to the image.
+    """Write an image with a model, either as a GeoTIFF copy or as a virtual raster (``.vrt``) that refers to it.
 
     Raises
     ------
     InputError
-        The image cannot be read, its size is not that of the model, or the file cannot be written.
+        The image cannot be read, its size differs from the size in the model, or the file cannot be written.
     """
     rasterio = rasterio_of(path, "rpc.no_rasterio")
     from rasterio.shutil import copy as raster_copy
@@ -97,12 +100,12 @@ def write_rpc_copy(path: Path, model: RpcModel, image: Path) -> None:
 
 
 def read_rpc_vrt(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
-    """Read the RPC domain of a virtual raster.
+    """Read the domain ``RPC`` of a virtual raster.
 
     Raises
     ------
     InputError
-        There is no RPC domain, or a field is missing or not a number.
+        The domain ``RPC`` does not exist, or a field is missing or is not a number.
     """
     root = read_xml(path)
     domain = next((n for n in root.every("Metadata", 0) if n.element.get("domain") == "RPC"), None)

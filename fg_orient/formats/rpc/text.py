@@ -1,8 +1,9 @@
 """RPC in text files: ``_RPC.TXT``, lists of 90 numbers, ``.RPB``, DigitalGlobe's XML, and OSSIM keyword lists.
 
-``_RPC.TXT`` has one ``KEY: value unit`` on each line (IKONOS, GeoEye, GDAL). ``.RPB`` of DigitalGlobe has groups of
-``key = value;``; their XML (root ``isd``) has the same fields. Keyword lists (``.geom`` of OSSIM and the Orfeo Toolbox)
-have ``key: value``. The XML is read only.
+In ``_RPC.TXT`` (IKONOS, GeoEye, GDAL), each line is ``KEY: value unit``. A ``.RPB`` file
+of DigitalGlobe contains groups of ``key = value;``. DigitalGlobe's XML (root ``isd``) has
+the same fields; it can be read, but not written. Keyword lists (``.geom`` of OSSIM and
+the Orfeo Toolbox) contain ``key: value``.
 """
 
 from __future__ import annotations
@@ -24,17 +25,18 @@ LIST_NAME: Final = "list of 90 numbers"
 RPB_NAME: Final = "RPB"
 ISD_NAME: Final = "DigitalGlobe ISD"
 GEOM_NAME: Final = "OSSIM .geom"
-#: Axes in the order of most files, latitude before longitude.
+#: Axes in the order of most files; latitude precedes longitude.
 _AXES: Final = ("LINE", "SAMP", "LAT", "LONG", "HEIGHT")
-#: Key of ``.RPB`` -> name in ``_RPC.TXT``.
+#: Names in ``_RPC.TXT`` by the keys of ``.RPB``.
 _RPB_KEYS = {
     "errBias": "ERR_BIAS", "errRand": "ERR_RAND",
     **{f"{name.lower()}{word}": f"{name}_{short}"
        for word, short in (("Offset", "OFF"), ("Scale", "SCALE")) for name in _AXES},
     **{f"{name[:4].lower()}{name[5:].title()}Coef": f"{name}_COEFF" for name in POLYNOMIALS},
 }  # fmt: skip
-#: OSSIM counts from the centre of the first pixel, and has subtracted 1 from the offsets of Pléiades. Newer versions
-#: also subtract 1 from the offsets of SPOT 6/7, which count from 0 (docs/rpc.md).
+#: In OSSIM, 0 is the centre of the first pixel. OSSIM subtracts 1 from the offsets of
+#: Pléiades. Newer versions also subtract 1 from the offsets of SPOT 6/7, although these
+#: count from 0 (docs/rpc.md).
 SPOT_FIRST_PIXEL: Final = -1.0
 _OSSIM_ERRORS = {"bias_error": "ERR_BIAS", "rand_error": "ERR_RAND"}
 
@@ -47,7 +49,7 @@ _GEOM_PARAMETER = re.compile(r"adjustment_\d+\.adj_param_\d+\.parameter")
 
 
 def read_rpc_text(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
-    """Read a ``_RPC.TXT``; unknown keys are refused."""
+    """Read a ``_RPC.TXT`` file; unknown keys are refused."""
     fields = RpcFields(os.fspath(path), reading)
     for number, line in enumerate(read_text(path).splitlines(), 1):
         match = _LINE.fullmatch(line)
@@ -58,9 +60,11 @@ def read_rpc_text(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
 
 
 def format_rpc_text(model: RpcModel) -> str:
-    """Text of a model as ``_RPC.TXT``, with all digits, and without units as GDAL writes it.
+    """Return the text of a model as ``_RPC.TXT`` with all digits.
 
-    GDAL gives a unit as part of the number, which programs that read the tags of the image, such as rpcm, then refuse.
+    Units are left out, as GDAL does. If a file has units, GDAL passes them on as part of
+    the numbers, and programs that read the tags of the image (for example rpcm) then
+    refuse them.
     """
     texts = texts_of(model)
     lines = [f"{name}: {texts[name]}" for name in ERRORS if name in texts]
@@ -72,12 +76,15 @@ def format_rpc_text(model: RpcModel) -> str:
 
 
 def read_rpc_list(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
-    """Read 90 numbers: offsets and scales of line, sample, latitude, longitude, height, then 4 x 20 coefficients.
+    """Read a list of 90 numbers.
+
+    The list contains offsets and scales of line, sample, latitude, longitude and height,
+    then 4 x 20 coefficients.
 
     Raises
     ------
     InputError
-        ``first_pixel``, which the list does not state, is not given, or there are not 90 numbers.
+        The user does not give ``first_pixel``, which the list does not state; or there are not 90 numbers.
     """
     file, words = os.fspath(path), read_text(path).split()
     if len(words) != 90:
@@ -96,7 +103,7 @@ def read_rpc_list(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
 
 
 def _entries(path: str | os.PathLike[str], pattern: re.Pattern[str]) -> Iterator[tuple[str, str, str]]:
-    """Key, text and place of each match of a pattern."""
+    """Yield key, text and place of each match of a pattern."""
     text, line, at = read_text(path), 1, 0
     for match in pattern.finditer(text):
         line, at = line + text.count("\n", at, match.start(1)), match.start(1)
@@ -116,7 +123,7 @@ def read_rpc_rpb(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
 
 
 def format_rpc_rpb(model: RpcModel) -> str:
-    """Text of a model as RPB file, with all digits; unknown errors are 0."""
+    """Return the text of a model as an RPB file with all digits; unknown errors are 0."""
     texts = {"ERR_BIAS": "0.0", "ERR_RAND": "0.0", **texts_of(model)}
     lines = ['satId = "";', 'bandId = "";', 'SpecId = "RPC00B";', "BEGIN_GROUP = IMAGE"]
     for key, name in _RPB_KEYS.items():
@@ -132,7 +139,7 @@ def read_rpc_isd(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
     if section is None:
         raise InputError.of("rpc.missing", file=root.file, field="element RPB")
     spec, image = section.maybe("SPECID"), section.one("IMAGE")
-    if spec is not None:  # the Ames Stereo Pipeline leaves it out
+    if spec is not None:  # files of the Ames Stereo Pipeline do not contain it
         fields.require_order(spec.place, spec.text())
     for key, name in _RPB_KEYS.items():
         tag = key.upper()
@@ -167,7 +174,7 @@ def read_rpc_geom(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
             raise InputError.of("rpc.not_a_number", file=fields.file, place=f"{place}, {key}", value=text)
         extra[name] = int(text) if place else None
     shift, notes = FIRST_PIXEL, list[Finding]()
-    # the vendor's offsets of SPOT 6/7 equal the scales; OSSIM has subtracted 1 if they are 1 less
+    # in the vendor's files of SPOT 6/7, offsets are equal to scales; if they are smaller by 1, OSSIM has subtracted 1
     if other.get("type", ("", ""))[0] == "ossimSpot6Model" and all(
         fields.number(f"{axis}_OFF") == fields.number(f"{axis}_SCALE") - 1.0 for axis in ("LINE", "SAMP")
     ):
@@ -178,9 +185,10 @@ def read_rpc_geom(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
 
 
 def format_rpc_geom(model: RpcModel) -> str:
-    """Text of a model as keyword list, with all digits; unknown errors are 0.
+    """Return the text of a model as a keyword list with all digits; unknown errors are 0.
 
-    shareloc recognises the file by the beginning of its type, and OTB by the keys of the coefficients.
+    The program shareloc recognises the file by the beginning of its type; OTB recognises
+    it by the keys of the coefficients.
     """
     values = {"type": "ossimRpcModel", "polynomial_format": "B", **dict.fromkeys(_OSSIM_ERRORS, "0")}
     names = {name: key for key, name in _OSSIM_ERRORS.items()}
