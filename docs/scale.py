@@ -23,12 +23,12 @@ COPIED = (
 WHY = """\
 ## Why GTSAM's optimisers grow faster on the explicit graph
 
-A factor of this program is a Python function of GTSAM's values. An optimiser of GTSAM holds the values in C++, and
-GTSAM's Python interface copies **all** values for each call of the function, before it calls it. There are two calls
-for each factor and iteration (linearisation, error). Factors and variables both grow with the block: an iteration grows
-with their product. `graph.linearize(values)`, called by Python, passes values that Python owns: nothing is copied. Our
-loop over the same graph therefore grows linearly. Ordering, linearisation and elimination are not the cause: they are
-the column *parts*.
+A factor of this program is a Python function of GTSAM's values. An optimiser of GTSAM stores the values in
+C++, and GTSAM's Python interface copies **all** values before each call of the function. There are two calls
+for each factor and iteration (linearisation, error). Factors and variables both grow with the block: an
+iteration grows with their product. If Python calls `graph.linearize(values)`, it passes its own values and
+nothing is copied. Therefore the time of our loop over the same graph grows linearly. Ordering, linearisation
+and elimination are not the cause: the column *parts* gives their time.
 
 Measured by `python -m benchmarks.optimiser_copies` on {date}, {processor}, GTSAM {gtsam}; processor seconds of one
 iteration of Gauss-Newton:
