@@ -1,8 +1,9 @@
 """Compilation with numba at the first call, with a cache on disk that is checked against all sources.
 
-numba reuses compiled code from disk as long as the function's own file is unchanged. Here it is reused only while
-everything compiled into it is unchanged (``factors._sources``). If no folder is writable, kernels are compiled only for
-the run.
+numba alone reuses compiled code from disk as long as the function's own file is unchanged. This is not
+sufficient, because a kernel also contains code from other files. Here compiled code is reused only if all
+sources compiled into it are unchanged (``factors._sources``). If no folder is writable, kernels are compiled
+again in each run.
 
 Each function states whether products and sums may fuse and whether it is inlined into its caller. A function without
 these options would take them from the caller that is compiled first, and its last bits would depend on that caller.
@@ -27,7 +28,10 @@ def compiled(function: F) -> F:
 
 
 def inlined(function: F) -> F:
-    """Compile as :func:`compiled`, and always inline: a loop that calls the function can become vector instructions."""
+    """Compile as :func:`compiled`, and always inline.
+
+    A loop that calls the function can then become vector instructions.
+    """
     return _kernel(function, fastmath=False, forceinline=True)
 
 
@@ -57,4 +61,4 @@ def _kernel(function: F, *, fastmath: Any, forceinline: bool, nogil: bool = Fals
 
 @compiled
 def _nothing() -> None:
-    """Do nothing; :func:`cache_folder` gets the folder from this kernel."""
+    """Do nothing. :func:`cache_folder` asks this kernel for its folder."""

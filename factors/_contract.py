@@ -4,13 +4,16 @@ An equation is one pure scalar kernel::
 
     value, jacobian_1, ..., jacobian_n = kernel(record, setup, x_1, ..., x_n, want)
 
-``record`` (d,) contains the constants of one observation, named by ``factors.records``. ``setup`` (2, k) contains what
-all observations of a group share. ``x_i`` (k_i,) are the unknowns. All are float64 in C order. ``value`` (m,) is the
-whitened residual, ``jacobian_i`` (m, k_i) its derivative. The Jacobians are (0, 0) arrays if ``want`` is False; the
-value never depends on ``want``. ``residual(record, setup, x_1, ...)`` returns only the value and accepts complex
-unknowns, so that every Jacobian can be checked by complex step. Functions called for each observation are compiled with
-numba: ``fill`` of an equation of image points, ``residual``, or the kernel itself (:func:`compiled`). Kernels that
-process many records at once are plain numpy. Factors and batches call the same kernel. Observations run along axis 0.
+``record`` (d,) contains the constants of one observation, named by ``factors.records``. ``setup`` (2, k)
+contains constants that all observations of a group share.
+``x_i`` (k_i,) are the unknowns. All are float64 in C order. ``value`` (m,) is the whitened residual, ``jacobian_i``
+(m, k_i) its derivative. The Jacobians are (0, 0) arrays if
+``want`` is False; the value never depends on ``want``. ``residual(record, setup, x_1, ...)`` returns only the
+value and accepts complex unknowns, so that every Jacobian can be checked by complex step. Functions called
+for each observation are compiled with numba:
+``fill`` of an equation of image points, ``residual``, or the kernel itself (:func:`compiled`). Kernels that
+process many records at once are plain numpy. Factors and batches call the same kernel. Observations run along
+axis 0.
 """
 
 from __future__ import annotations
@@ -30,7 +33,7 @@ from factors.arrays import Array as Array
 
 @dataclass(frozen=True)
 class Argument:
-    """One unknown of an equation: its name, the unit of one step, and whether GTSAM stores it as a Point3."""
+    """Declaration of one unknown of an equation: its name, its unit, and whether GTSAM stores it as a Point3."""
 
     name: str
     unit: str
@@ -82,9 +85,9 @@ def is_finite(out: Array, columns: int) -> bool:
 
 
 def kernel_of(fill: Callable[..., bool]) -> Callable[..., tuple[Array, Array, Array]]:
-    """Return the kernel made from the ``fill`` of an image-point equation; its arrays are nan if sizes do not fit.
+    """Return a kernel that calls the ``fill`` of an image-point equation. Its arrays are nan if sizes do not fit.
 
-    It is plain Python, so that each equation needs no further compiled kernel.
+    The kernel is plain Python, so that no further code is compiled for each equation.
     """
 
     def kernel(record: Array, setup: Array, x: Array, ground: Array, want: bool) -> tuple[Array, Array, Array]:
@@ -158,7 +161,7 @@ def evaluate(
 
 
 class NotFiniteError(ValueError):
-    """A residual or Jacobian is nan or inf: the equation has no value here."""
+    """Error: a residual or Jacobian is nan or inf, so the equation has no value for these unknowns."""
 
 
 def check_blocks(name: str, label: str, blocks: tuple[Any, ...], sizes: tuple[int, ...], n_residuals: int) -> None:

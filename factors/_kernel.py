@@ -1,8 +1,9 @@
 """Kernels: functions that numba compiles as a whole at their first call, and stores with a digest of their sources.
 
-Plain numba optimises each function called by a kernel, makes machine code of it that is never called, and repeats this
-in each caller. This takes half the time of a first run. Here a function called by kernels is a *part*: it is translated
-once and linked into kernels. A kernel is optimised and converted to machine code once, together with its parts.
+Plain numba makes separate machine code for each function that a kernel calls. This code is never used, and
+the work is repeated for each caller. It takes half the time of a first run. Here a function that kernels call
+is a *part*: it is translated once and linked into the kernels. A kernel is optimised and converted to machine
+code once, together with its parts.
 
 This module extends internal classes of numba, which may change; therefore pyproject.toml limits the version of numba.
 """
@@ -71,7 +72,7 @@ class _KernelCompiler(_FunctionCompiler):  # type: ignore[misc]
                 _flags(*(options["fastmath"] or ("",)), options["forceinline"]), {}, library,
                 pipeline_class=self.pipeline_class,
             )  # fmt: skip
-            # otherwise numba would give the same function, loaded from disk, the constants of the part, which has none
+            # otherwise numba would give the function loaded from disk the constants of the part, and a part has none
             Environment._memo.pop(result.fndesc.env_name, None)
             part = _Part(object(), result)
             context.insert_user_function(part.key, result.fndesc, [library])
@@ -95,7 +96,9 @@ class _KernelCompiler(_FunctionCompiler):  # type: ignore[misc]
 
 
 class _PrivateFiles(IndexDataCacheFile):  # type: ignore[misc]
-    """Files of a kernel that no other user can have written; they contain pickled code, which is executed.
+    """Files of a kernel.
+
+    They contain code that is executed, so they are read only if no other user can have written them.
 
     Folders and files that belong to other users, or that others can write, are not read. After writing our own files,
     write permission is removed from others, so that the next run reads them even under a umask of 002.
@@ -137,7 +140,7 @@ def _make_private(path: str) -> None:
 
 
 class _Cache(FunctionCache):  # type: ignore[misc]
-    """Kernels on disk; if a file cannot be read or written, the kernel is compiled and the run continues."""
+    """Cache of kernels on disk. If a file cannot be read or written, the kernel is compiled and the run continues."""
 
     def load_overload(self, signature: Any, context: Any) -> Any:
         try:  # numba's memory management without its registries of compilable functions takes half the time
@@ -156,7 +159,7 @@ class _Cache(FunctionCache):  # type: ignore[misc]
 
 
 class Kernel(CPUDispatcher):  # type: ignore[misc]
-    """Compiled function: Python calls it as a whole, other kernels link it as a part."""
+    """Compiled function that Python can call, and that other kernels can link as a part."""
 
     def __init__(self, py_func: Any, vectorised: bool = False, **options: Any) -> None:
         super().__init__(py_func, **options)
@@ -173,7 +176,7 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
     def open_cache(self) -> _Cache | None:
         """Open the files of this kernel; return None if no folder is writable.
 
-        They are opened late, because numba tries each folder.
+        They are opened at the first call, not at import, because numba tests each folder.
         """
         if not self._opened:
             self._opened = True

@@ -14,7 +14,10 @@ from numba.core import codegen, compiler, typed_passes, types, untyped_passes
 
 
 class Flags(compiler.Flags):  # type: ignore[misc]
-    """Compiler options, equal only if they are the same object: numba compares them thousands of times."""
+    """Compiler options that are equal only if they are the same object.
+
+    This is fast, and numba compares them thousands of times.
+    """
 
     __slots__ = ()
     __hash__ = object.__hash__
@@ -26,8 +29,8 @@ class Flags(compiler.Flags):  # type: ignore[misc]
         return self
 
 
-#: Signatures of operations on numbers, by the identities of operation and types. Operation and types are stored too, so
-#: that the identities remain valid.
+#: Signatures of operations on numbers; the key contains the identities (``id``) of operation and types. The
+#: objects are stored too, so that Python cannot use their identities for other objects.
 _SIGNATURES: Final[dict[tuple[int, ...], tuple[Any, ...]]] = {}
 
 
@@ -101,7 +104,11 @@ class PartLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
         self._finalized = True
 
     def own_module(self) -> Any:
-        """Return code to link. Each kernel has its own place for constants, which would be empty in a later kernel."""
+        """Return code to link.
+
+        The code of constants is copied, because each kernel needs its own; a shared one would be empty in a
+        later kernel.
+        """
         if self._shared_module is None:
             module = super()._get_module_for_linking()
             for variable in module.global_variables:
@@ -118,14 +125,14 @@ class PartLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
 
 
 class _Alone:
-    """Return a part without the parts that it calls, because the kernel links each of them once."""
+    """A part without the parts that it calls. The kernel links each of those once."""
 
     def __init__(self, part: PartLibrary) -> None:
         self._reload_init, self._get_module_for_linking = part._reload_init, part.own_module
 
 
 def _reached(libraries: list[Any]) -> list[Any]:
-    """Return the libraries and, once each, everything called by the parts among them."""
+    """Return the libraries and all code that their parts call, each once."""
     reached, waiting = dict[Any, None](), list(libraries)
     while waiting:
         library = waiting.pop()

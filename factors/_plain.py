@@ -1,4 +1,4 @@
-"""Kernels as plain Python for few rows: compiling takes a second, a loop in Python a millisecond.
+"""Kernels run as plain Python for few rows, where a loop takes a millisecond but compiling takes a second.
 
 The same functions execute the same operations in the same order and give the same bits (tested). So results depend
 neither on the number of rows nor on which kernels are already compiled.
@@ -30,7 +30,7 @@ _ON_ARRAYS: dict[str, Any] = {}
 
 
 def on_arrays(other: Any) -> Callable[[F], F]:
-    """Declare which function replaces a function with a branch if its arguments are arrays."""
+    """Declare the function that is used for arrays instead of a scalar function with a branch."""
 
     def note(function: F) -> F:
         _ON_ARRAYS[f"{function.__module__}.{function.__qualname__}"] = other
@@ -68,7 +68,7 @@ def few_in_python(kernel: F) -> F:
 
 
 class _Members:
-    """Module whose kernels are plain Python."""
+    """Proxy of a module that returns the module's kernels as plain Python."""
 
     def __init__(self, module: ModuleType) -> None:
         self._module = module
@@ -86,5 +86,5 @@ def _plain_member(value: Any) -> Any:
 
 
 def _is_ours(module: str | None) -> bool:
-    """Return whether a module is not a library; kernels may be defined in any package."""
+    """Return whether a module may contain kernels: any module except numpy, numba and the standard library."""
     return (module or "").partition(".")[0] not in LIBRARIES

@@ -21,7 +21,7 @@ class _Spent:
 
 
 def report_compilation(name: str) -> None:
-    """Inform the listeners that this kernel is not on disk and is being compiled."""
+    """Tell all registered listeners that this kernel is being compiled because it is not on disk."""
     for listener in _LISTENERS:
         listener(name)
 
@@ -40,8 +40,8 @@ def on_compilation(listener: Callable[[str], None]) -> Iterator[None]:
 def preparing() -> Iterator[None]:
     """Measure the time of the context; one thread at a time.
 
-    The garbage collector is disabled, because the compiler makes a million permanent objects. Repeated visits to them
-    all would take a fifth of its time.
+    The garbage collector is disabled, because the compiler makes a million permanent objects. Garbage
+    collections would visit all of them again and again, which takes a fifth of the time.
     """
     begin, collects = time.perf_counter(), gc.isenabled()
     _Spent.depth += 1

@@ -1,8 +1,9 @@
 """Digest of everything compiled into a kernel: its code, the code of all called functions, and their constants.
 
-Each name is followed to its value, whatever the form of import: ``import factors.x``,
-``from factors.sub import x as y``, an import inside ``if`` or ``try``. The digest contains the byte code of functions,
-the members of modules that the code names, and the values of everything else. Libraries are not followed.
+A name is resolved to its value at run time. Therefore the form of an import does not matter:
+``import factors.x``, ``from factors.sub import x as y``, an import inside ``if`` or ``try``. The digest
+contains the byte code of functions, the used members of modules, and the values of other names. The code of
+libraries is not included.
 """
 
 from __future__ import annotations

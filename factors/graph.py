@@ -101,7 +101,7 @@ def eliminated_factor(
 
 
 def _noise(n_residuals: int, loss: Any) -> Any:
-    """Return unit weight, because the residual is whitened; with the robust loss if there is one."""
+    """Return a noise model of unit weight, because the residual is whitened, with the robust loss if there is one."""
     unit = gtsam.noiseModel.Unit.Create(n_residuals)
     return unit if loss is None else gtsam.noiseModel.Robust.Create(loss, unit)
 
@@ -118,9 +118,9 @@ def image_point_factors(
 ) -> Callable[[int, int, int], gtsam.CustomFactor]:
     """Return a function that makes factors between image vector and ground point, one per row of ``records``.
 
-    ``make(image_key, point_key, row)`` returns the factor; ``label(row)`` names it in messages. All factors share
-    buffers (GTSAM copies what it receives), records, setup and noise model, and have only three numbers of their own:
-    the data used by thousands of callbacks must stay in the cache.
+    ``make(image_key, point_key, row)`` returns the factor; ``label(row)`` names it in messages. All factors
+    share buffers (GTSAM copies what it receives), records, setup and noise model. Each factor has only three
+    numbers of its own, so that the data of thousands of callbacks stay in the processor's cache.
     """
     fill, noise, m = equation.fill, _noise(n_residuals, loss), n_residuals
     assert fill is not None, f"equation {equation.name!r} has no fill function"
@@ -173,7 +173,7 @@ def _general(
     label: str,
     m: int,
 ) -> Callable[[Any, Any, Any], Array]:
-    """Build the general form: any number of arguments, some of which may be constants."""
+    """Return the callback of a factor with any number of arguments, some of which may be constants."""
     kernel, name, widths = equation.kernel, equation.name, tuple(sizes)
     free = [k for k, u in enumerate(unknowns) if not isinstance(u, np.ndarray)]
 

@@ -1,4 +1,4 @@
-"""Argument of an equation whose elements come from several vectors of unknowns."""
+"""Arguments of an equation that are composed of several vectors of unknowns."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Split:
     ----------
     keys : tuple of int
     columns : tuple of (k,) int arrays
-        Places in the argument of the elements ``places`` of each vector.
+        For each vector, the places in the argument that receive its elements ``places``.
     places : tuple of (k,) int arrays
     sizes : tuple of int
         Lengths of the vectors.
@@ -33,14 +33,14 @@ class Split:
     sizes: tuple[int, ...]
 
     def gathered(self, values: Any, size: int) -> Array:
-        """Return the argument (size,) from the values."""
+        """Return the argument (size,), composed of GTSAM's values."""
         out = np.empty(size)
         for key, columns, places in zip(self.keys, self.columns, self.places, strict=True):
             out[columns] = values.atVector(key)[places]
         return out
 
     def scattered(self, block: Array) -> list[Array]:
-        """Return the Jacobians with respect to the vectors."""
+        """Return the Jacobian with respect to each vector."""
         out = []
         for columns, places, size in zip(self.columns, self.places, self.sizes, strict=True):
             part = np.zeros((len(block), size))

@@ -4,9 +4,9 @@
     dy = a8 xy + a9 x^2 + a10 x^2 y + a11 x y^2 + a12 x^2 y^2 + y s + a20 + a21 y/c
     s  = [a13 (x^2 - y^2) + a14 x^2 y^2 + a15 (x^4 - y^4)]/c + a16 r^2 + a17 r^4 + a18 r^6
 
-(Brown 1976, quoted by Ayhan 1996, eq. 2.) x, y are relative to the principal point; c is a fixed nominal principal
-distance. a16 to a18 are k1 to k3; a19 to a21 change the interior orientation. An adjustment with unknown k1 to k3 or
-interior orientation therefore holds them fixed.
+(Brown 1976, quoted by Ayhan 1996, eq. 2.) x, y are relative to the principal point; c is a fixed nominal
+principal distance. a16 to a18 are k1 to k3; a19 to a21 change the interior orientation. Therefore an
+adjustment holds a16 to a21 fixed if k1 to k3 or the interior orientation are unknown.
 """
 
 from __future__ import annotations

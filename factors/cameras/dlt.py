@@ -3,8 +3,9 @@
     x + dx = (L1 X + L2 Y + L3 Z + L4)/A,   y + dy = (L5 X + L6 Y + L7 Z + L8)/A,   A = L9 X + L10 Y + L11 Z + 1
 
 (Abdel-Aziz & Karara 1971; Ayhan 1996, eqs. 34-36). dx and dy are the corrections of
-``factors.cameras.image_corrections`` about a fixed point. L also determines a principal point (eq. 43). Together with
-the coefficients it is determined so poorly that an adjustment with a free principal point converges very slowly.
+``factors.cameras.image_corrections`` about a fixed point. L1 to L11 also determine a principal point (eq.
+43). It is not used as the centre of dx and dy: the points hardly separate it from the coefficients, and an
+adjustment would converge very slowly.
 
 The record contains the fields of ``factors.cameras.plane`` (ground coordinates, image coordinates, whitening) and the
 centre of distortion. The unknowns are L1 to L11, followed by the coefficients whose numbers (0 to 4) and steps are in

@@ -8,12 +8,13 @@ For an image point measured at (line, sample) of ground point G (docs/equations.
                    from measured to ideal coordinates: d = f (x, y) - unit Brown(u, v), u, v of the observed pixel
     4 whitening    r = A d
 
-Derivatives are carried back from map 4 to map 1. Unknown 1 is the orientation of the image (any elements of exterior
-and interior orientation) in prior sigmas; unknown 2 is the ground point (m, local origin). The projection centre is the
-unknown, not the translation ``-R C``, because a receiver on board measures it and a rotation does not move it. w is a
-rotation vector about the axes of the camera; it is the accumulated vector, not the last step, so that a state has the
-same meaning throughout a run. With a polynomial from measured to ideal coordinates, A applies to the corrected
-image: a sigma of 1 px is 1 px there.
+Derivatives are carried back from map 4 to map 1. Unknown 1 is the orientation of the image (any elements of
+exterior and interior orientation) in prior sigmas; unknown 2 is the ground point (m, local origin). The
+projection centre is the unknown, not the translation ``-R C``, because a receiver on board measures it and a
+rotation does not move it. w is a rotation vector about the axes of the camera. It contains the whole rotation
+since the start, not only the last step. Therefore a state has the same meaning throughout a run. With a
+polynomial from measured to ideal coordinates, A applies to the corrected image: a sigma of 1 px means 1 px in
+that image.
 """
 
 from __future__ import annotations
@@ -39,8 +40,8 @@ UNKNOWN: Final = Record(
     rotation="w1 w2 w3", centre="x y z", focal=1, principal="sample line", distortion="k1 k2 k3 p1 p2", aspect=1,
 )  # fmt: skip
 N_UNKNOWNS: Final = UNKNOWN.size
-#: Columns of derivatives: the unknowns, the ground point, and a column of zeros. The zeros are for image unknowns on
-#: which no pixel depends: codes from N_UNKNOWNS on (``factors.conditions.navigation``).
+#: Columns of derivatives: the unknowns, the ground point, and a column of zeros. The column of zeros belongs
+#: to image unknowns that do not change a pixel: codes from N_UNKNOWNS on (``factors.conditions.navigation``).
 COLUMN: Final = Record(**UNKNOWN.fields, ground="g1 g2 g3", silent=1)
 GROUND: Final = COLUMN.ground.start
 
@@ -110,7 +111,7 @@ def derivatives(c: Any, observed: Any, ray: Vector, out: Array) -> float:
 
 @compiled
 def _carry_back(c: Any, ray: Vector, by_x: float, by_y: float, out: Array, row: int) -> float:
-    """Map 2 backwards: write a row's derivatives by rotation, centre and ground, from x, y; return their sum."""
+    """Write a row's derivatives by rotation, centre and ground point (chain rule of map 2). Return their sum."""
     x, y, inverse = ray
     by_z = -(by_x * x + by_y * y)  # with q = R (G - C) = Z (x, y, 1), derivatives by q are (by_x, by_y, by_z)/Z
     w1, w2, w3 = by_turn(c, (x, y, 1.0), (by_x, by_y, by_z))

@@ -7,10 +7,11 @@ For an image point with ideal coordinates (u, v) on the focal plane, that is wit
     3 difference   d = f (q1/q3, q2/q3) - (u, v)
     4 whitening    r = W d
 
-R1, R3 are rotations of the axes, F is a fixed rotation behind the three angles. f is negative for a camera that looks
-along its third axis backwards. Distortion and detector are constants: they give (u, v) from the measured pixel. These
-are the unknowns of ISIS jigsaw (Edmundson et al. 2012) for images of one exposure. The record has T C and T^T P, so
-that ground and projection centre are relative to the same local origin: ``q = R (T (G - C_0) - dC)``.
+R1, R3 are rotations of the axes, F is a fixed rotation that follows the three angles. f is negative for a
+camera that looks against its third axis. Distortion and detector are constants: they give (u, v) from the
+measured pixel. These are the unknowns of ISIS jigsaw (Edmundson et al. 2012) for images of one exposure. The
+record contains the projection centre in ground axes, so that it has the same local origin as the ground
+point: ``q = R (T (G - C_0) - dC)``.
 """
 
 from __future__ import annotations
@@ -79,7 +80,7 @@ def seen(record: Any, d: Any, gx: Any, gy: Any, gz: Any) -> Any:
 
 @compiled
 def rotated(turn: Any, p: Any) -> Any:
-    """Return the vector after the rotation about the third axis, after the first two, and after all three."""
+    """Return the vector after the rotation about the third axis, after two rotations, and after all three."""
     s1, c1, s2, c2, s3, c3 = turn
     a = c1 * p[0] + s1 * p[1], -s1 * p[0] + c1 * p[1], p[2]
     b = a[0], c2 * a[1] + s2 * a[2], -s2 * a[1] + c2 * a[2]
@@ -122,7 +123,7 @@ def fill(records: Array, row: int | np.int64, setup: Array, x: Array, ground: Ar
 
 @compiled
 def _row(record: Array, turn: Any, vectors: Any, i: int, setup: Array, out: Array) -> None:
-    """Write the derivatives of row i: carried back from the camera axes to inertial axes and to the ground."""
+    """Write the derivatives of row i, computed by the chain rule from the camera axes back to the ground."""
     s1, c1, s2, c2, s3, c3 = turn
     a, b, c, q = vectors
     f = record[RECORD.focal] / q[2]

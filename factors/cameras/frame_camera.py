@@ -3,16 +3,17 @@
 Camera axes: X right along the samples, Y down along the lines, Z forward along the view (OpenCV, COLMAP). Cameras that
 look along -Z with Y up (photogrammetric axes, BAL) have these axes after a rotation by 180 degrees about X.
 
-A *camera* is an array with the fields of ``CAMERA``: rotation camera_from_ground (row-major), projection centre (m),
-focal length and principal point (px), coefficients of the distortion, and J (row-major). A change dw of the rotation
-vector w rotates the camera by J dw about its own axes. A *turn* is a camera of which only the rotation and J are set.
+A *camera* is an array with the fields of ``CAMERA``: rotation camera_from_ground (row-major), projection
+centre (m), focal length and principal point (px), coefficients of the distortion, and J (row-major). A change
+dw of the rotation vector w rotates the camera by J dw about its own axes. A *turn* is a camera in which only
+the rotation and J are set.
 
-Brown's polynomial has one of two directions. It converts ideal to measured coordinates (OpenCV, COLMAP, BAL; x, y are
-X/Z, Y/Z); or it corrects the measured coordinates, as in photogrammetric calibrations (Brown 1971; Ayhan 1996; DBAT:
-Börlin, Grussenmeyer 2016, "backward" models). The two directions are inverse to each other, and no finite polynomial is
-the inverse of another. A correcting polynomial has the arguments ``x = (sample - sample_0) (1 + aspect) / unit`` and
-``y = (line - line_0) / unit`` with a fixed unit (px), for example the number of pixels in 1 mm: the coefficients do not
-change with the focal length.
+Brown's polynomial has one of two directions. It converts ideal to measured coordinates (OpenCV, COLMAP, BAL;
+x, y are X/Z, Y/Z); or it corrects the measured coordinates, as in photogrammetric calibrations (Brown 1971;
+Ayhan 1996; DBAT: Börlin, Grussenmeyer 2016, "backward" models). A map in one direction is the inverse of a
+map in the other direction, but the inverse of a polynomial is not a polynomial. A correcting polynomial has
+the arguments ``x = (sample - sample_0) (1 + aspect) / unit`` and ``y = (line - line_0) / unit`` with a fixed
+unit (px), for example the number of pixels in 1 mm: the coefficients do not change with the focal length.
 """
 
 from __future__ import annotations

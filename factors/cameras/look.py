@@ -13,7 +13,10 @@ from factors._contract import Array
 
 
 def from_table(sample_grid: Array, tan_psi_x: Array, tan_psi_y: Array, sample: Array) -> tuple[Array, Array]:
-    """Return look angles psi_x, psi_y (rad) at N samples; the first and last segments continue beyond the table."""
+    """Return look angles psi_x, psi_y (rad) at N samples.
+
+    Beyond the table its first and last segments are continued.
+    """
     s = np.asarray(sample, float)
     k = np.clip(np.searchsorted(sample_grid, s, side="right") - 1, 0, len(sample_grid) - 2)
     f = (s - sample_grid[k]) / (sample_grid[k + 1] - sample_grid[k])

@@ -1,4 +1,4 @@
-"""Transformations by points: plane polynomial, Helmert, projective; images of line scanners without orientation data.
+"""Transformations determined by points: between planes, and from the ground to line-scanner images without orientation.
 
     plane_polynomial     U = sum a_jk x^j y^k, V alike                                          (İpbüker 1994)
     plane_helmert        U = c + a x - b y,  V = d + b x + a y
@@ -7,11 +7,12 @@
     parallel_projection  U as affine,  V = q/(1 + t q)
     line_scanner_dlt     U as affine,  V = q/(1 + c1 x + c2 y + c3 z)
 
-The source x, y, z is a plane, or the ground in a plane coordinate system; the target U, V is another plane, or line and
-sample. A line scanner is a central projection only along its lines: the line is affine in the ground coordinates. The
-residual is ``W (computed - given)`` with the upper triangle w11, w12, w22; its sign is that of İpbüker 1994.
-Coordinates should be centred and scaled to about 1: with unreduced map coordinates in metres, the normal equations of
-degrees 2 and 3 have no correct digit left. All families but the polynomial keep their form under such a scaling.
+The source x, y, z is a plane, or the ground in a plane coordinate system; the target U, V is another plane,
+or line and sample. A line scanner is a central projection only along its lines: the line is affine in the
+ground coordinates. The residual is ``W (computed - given)`` with the upper triangle w11, w12, w22; its sign
+is that of İpbüker 1994. Coordinates should be centred and scaled to about 1: with unreduced map coordinates
+in metres, the normal equations of degrees 2 and 3 have no correct digit left. Such a scaling does not change
+the form of these transformations, except for the polynomial.
 
 The functions are plain numpy and accept one record (8,) or many (N, 8); nothing is compiled.
 """
@@ -29,7 +30,8 @@ from factors.records import Record
 RECORD: Final = Record(source="x y z", target="u v", w11=1, w12=1, w22=1)
 #: Highest degree of the polynomial, as in İpbüker 1994.
 MAX_DEGREE = 5
-# Linear form: pairs of an unknown's place and its factor, which is a number or an array over points.
+# Linear form: pairs of the place of an unknown and its factor. The factor is a number, or an array with one
+# number per point.
 _Form = list[tuple[int, Any]]
 # Numerators of U and V, then denominators of U and V minus 1.
 _Forms = tuple[_Form, _Form, _Form, _Form]

@@ -15,10 +15,11 @@ attitude, M a constant mounting of the line; psi_x, psi_y are look angles plus `
 Angles (DIMAP v1): a = file + correction, M = I, R_OG follows the corrected P and V. Quaternions
 (DIMAP v2): a = correction, M = R_OG^T R_q with R_OG of the metadata: R_OG R_UY(a) R_OG^T R_q.
 
-A = -S^-1 J^-1, with J = dF/d(line, sample) and the pixel sigmas S: to first order r is adjusted minus observed pixel,
-in sigmas. V enters through V x P only: ``dF/dV . V = dF/dV . P = 0``; the rest is a yaw. Everything is formed as
-reference (metadata) plus difference (``d_...``), so that rounding is relative to the correction and not to the orbit
-radius: 1e-13 instead of 1e-9 sigma.
+A = -S^-1 J^-1, with J = dF/d(line, sample) and the pixel sigmas S: to first order r is adjusted minus
+observed pixel, in sigmas. V has an effect through V x P only, so ``dF/dV . V = dF/dV . P = 0``. The remaining
+component of V acts as a yaw. Each quantity is computed as a reference (from the metadata) plus a difference
+(``d_...``). The rounding error is then relative to the correction and not to the orbit radius: 1e-13 instead
+of 1e-9 sigma.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ from factors.geometry.rotations import sine_cosine
 
 @inlined
 def _in_frame(observation: Any, changes: Any, ground: Any) -> Any:
-    """Map 1: return ground point w in the metadata's orbital frame, its difference, the corrected frame, and scales."""
+    """Map 1: return w in the orbital frame of the metadata, its difference, the corrected frame, and scales."""
     position, velocity, _, _, _, _, follows, reference, from_position = observation
     dp, dv, _, _ = changes
     frame, lengths = orbital.reference(position, velocity)
@@ -107,7 +108,7 @@ def derivatives(observation: Any, maps: Any) -> Any:
 
 @inlined
 def _row(a: Any, b: Any, mounting: Any, follows: Any, maps: Any) -> Any:
-    """Return the derivatives of ``r = a F_y + b F_x``; dr/df is carried back from the last map to the first."""
+    """Return the derivatives of ``r = a F_y + b F_x``, by the chain rule from the last map to the first."""
     w, frame, scales, attitude, by_angles, at, t_x, t_y = maps
     by_look = b * (1.0 + t_x * t_x), -a * (1.0 + t_y * t_y)
     f1, f2 = a * at[2], b * at[2]

@@ -1,8 +1,8 @@
-"""Arrays of look-angle collinearity: constants, corrections, derivatives, and codes of the coefficients.
+"""Layout of the arrays of look-angle collinearity: constants, corrections, derivatives, and codes of the coefficients.
 
 A factor and a batch (``fg_orient.kernels.batch``) read the same arrays: entry k of observation i is at ``i + k n`` of a
 flat array. All functions are scalar maps without branches or calls, so that a loop over observations becomes vector
-instructions. Every operation is rounded as written, so both give the same bits.
+instructions. Operations are not fused or reordered, so factor and batch give the same bits.
 """
 
 from __future__ import annotations
@@ -27,9 +27,10 @@ CORRECTION: Final = Record(position=3, velocity=3, angles=3, look="psi_x psi_y")
 ROW: Final = Record(position=3, velocity=3, angles=3, ground=3, look="psi_x psi_y")
 #: Results written by :func:`store`: whitened conditions, their derivatives, and the sum of all.
 STORED: Final = Record(line=1, sample=1, line_row=ROW.size, sample_row=ROW.size, total=1)
-#: Setup: codes and prior sigmas of the unknowns. The code is 3 component + degree for EOP (X Y Z VX VY VZ roll pitch
-#: yaw); 27 + 2 k for psi_x and 28 + 2 k for psi_y (coefficient of s^k). For a curve the code is CURVE + CURVES
-#: component + k; its value at the observation follows the record, at RECORD.size + k.
+#: Setup: codes and prior sigmas of the unknowns. The code is 3 component + degree for EOP (X Y Z VX VY VZ
+#: roll pitch yaw); 27 + 2 k for psi_x and 28 + 2 k for psi_y (coefficient of s^k). For curve k of a component
+#: the code is CURVE + CURVES component + k. The value of the curve at the observation is stored after the
+#: record, at RECORD.size + k.
 N_EOP = 27
 CURVE, CURVES = 64, 32
 

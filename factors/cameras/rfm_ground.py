@@ -1,8 +1,9 @@
 """Geodetic coordinates of a point near a reference point, as exact differences, and their derivatives.
 
-Longitude, latitude and height of an ECEF point have 16 digits, a resolution of 1e-9 m to 1e-8 m. Their differences from
-a reference point have 16 digits of the difference. ``frame`` contains ``FRAME``: the height of the reference point, and
-sines and cosines of its longitude and latitude. The functions accept complex differences (complex-step tests).
+Longitude, latitude and height of an ECEF point have 16 digits, which is a resolution of 1e-9 m to 1e-8 m.
+Differences from a reference point are smaller numbers, so their 16 digits are much finer.
+``frame`` contains ``FRAME``: the height of the reference point, and sines and cosines of its longitude and
+latitude. The functions accept complex differences (complex-step tests).
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ RANGE: Final = Record(image="line sample", ground="lon lat height")
 COMPENSATION: Final = Record(line=1, sample=1, line_l=1, sample_l=1, line_s=1, sample_s=1)
 #: Number of points in one block: its four polynomials remain in the cache, and each loop is vectorised.
 BLOCK: Final = 256
-#: Newton's method ends below STEP_PX; or below LOCATE_PX, if rounding prevents smaller misclosures.
+#: Newton's method ends if the misclosure is below STEP_PX, or below LOCATE_PX if rounding prevents smaller misclosures.
 STEP_PX: Final = 1e-11
 LOCATE_PX: Final = 1e-7
 MAX_STEPS: Final = 40

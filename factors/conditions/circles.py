@@ -1,4 +1,4 @@
-"""Points on circles and plumb lines, and two cameras with equal attitude; ``constraints`` has the formulas."""
+"""Constraints of points on circles and plumb lines, and of cameras with equal attitude; formulas: ``constraints``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Constraints between points, or between points and figures: zero if satisfied; hard, or soft with a sigma.
+"""Constraints between points, or between points and figures. Their residual is zero if they are satisfied.
 
     distance          s (|q - p| - d)                                        eqs. 111 (base), 118
     parallel          s e_i . (q - p) x (t - r) / (|q - p| |t - r|)          i = 1, 2
@@ -11,10 +11,11 @@
     horizontal circle s (Z - x_2,  |(X, Y) - (x_0, x_1)| - x_3)              eq. 117
     observed element  s (x_j - value)                                        eqs. 81-89
 
-Equation numbers: Ayhan 1996. Residuals are metres times s (for ``parallel`` and ``perpendicular`` radians times s):
-with s = 1/sigma they are whitened. ``factors.conditions.surfaces`` contains spheres and spheroids. The first vector of
-a figure's frame is the normal of its plane, or the direction of its line. The figure is close to this frame, so that
-its unknowns remain small. The kernels are plain Python, because there are few constraints.
+Equation numbers: Ayhan 1996. Residuals are metres times s (for
+``parallel`` and ``perpendicular`` radians times s): with s = 1/sigma they are whitened. ``factors.conditions.surfaces``
+contains spheres and spheroids. The first vector of a figure's frame is the normal of its plane, or the
+direction of its line. The frame is chosen close to the figure, so that the unknowns of the figure remain
+small. The kernels are plain Python, because there are few constraints.
 """
 
 from __future__ import annotations

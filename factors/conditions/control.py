@@ -8,8 +8,9 @@ stochastic weights).
 
     residual = n . (G - G_0) / sigma,   n = up - slope_east east - slope_north north
 
-G_0 is the model's point above or below the place at which the model was read, so that the residual is the height of G
-above the plane. The planes are read again until the points have converged; the height then agrees with the model.
+G_0 is the point of the elevation model at the position of the ground point. The residual is therefore the
+height of G above the plane. The planes are updated until the points have converged; the height then agrees
+with the model.
 """
 
 from __future__ import annotations

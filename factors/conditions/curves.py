@@ -2,10 +2,11 @@
 
     r = (n_1 . (G - c(t)) / s_1,  n_2 . (G - c(t)) / s_2),   c'(t) . (G - c(t)) = 0
 
-c(t) is the foot point of G on the curve; n_1 = c' x a / |c' x a| and n_2 = n_1 x c' / |c'| are normals of the curve.
-With a = up, n_1 is horizontal. The image point on the feature is an ordinary image point of G. The position of G along
-the curve is free, so each image point gives one condition. This condition is equivalent to the coplanarity of the ray
-with a straight line (Mulawa & Mikhail 1988; Habib et al. 2003).
+c(t) is the foot point of G on the curve; n_1 = c' x a / |c' x a| and n_2 = n_1 x c' / |c'| are normals of the
+curve. With a = up, n_1 is horizontal. The image point on the feature is an ordinary image point of G. The
+position of G along the curve is free, so each image point gives one condition. For a straight line this
+condition is equivalent to the coplanarity of the ray with the line (Mulawa & Mikhail 1988; Habib et al.
+2003).
 
 A curve is a sequence of cubic segments, each with t from 0 to 1. The setup (K, 12) contains the coefficients of t^0 to
 t^3 of each segment, m. A straight line is one segment of degree 1. The first and the last segment continue beyond their

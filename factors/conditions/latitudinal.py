@@ -1,4 +1,4 @@
-"""Ground point observed by latitude, longitude and radius on a sphere about the origin of its axes.
+"""Observation of a ground point by latitude, longitude and radius, relative to the centre of a body.
 
     r = (r_0 cos(lat_0) (lon - lon_0) / s_1,  r_0 (lat - lat_0) / s_2,  (r - r_0) / s_3)
 

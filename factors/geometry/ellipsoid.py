@@ -1,9 +1,10 @@
 """Ray and ellipsoid: intersection at an ellipsoidal height, and geodetic coordinates.
 
-WGS84: a = 6378137 m, b = a (1 - 1/298.257223563). The sources print b to 0.1 mm, which would change geodetic
-coordinates by 0.05 mm against PROJ. The surface of height h is approximated by the ellipsoid with semi-axes a + h, b +
-h (T 2.44-2.48 as corrected). It differs from the true surface by 2.5 mm at 1800 m, so :func:`intersect` repeats the
-intersection with the remaining height error until that is below 0.01 mm.
+WGS84: a = 6378137 m, b = a (1 - 1/298.257223563). The sources print b rounded to 0.1 mm. With this value
+geodetic coordinates would differ from PROJ by 0.05 mm. The surface of height h is approximated by the
+ellipsoid with semi-axes a + h, b + h (T 2.44-2.48 as corrected). It differs from the true surface by 2.5 mm
+at 1800 m, so :func:`intersect` repeats the intersection with the remaining height error until that is below
+0.01 mm.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ def distance_to_height(p: Vector, u: Vector, h: float) -> float:
     inside = d2 * d2 - 4.0 * d1 * d3
     if inside < 0.0:
         return math.nan
-    # the stable pair of roots: no cancellation between -d2 and the square root
+    # this form of the roots avoids cancellation between -d2 and the square root
     q = -0.5 * (d2 + math.copysign(math.sqrt(inside), d2))
     s1, s2 = float(q / d1), float(d3 / q)
     low, high = (s1, s2) if s1 < s2 else (s2, s1)

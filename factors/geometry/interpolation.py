@@ -1,4 +1,4 @@
-"""State at a given time: Lagrange for the ephemeris, linear angles, linear normalised or polynomial quaternions.
+"""Interpolation in time: Lagrange for the ephemeris, linear for angles, linear or polynomial for quaternions.
 
 Source: Terlemezoğlu 2019, eqs. 2.32 (with t_e in the denominator, as corrected), 2.33 (interval as corrected) and
 2.37-2.40.
@@ -13,7 +13,7 @@ from factors.arrays import Array, Index
 
 #: Largest number of samples interpolated by one Lagrange polynomial.
 MAX_SAMPLES = 8
-#: Number of times above which a compiled loop is used: it takes a fifth of numpy's time and gives the same bits.
+#: A compiled loop is used for more times than this. It takes a fifth of numpy's time and gives the same bits.
 MANY = 1024
 
 
@@ -63,7 +63,8 @@ def _sums(sample_time_s: Array, samples: Array, time_s: Array, first: Index, div
 def centred(sample_time_s: Array, samples: Array, time_s: Array) -> Array:
     """Interpolate (n, c) samples at N times by polynomials through as many samples before as after the time: -> (N, c).
 
-    Eight samples, near the ends of the list six, four or two: the interpolation of CSM line-scan states.
+    A polynomial uses eight samples; near the ends of the list it uses six, four or two. CSM line-scan states
+    are interpolated in this way.
     """
     n = len(sample_time_s)
     before = np.clip(np.searchsorted(sample_time_s, time_s, side="right") - 1, 0, n - 2)
@@ -87,7 +88,7 @@ def linear(sample_time_s: Array, samples: Array, time_s: Array) -> Array:
 
 
 def sign_aligned(quaternion: Array) -> Array:
-    """Change signs so that neighbours have a positive product, and normalise: (n, 4) -> (n, 4).
+    """Change the signs of quaternions so that neighbours have a positive product, and normalise: (n, 4) -> (n, 4).
 
     q and -q are the same rotation, so a jump between them must not be interpolated.
     """

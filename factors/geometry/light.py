@@ -23,10 +23,10 @@ EARTH_RATE_RAD_S: Final = 7.2921151467e-5
 #: this number times the column of air, 101325 Pa / (1.225 kg/m3 x 9.80665 m/s2) = 8434 m.
 REFRACTIVITY: Final = 2.77e-4
 COLUMN_M: Final = 8434.5
-#: Mean height of the refracting air relative to the Earth's radius: layers are spheres. The height is the integral of
-#: the pressure over the height, divided by the pressure (standard atmosphere).
+#: Mean height of the refracting air, divided by the Earth's radius, because the layers are spherical. The
+#: height is the integral of the pressure over the height, divided by the pressure (standard atmosphere).
 MEAN_HEIGHT: Final = 7313.0 / 6_371_000.0
-#: Smallest cosine of the zenith angle: at larger angles the first order in that ratio is not sufficient.
+#: Smallest cosine of the zenith angle. At larger angles the first order in ``MEAN_HEIGHT`` is not sufficient.
 STEEPEST_COSINE: Final = 0.1
 
 

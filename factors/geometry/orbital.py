@@ -1,4 +1,4 @@
-"""Exact difference of the orbital frame under corrections, and derivatives of a ground point's coordinates in it.
+"""Change of the orbital frame caused by corrections, and derivatives of a ground point's coordinates in this frame.
 
 With x, y, z the axes of convention B at position P and velocity V, w = (x, y, z)^T (G - P), v2 = V . y, v3 = V . z::
 
@@ -6,7 +6,7 @@ With x, y, z the axes of convention B at position P and velocity V, w = (x, y, z
     dw2 = y.(dG - dP) + (w1/v2) x.dV - (w3 y + (w1 v3/v2) x).dP/|P|
     dw3 = z.(dG - dP) + (w1 x + w2 y).dP/|P|
 
-V acts only through x.dV, which is a pure yaw. Source: docs/equations.md 3.
+V has an effect only through x.dV, which is a pure yaw. Source: docs/equations.md 3.
 
 Frames of convention A come from position and velocity, or from Kepler angles: X forward, Y along the orbit normal (left
 of flight), Z outward. Convention B (X right, Y forward) is ``A K`` with :data:`B_FROM_A` transposed. Attitude of
@@ -38,8 +38,8 @@ def reference(position: Vector, velocity: Vector) -> tuple[Matrix, Vector]:
 def turned(lengths: Vector, dp: Vector, dv: Vector) -> tuple[Matrix, Vector]:
     """Return the difference of the orbital frame if P and V change, in coordinates of the frame before the change.
 
-    The difference is exact, not linearised: in its own coordinates that frame is the unit matrix and V x z = (v2, 0,
-    0), so no digits cancel.
+    The difference is exact, not linearised. In its own coordinates the frame before the change is the unit
+    matrix and V x z = (v2, 0, 0), so no digits are lost by cancellation.
 
     Parameters
     ----------
@@ -79,7 +79,8 @@ def turned(lengths: Vector, dp: Vector, dv: Vector) -> tuple[Matrix, Vector]:
 def row_derivatives(c: Vector, w: Vector, frame: Matrix, scales: Vector, follows: Any) -> tuple[Vector, Vector, Vector]:
     """Return the derivatives of ``c . w`` by P, V and G for constant c: three 3-tuples, ECEF.
 
-    ``frame`` and ``scales`` (see :func:`turned`) belong to w; ``follows`` is 1.0, or 0.0 if the frame is constant.
+    w is computed with ``frame`` and ``scales`` (see :func:`turned`). ``follows`` is 1.0, or 0.0 if the frame
+    is constant.
     """
     x1, y1, _, x2, y2, _, x3, y3, _ = frame
     turn = (c[1] * w[0] - c[0] * w[1]) * scales[1] * follows

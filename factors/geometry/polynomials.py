@@ -7,11 +7,12 @@ transformation.
 
 Smooth curves over an image are uniform cubic B-splines with a prior on their third differences.
 
-A curve of tau in [-1, 1] is ``B(tau) W x``: B are the ``k + 3`` cubic B-splines over ``k`` equal intervals, x the ``k``
-unknowns, each N(0, 1). ``W`` is the pseudo-inverse of the third differences D of the coefficients, so that x are these
-third differences. Independent x are the random walk of third order of penalised splines (Eilers & Marx 1996). The
-curves contain no quadratics, whose third differences are zero; the degree-2 coefficients represent them. W is scaled so
-that the prior standard deviation of a curve is 1 in the mean square over the image.
+A curve of tau in [-1, 1] is
+``B(tau) W x``: B are the ``k + 3`` cubic B-splines over ``k`` equal intervals, x the ``k`` unknowns, each N(0, 1). ``W``
+is the pseudo-inverse of the third differences D of the coefficients, so that x are these third differences.
+With independent x the coefficients are a random walk of third order, as in penalised splines (Eilers & Marx
+1996). The curves contain no quadratics, whose third differences are zero; the degree-2 coefficients represent
+them. W is scaled so that the prior standard deviation of a curve is 1 in the mean square over the image.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ import numpy as np
 
 from factors._contract import Array
 
-#: Degree of the pieces; it is also the number of coefficients minus the number of intervals, and the order of the
-#: differences.
+#: Degree of the splines. The number of coefficients exceeds the number of intervals by this, and the
+#: differences have this order.
 DEGREE: Final = 3
 #: Smallest and largest number of intervals of a curve.
 FEWEST, MOST = 2, 32
@@ -88,5 +89,5 @@ def _from_unknowns(n_intervals: int) -> Array:
 
 
 def curves(tau: Array, n_intervals: int) -> Array:
-    """Return the values (N, n_intervals) of the curves that belong to unit unknowns."""
+    """Return the values (N, n_intervals) at N times of the curves in which one unknown is 1 and the others are 0."""
     return np.asarray(basis(tau, n_intervals) @ _from_unknowns(n_intervals))

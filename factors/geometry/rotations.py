@@ -1,4 +1,4 @@
-"""Rotations of the pushbroom chain, as scalar maps of 9-tuples in row-major order.
+"""Rotations between the frames of a pushbroom image. A matrix is a tuple of 9 scalars in row-major order.
 
 Frames: *body* (payload), *orbital* of convention B (X = V x Z right of flight, Y = Z x X forward, Z radial outward) and
 *ECEF*. Names read target_from_source. Elementary rotations are active; roll is a rotation about Y, pitch about X, yaw
@@ -7,9 +7,10 @@ about Z of the orbital frame.
 Source: Terlemezoğlu 2019, eqs. 2.23-2.27 as corrected in docs/equations.md 2 (columns, not rows; X = V x Z);
 quaternions: eq. 2.36.
 
-Sine and cosine have neither calls nor branches, so that loops over observations become vector instructions. The
-argument is reduced by multiples of pi/2 in two parts (Cody & Waite 1980, ch. 8); the series end where the remainder is
-below rounding. The cosine is returned as its difference from one, which keeps the digits of small corrections.
+Sine and cosine are computed here without calls or branches, so that loops over observations become vector
+instructions. The argument is reduced by multiples of pi/2 in two parts (Cody & Waite 1980, ch. 8); the series
+end where the remainder is below rounding. The cosine is returned as cosine minus one, which keeps the digits
+of small corrections.
 """
 
 from __future__ import annotations
@@ -139,7 +140,7 @@ def _matrices(rotation: Callable[..., Matrix], *arguments: Array) -> Array:
     return out.reshape(-1, 3, 3)
 
 
-#: pi/2 rounded to 33 bits, so that its multiples up to 2^20 are exact; and the remainder.
+#: pi/2 in two parts: rounded to 33 bits, so that its multiples up to 2^20 are exact, and the remainder.
 _HIGH: Final = int(0.5 * math.pi * 2.0**32) / 2.0**32
 _LOW: Final = (0.5 * math.pi - _HIGH) + 6.123233995736766e-17
 _S3, _S5, _S7, _S9, _S11, _S13, _S15, _S17 = ((-1) ** k / math.factorial(2 * k + 1) for k in range(1, 9))

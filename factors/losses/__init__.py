@@ -1,4 +1,4 @@
-"""Robust losses by name: ``standard`` contains the built-in losses, added files of this package contain others.
+"""Registry of robust losses. ``standard`` contains the built-in losses; further files of this package add others.
 
 A loss depends on the whitened norm t of one observation (2 numbers of an image point, 3 of a control point) by
 ``u = t / c``. It is defined by its weight w(u). The cost is the integral of the weight: ``rho(t) = c^2 cost(t / c)``,
@@ -57,8 +57,7 @@ class Loss:
 
 
 _REGISTRY: dict[str, Loss] = {}
-#: Other names of losses.
-#: The weight of Chen in ISIS jigsaw is that of Tukey up to a factor.
+#: Other names of losses. The weight of Chen in ISIS jigsaw equals Tukey's weight up to a factor.
 ALIASES: dict[str, str] = {"beaton_tukey": "tukey", "biweight": "tukey", "chen": "tukey", "lorentz": "cauchy"}
 
 

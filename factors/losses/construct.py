@@ -18,12 +18,12 @@ from factors.losses import Curve, Loss
 
 EFFICIENCY: Final = 0.95
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
-#: Panels of the cost: of equal width up to ``_EVEN``, then each a twentieth wider; beyond the last panel the weight is
-#: zero.
+#: Panels of the integration: up to ``_EVEN`` they have equal width, then each is a twentieth wider than the
+#: last. Beyond the last panel the weight is zero.
 _EVEN: Final = 16.0
 _WIDTH: Final = 0.05
 _LAST: Final = 1e7
-#: End of the integration over the normal distribution, of which 1e-30 is beyond.
+#: Upper limit of the integration over the normal distribution; the probability beyond it is 1e-30.
 _FAR: Final = 12.0
 _BISECTIONS: Final = 80
 
@@ -59,7 +59,7 @@ class Integral:
 
 
 def _moment(weight: Curve, low: Array, high: Array) -> Array:
-    """Return ``int s w(s) ds`` from low to high, elementwise."""
+    """Return the integral of ``s w(s)`` from low to high, for each element."""
     half = 0.5 * (np.asarray(high) - low)[..., None]
     s = np.asarray(low)[..., None] + half * (1.0 + _NODES)
     return np.asarray((half * _WEIGHTS * s * weight(s)).sum(axis=-1))

@@ -4,7 +4,7 @@ The influence of Andrews' sine is the arch of a sine that ends at pi. Cauchy's (
 logarithm. The Danish method has its continuous form here; in its original form the exponent depends on the cycle, which
 is an iteration (``fg_orient.adjustment.robust``). The weights of Geman and McClure and of Welsch never reach zero, but
 their losses are bounded. Hampel's influence is constant from a to b = 2a and zero from c = 5a; its u is in units of a.
-Only Huber's loss is convex. Truncated least squares gives an observation the weight 1 or 0. Tukey's biweight has no
+Only Huber's loss is convex. Truncated least squares has the weights 1 and 0 only. Tukey's biweight has no
 influence beyond c.
 """
 

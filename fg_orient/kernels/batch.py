@@ -1,19 +1,20 @@
-"""Registered equations of image points over whole arrays, without a Python call per image point.
+"""Evaluation of registered image-point equations for whole arrays, without a Python call per image point.
 
-An image unknown changes one of a few *components* of an observation (a coordinate of the orbit, an angle, a look
-angle), times a constant *basis* value (1, tau, tau^2, powers of the sample). The Jacobian is therefore a Kronecker
-product of which some columns are left out. Equations are evaluated with the components as unknowns, so at most 11
-columns are computed and stored for any set of unknowns. The *wide* numbers of an image are its values for each (basis,
-component), ordered by basis.
+An image unknown changes one of a few *components* of an observation (a coordinate of the orbit, an angle, a
+look angle), times a constant *basis* value (1, tau, tau^2, powers of the sample). The Jacobian is therefore a
+Kronecker product of which some columns are left out. Equations are evaluated with the components as unknowns,
+so at most 11 columns are computed and stored for any set of unknowns. The *wide* numbers of an image are its
+unknowns for each pair of basis value and component, ordered by basis value.
 
 Kernels process a range ``[lo, hi)`` and write only the results of this range, so any division among threads gives the
 same bits. Observations are sorted by ground point; ``fg_orient.kernels.batch_points`` and
 ``fg_orient.kernels.batch_pairs`` process them further.
 
-Look-angle collinearity (:func:`rows_of_form`) processes many observations with one vector instruction. Observations are
-copied in blocks to arrays whose entries lie BLOCK apart, and their rows are copied back. The loop of
-``pushbroom.collinearity`` over a block has neither branches nor calls. Operations are not fused or reordered: a
-residual is the same number in a factor and in a batch, at any place in a block.
+Look-angle collinearity (:func:`rows_of_form`) processes many observations with one vector instruction.
+Observations are copied in blocks to arrays in which the entries of one observation are BLOCK places apart.
+Their rows are copied back. The loop of ``pushbroom.collinearity`` over a block has neither branches nor
+calls. Operations are not fused or reordered: a residual is the same number in a factor and in a batch, at any
+place in a block.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ from fg_orient.kernels.vectors import N_COMPONENTS, SIDE, turn_in, turn_out, wri
 
 #: Number of observations of one block; their 80 numbers each fit in the first-level cache.
 BLOCK: Final = 32
-#: Last of the nine usual components; the first eight form one vector.
+#: Place of the last of the nine usual components; the first eight form one vector.
 YAW: Final = CORRECTION.angles.stop - 1
 
 
@@ -62,7 +63,7 @@ def usual(slot: Index) -> bool:
 
 @exact
 def places(setup: Array) -> tuple[Index, Index]:
-    """Return each component's place among the corrections (11,), and its derivative's place among the 14 of a row."""
+    """Return each component's place among the corrections (11,), and the place of its derivative in a row (14,)."""
     slot, column = np.empty(setup.shape[1], np.int64), np.empty(setup.shape[1], np.int64)
     for k in range(setup.shape[1]):
         code = int(setup[0, k])
@@ -81,8 +82,9 @@ def any_small_angle(records: Array) -> bool:
 def any_small(first: int, size: int, members: Index, records: Array, row: Index) -> bool:
     """Return whether any observation of a block has the small-angle form.
 
-    One number of each cache line of each record is read. Records are in the order of the input; reading their lines
-    together saves 150 ns per observation (measured, random order).
+    The loop also reads one number of each cache line of each record. Records are in the order of the input,
+    so their lines are not yet in the cache. Reading them together here saves 150 ns per observation
+    (measured, random order).
     """
     flags = 0.0
     for i in range(size):
@@ -303,7 +305,7 @@ _CURVE: Final = 100
 
 @dataclass(frozen=True)
 class Columns:
-    """Image unknowns of one setup, as products of components and basis values.
+    """Assignment of the image unknowns of one setup to components and basis values.
 
     Parameters
     ----------
@@ -383,7 +385,7 @@ def _plain_columns(setup: Array) -> Columns:
     )
 
 
-#: Rows and columns of equations with their own loop; all other equations use :func:`rows_of`.
+#: Row kernels and columns of the equations that have their own loop; all other equations use :func:`rows_of`.
 _BATCHES: Final[dict[str, tuple[Callable[..., int], Callable[[Array], Columns]]]] = {
     pushbroom.LOOK_ANGLE_COLLINEARITY.name: (pushbroom_rows, _pushbroom_columns),
     frame.FRAME_COLLINEARITY.name: (frame_rows, _plain_columns),
@@ -398,6 +400,6 @@ def batch(equation: Equation, setup: Array, records: Array) -> tuple[Callable[..
 
 @lru_cache(maxsize=256)
 def _batch(equation: Equation, setup: bytes, shape: tuple[int, ...]) -> tuple[Callable[..., int], Columns]:
-    """Return rows and columns from a cache: a block has few setups, requested thousands of times."""
+    """Return rows and columns from a cache, because a block has few setups, which are requested thousands of times."""
     rows, columns = _BATCHES.get(equation.name) or (rows_of(equation), _plain_columns)
     return rows, columns(np.frombuffer(setup).reshape(shape))

@@ -17,8 +17,9 @@ image i is U_a: a whitened error e of the image point changes the unknowns of th
 
     U_a = sum_b Q_i,i(b) J_b^T (delta_ab I - G_b H^-1 G_a^T)
 
-In units of the image's own sigmas, the size of this change is the size of ``L_i^-1 U_a e`` with ``Q_ii = L_i L_i^T``
-(external reliability, Baarda 1968). ``Q J_b^T`` is formed once for each pair of rays and used for all these quantities.
+In units of the image's own sigmas, the size of this change is the norm of
+``L_i^-1 U_a e`` with ``Q_ii = L_i L_i^T`` (external reliability, Baarda 1968). ``Q J_b^T`` is formed once for
+each pair of rays and used for all these quantities.
 """
 
 from __future__ import annotations
@@ -124,9 +125,9 @@ def ray_cofactors(
 
 @threaded
 def _product(turned: Array, rows: Array, n: int, out: Array) -> None:
-    """Write ``(Q x)^T`` (2, k) for two columns ``x = rows^T`` and the transpose of Q, of which n rows are used.
+    """Write ``(Q x)^T`` (2, k) for two columns ``x = rows^T``; n rows of the transpose of Q are used.
 
-    Two rows in one pass take half the time of one row; each sum keeps the order of the rows.
+    Two rows of Q are processed in one pass, which halves the time. Each sum keeps the order of the rows.
     """
     for r in range(out.shape[1]):
         out[0, r], out[1, r] = 0.0, 0.0

@@ -54,9 +54,10 @@ def border_sums(
     matrix: Array,
     gradient: Array,
 ) -> None:
-    """Add the products of border and own unknowns (M, b, k), the border's lower triangle (b, b) and its gradient.
+    """Add the products of border and own unknowns (M, b, k), the border's normal matrix (b, b) and its gradient.
 
-    Products with shared unknowns lie in the lower triangle, because points come last.
+    Only the lower triangle of the normal matrix is written. It contains the products with shared unknowns,
+    because points come last.
     """
     k, w = own.shape[1], border.shape[1]
     x, y, of, at = np.empty(k), np.empty(w), np.empty(w, np.int64), np.empty(w, np.int64)

@@ -1,4 +1,4 @@
-"""Copying of blocks of the reduced system to the full or banded matrix that LAPACK factorises."""
+"""Functions that copy blocks of the reduced system into the full or banded matrix that LAPACK factorises."""
 
 from __future__ import annotations
 
@@ -77,11 +77,12 @@ def fill_lower(
     place, size : (M,) int arrays
         Place in the matrix of the first unknown of each image, and number of its unknowns.
     diagonal : float
-        Value added to each diagonal element before scaling; in ``out`` it changes only the scale.
+        Value added to each diagonal element before scaling; the scaled matrix ``out`` has ones on its
+        diagonal in any case.
     scale : (n,) array
         Result: factors of rows and columns that make the diagonal one.
     out : (n, n) or (n, band + 1) array
-        Zero if no block is written there.
+        Result. It must be zero where no block is written.
     sums : (n,) array
         Result: sum of the absolute values of each column of the whole scaled matrix.
     """

@@ -5,9 +5,10 @@ Two rays a, b of one ground point add ``J_a^T M J_b``, ``M = [a is b] I - Z_a Z_
 pairs is a sum of products ``basis_a basis_b`` times one small matrix of components. This takes half the arithmetic
 operations and a third of the memory traffic of the full columns.
 
-Points measured in the same images are adjacent and form a *piece*; all points of a piece have the same pairs. Pieces
-are cut into *chunks*, which do not depend on the number of threads. Each chunk has its own sums, one *slot* for each
-block to which it contributes; :func:`gather_blocks` adds the slots of all chunks in a fixed order.
+Points measured in the same images are adjacent and form a *piece*; all points of a piece have the same pairs.
+Pieces are grouped into *chunks*; their limits do not depend on the number of threads. Each chunk has its own
+sums, one *slot* for each block to which it contributes; :func:`gather_blocks` adds the slots of all chunks in
+a fixed order.
 
 Eight rows at once are added to up to three sums. An element of a sum is loaded and stored once for eight rows; an
 element of a row is loaded once for three sums, whose weights remain in registers. The nine sums of a pair of rays take
@@ -41,7 +42,8 @@ from fg_orient.kernels.vectors import (
     store,
 )
 
-#: Number of sums processed together; with narrower vectors the registers cannot hold the weights of three.
+#: Number of sums processed together. With narrower vectors there are not enough registers for the weights of
+#: three sums.
 TOGETHER: Final = 3 if LANES == 8 else 1
 _FUSED: Final = ("contract",)
 
@@ -108,7 +110,7 @@ _eight, _four, _two, _one = _adder(8), _adder(4), _adder(2), _adder(1)
 
 @threaded
 def _add(n: int, weight: Array, m: int, sums: int, t: Array, end: int, out: Array, s: int) -> None:
-    """Add n rows to up to TOGETHER sums: first eight at a time, then the remainder by four, two and one."""
+    """Add n rows to up to TOGETHER sums: eight rows at a time, then the remaining rows by four, two and one."""
     size, stride, width, k = out.shape[2], t.shape[1], weight.shape[1], 0
     at, w, vectors = (s * out.shape[1] + m) * size, m * width, end // LANES
     while k + 8 <= n:
@@ -207,7 +209,7 @@ def pair_blocks(
     lo: int, hi: int, chunks: Index, pieces: Index, slots: Small, slot_begin: Index, image: Small, n_basis: Index,
     n_components: Index, basis: Array, base: int, d_image: Array, scaled: Array, sums: Array, gradients: Array,
 ) -> None:  # fmt: skip
-    """Write sums (S, b^2, e) over pairs of basis values and components, and gradients (S, b, c), of chunks lo to hi.
+    """Write sums (S, b^2, e) for pairs of basis values and components, and gradients (S, b, c), of chunks lo to hi.
 
     Parameters
     ----------
@@ -294,7 +296,7 @@ def gather_blocks(
     begin, order : (B + 1,), (S,) int arrays
         Slots of each block.
     own : (S,) int array
-        1 if each ray is paired with itself: such sums are given only for basis p <= q.
+        1 if each ray is paired with itself: such a sum is symmetric and is given only for basis p <= q.
     row, column : (B,) int arrays
         Row image and column image of each block.
     wide, scale : (M, k) arrays
@@ -330,7 +332,7 @@ def _add_up(
     lo: int, hi: int, order: Small, own: Small, sums: Array, b_a: int, b_b: int, c_b: int, diagonal: bool, half: Array,
     total: Array,
 ) -> None:  # fmt: skip
-    """Write the total (b^2, c^2) of the slots lo to hi of a block; ``half`` is scratch space."""
+    """Write the total (b^2, c^2) of the slots lo to hi of a block; ``half`` is a work array."""
     b2, end = sums.shape[1], sums.shape[2]
     for m in range(b2):
         for e in range(end):

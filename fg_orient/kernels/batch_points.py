@@ -1,4 +1,4 @@
-"""Elimination of ground points (3 x 3 blocks, gradients, reduced rows), and their steps after the images' steps.
+"""Elimination of ground points, and computation of their steps from the steps of the images.
 
 The image points of a ground point have the whitened Jacobians J (image) and G (ground). The block of the ground point
 is ``H = sum G^T G + W^T W``; ``damping`` is the share by which its diagonal is increased. ``H^-1 = R^T R``, where R is
@@ -23,7 +23,8 @@ from fg_orient.kernels.vectors import row_along
 Block = tuple[float, float, float, float, float, float]  # order of the lower triangle: 00 10 11 20 21 22
 Gradient = tuple[float, float, float]
 
-#: Lower triangle R of a ground point; and for each ray, both rows of Z = G R^T and the residuals reduced by the point.
+#: Names of fields: the lower triangle R of a ground point; for each ray, both rows of Z = G R^T and the
+#: residuals reduced by the point.
 ROOT: Final = Record(r00=1, r10=1, r11=1, r20=1, r21=1, r22=1)
 SCALED: Final = Record(line="x0 x1 x2", sample="y0 y1 y2", residuals="r_line r_sample")
 ZERO_BLOCK: Final = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -142,7 +143,7 @@ def _inverse_root(h: Block) -> tuple[bool, Block]:
     return True, (r00, -l10 * r00 * r11, r11, r20, -l21 * r11 * r22, r22)
 
 
-#: Number of rays for which space is reserved; more space is allocated when needed.
+#: Number of rays for which memory is reserved; more is allocated if a point has more rays.
 MOST_RAYS = 64
 
 
@@ -297,7 +298,7 @@ def product(
     step: Array,
     squares: Array,
 ) -> None:
-    """Sum by chunk the squares of ``share`` times the residuals plus the Jacobian times a given step.
+    """Sum for each chunk the squares of ``share`` times the residuals, plus the Jacobian times a given step.
 
     ``wide`` is the step of the images, ``step`` (P, 3) the step of the points. For the other parameters see
     :func:`back_substitute`.

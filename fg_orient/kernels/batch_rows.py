@@ -1,4 +1,4 @@
-"""Rows of any registered equation of image points over arrays; ``fg_orient.kernels.batch`` describes the layout.
+"""Loops that evaluate any registered image-point equation for arrays; ``fg_orient.kernels.batch`` describes the layout.
 
 The loop calls the scalar function of the equation, so a residual is the same number in a factor and in a batch. Some
 equations also have a faster loop (``fg_orient.kernels.batch``). Kernels process a range ``[lo, hi)`` and write only the
@@ -54,8 +54,8 @@ def _rows(
 ) -> int:
     """Evaluate the rows of members lo to hi; see :func:`fg_orient.kernels.batch.rows_of_form`.
 
-    Record (1, d) and ground point (3,) are copied. A view of a shared array would count references in one place for all
-    threads, which would then wait for each other (two threads were no faster than one).
+    Record (1, d) and ground point (3,) are copied. With views of a shared array all threads would change one
+    reference counter and wait for each other (two threads were no faster than one).
     """
     c, bad = setup.shape[1], -1
     x, out, record, place = np.empty(c), np.empty((2, c + 4)), np.empty((1, records.shape[1])), np.empty(3)
@@ -100,7 +100,7 @@ def _filled(records: Array, row: int, setup: Array, x: Array, place: Array, out:
 
 
 def _bound(loop: Any, equation: Equation, name: str, function: Any) -> Any:
-    """Compile a loop of this module for an equation; return plain Python if the equation is not compiled."""
+    """Return a loop of this module for an equation: compiled, or as plain Python if the equation is not compiled."""
     own = FunctionType(loop.__code__, {**loop.__globals__, name: function}, loop.__name__)
     own.__qualname__ = f"{loop.__name__}_{equation.name}"  # the compiled code of each equation needs its own file
     return threaded(own) if hasattr(function, "py_func") else own

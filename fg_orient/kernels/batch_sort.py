@@ -1,4 +1,4 @@
-"""Sorting of image points for the reduction: by ground point, points by their images; and cutting into pieces.
+"""Sorting of image points by ground point, and of ground points by their images; division of the points into pieces.
 
 Each counting sort needs one pass; ``fg_orient.kernels.batch_pairs`` describes the layout.
 """
@@ -35,7 +35,7 @@ def sort_by(key: Index, order: Small, counts: Index, out: Small) -> None:
 def signatures(
     order: Small, point: Index, image: Index, constant: Flags, n_images: int, key: Index, code: Index, start: Small
 ) -> int:
-    """Describe the images of each ground point of a sorted list, and return the number of points.
+    """Write a key and a hash of the images of each ground point of a sorted list; return the number of points.
 
     The results for each point are ``key`` (first and last image, number of rays, constant or not), ``code`` (hash of
     its images) and ``start`` (its first row in ``order``; the last entry is the end).
@@ -86,8 +86,8 @@ def cut_pieces(
 ) -> tuple[int, int]:
     """Write the pieces (P, 5) and the first piece of each chunk (P + 1,); return both numbers.
 
-    A chunk begins at each point with a fence (P,), and at each point whose first image point reaches a multiple of
-    ``limit``.
+    A chunk begins at each point that ``fence`` (P,) marks, and at each point whose first image point reaches
+    a multiple of ``limit``.
     """
     n_pieces, n_chunks, entries = 0, 0, 0
     for p in range(len(first) - 1):

@@ -5,13 +5,14 @@ At each pixel u of the window, counted from its centre::
 
     v(u) = r0 + r1 g(q + A u) - f(u)
 
-The unknowns are q (line, sample of the window's centre in the second image), the radiometric r0, r1, and the elements
-of A, or only those that a sensor model leaves open: A = A0 + e s^T, where e is the direction of the epipolar line and s
-the change of the parallax along the window (the slope of the ground); the curvature of the ground adds the second
-powers of u along e. Weights are Gaussian about the centre. The covariance of q is the least-squares covariance, s0^2
-(J^T P J)^-1, with s0^2 = v^T P v / (n - u). It contains the noise and the texture (Förstner 1982), but neither
-correlations of the noise nor errors of the model: callers multiply it by a factor that they estimate. Pixels are (line,
-sample) with (0, 0) = centre of the first pixel of the arrays.
+The unknowns are q (line, sample of the window's centre in the second image), the radiometric r0, r1, and
+parameters of A. Without a sensor model these are all elements of A. With a sensor model, A = A0 + e s^T: e is
+the direction of the epipolar line, and the unknown s is the change of the parallax along the window (the
+slope of the ground). For curved ground, terms of second order in u are added along e. Weights are Gaussian
+about the centre. The covariance of q is the least-squares covariance, s0^2 (J^T P J)^-1, with s0^2 = v^T P v
+/ (n - u). It includes the noise and the texture (Förstner 1982), but neither correlations of the noise nor
+errors of the model. Therefore callers multiply it by an estimated factor. Pixels are (line, sample) with
+(0, 0) = centre of the first pixel of the arrays.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ STEP_PX = 0.003
 
 @inlined
 def _weights(x: float, w: Any, d: Any) -> None:
-    """Return the weights of cubic B-spline and of its derivative at x in [0, 1) from second of four coefficients."""
+    """Return the weights of four coefficients for a cubic B-spline and its derivative, at x in [0, 1)."""
     y = 1.0 - x
     w[0], w[3] = y * y * y / 6.0, x * x * x / 6.0
     w[1] = 2.0 / 3.0 - 0.5 * x * x * (2.0 - x)

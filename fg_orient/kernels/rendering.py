@@ -1,8 +1,8 @@
-"""Rendering of an image by rays: ground points of pixel corners on a DEM, and texture averaged over pixels.
+"""Rendering of a synthetic image: rays of pixel corners meet a DEM, and the ground texture is averaged over each pixel.
 
-The map coordinates of a ray are polynomials of the height (only map projection and Earth curvature bend it). It is
-followed from the highest DEM value downwards, in steps of half a cell, to its first intersection with the bilinear
-surface.
+The map coordinates of a ray are polynomials of the height (only map projection and Earth curvature bend it).
+The ray is followed from the highest DEM value downwards, in steps of half a cell, to its first intersection
+with the bilinear surface.
 """
 
 from __future__ import annotations

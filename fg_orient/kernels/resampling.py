@@ -20,7 +20,7 @@ SCALING = Record(offset=1, scale=1)
 #: Part of a raster of heights: its first row and column.
 PART = Record(row=1, column=1)
 LIMITS = Record(first_line=1, last_line=1, first_sample=1, last_sample=1)
-#: Largest distance, in pixels, from which a kernel needs values.
+#: Largest distance, in pixels, of values that a kernel uses.
 REACH = 2
 
 
@@ -113,7 +113,10 @@ def pixel_positions(
 
 @inlined
 def _weights(kind: int, a: float, x: float, w: Any) -> int:
-    """Write the weights of pixels, and return the first pixel minus floor; ``x``, 0 to 1, is relative to the floor."""
+    """Write the weights of the pixels near a place, and return the first pixel minus the pixel before the place.
+
+    ``x``, 0 to 1, is the distance of the place from that pixel.
+    """
     if kind == NEAREST:
         w[0] = 1.0
         return 1 if x >= 0.5 else 0

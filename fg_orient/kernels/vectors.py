@@ -1,9 +1,10 @@
 """Inner loops with vector instructions of 512 bits, or 256 bits if the processor has no wider ones.
 
-They are written explicitly because the compiler does not generate them. It unrolls a loop of nine before it could
-vectorise it; and it tests before each sum of rows (``fg_orient.kernels.batch_pairs``) whether the arrays overlap, which
-takes as long as the sum. Nine components per image point (position, velocity, angles) are the usual case: their product
-takes 14 ns instead of 50 (measured). All arrays are contiguous; a place is the position of an element in memory.
+They are written explicitly because the compiler does not generate them for two kinds of loops. It unrolls a
+loop of nine and then does not vectorise it. Before each sum of rows (``fg_orient.kernels.batch_pairs``) it
+tests whether the arrays overlap, which takes as long as the sum. Nine components per image point (position,
+velocity, angles) are the usual case: their product takes 14 ns instead of 50 (measured). All arrays are
+contiguous; a place is the position of an element in memory.
 """
 
 from __future__ import annotations
@@ -124,7 +125,7 @@ def _outer_nine(
 
 
 def _combine_nine(typing: Any, out: Any, at: Any, rows: Any, width: Any, a: Any, x: Any, y: Any) -> Any:
-    """Write ``D_a^T (x, y)``, nine numbers and the rest of the last vector, from place ``at`` of ``out``."""
+    """Write ``D_a^T (x, y)`` from place ``at`` of ``out``: nine numbers, and the rest of the last vector."""
     signature = types.void(out, types.intp, rows, types.intp, types.intp, types.float64, types.float64)
 
     def generate(context: Any, builder: Any, given: Any, arguments: Any) -> Any:
@@ -157,7 +158,7 @@ def place_in_sum(c: int, d: int, c_a: int, c_b: int) -> int:
 
 @threaded
 def aligned(rows: int, width: int) -> Array:
-    """Return zeros (rows, width) at the start of a cache line: vectors across two lines are half as fast (measured)."""
+    """Return zeros (rows, width) that begin at a cache line. Vectors across two lines are half as fast (measured)."""
     space = np.zeros(rows * width + 8)
     skip = (-space.ctypes.data % 64) // 8
     return space[skip : skip + rows * width].reshape(rows, width)
@@ -188,7 +189,7 @@ def _shuffled(builder: Any, line: Any, lanes: list[int]) -> Any:
 
 
 def total_of(builder: Any, line: Any) -> Any:
-    """Return the sum of the lanes: by halves, quarters, neighbours, so that the bits do not depend on the processor."""
+    """Return the sum of the lanes, added in a fixed order so that the bits do not depend on the processor."""
     for half in (4, 2, 1):
         low, high = (_shuffled(builder, line, list(range(at, at + half))) for at in (0, half))
         line = builder.fadd(low, high)
@@ -196,7 +197,7 @@ def total_of(builder: Any, line: Any) -> Any:
 
 
 def _swapped(builder: Any, a: Any, b: Any, apart: int) -> tuple[Any, Any]:
-    """Return lines a and b after exchanging their off-diagonal squares of ``apart`` numbers."""
+    """Return lines a and b of a tile after one step of the transposition: blocks of ``apart`` numbers are exchanged."""
     index = ir.VectorType(_LANE, SIDE)
     low = [k if not k & apart else SIDE + k - apart for k in range(SIDE)]
     high = [k + apart if not k & apart else SIDE + k for k in range(SIDE)]

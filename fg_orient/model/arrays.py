@@ -84,9 +84,9 @@ def refuse(bad: Mask, place: str, values: Any, expected: str) -> None:
 
 
 def require_size(values: Array, place: str, *, missing: Mask | None = None) -> None:
-    """Refuse rows (n,) or (n, k) that are not finite or too large to be a coordinate.
+    """Raise InputError for rows (n,) or (n, k) that are not finite or too large for a coordinate.
 
-    Rows ``missing`` (n,) are allowed.
+    Rows ``missing`` are allowed.
     """
     bad = ~(np.abs(values) <= LARGEST)
     if missing is not None:
@@ -95,13 +95,13 @@ def require_size(values: Array, place: str, *, missing: Mask | None = None) -> N
 
 
 def require_sigmas(values: Array, place: str, *, missing: bool = False) -> None:
-    """Refuse rows (n,) or (n, k) of impossible standard deviations; nan is allowed if ``missing``."""
+    """Raise InputError for rows (n,) or (n, k) with impossible standard deviations; rows ``missing`` may be nan."""
     possible = (values >= SMALLEST) & (values <= LARGEST)
     refuse(~(possible | np.isnan(values) if missing else possible), place, values, _SIGMAS)
 
 
 def require_positions(values: Index, place: str, of: str, count: int | None = None) -> None:
-    """Refuse positions (n,) below 0 or from ``count`` on; ``of`` names the things that are counted."""
+    """Raise InputError for positions (n,) below 0, or equal to ``count`` or above; ``of`` names what they count."""
     if len(values) and (values.min() < 0 or (count is not None and values.max() >= count)):
         last = "" if count is None else f" to {count - 1}"
         beyond = values < 0 if count is None else (values < 0) | (values >= count)

@@ -93,7 +93,7 @@ class Coordinates:
         return Coordinates(self.ecef_m[rows], self.sigma_enu_m[rows], self.fixed[rows])
 
     def only(self, known: Mask) -> Coordinates:
-        """Return all rows, without the coordinates of rows that are not ``known`` (n,)."""
+        """Return a copy in which the rows that are not ``known`` (n,) have no coordinates."""
         ecef_m, sigma_m = (np.where(known[:, None], values, np.nan) for values in (self.ecef_m, self.sigma_enu_m))
         return Coordinates(ecef_m, sigma_m, self.fixed & known)
 
@@ -157,7 +157,7 @@ class GroundPoints:
         return GroundPoints(ids, roles, self.known.take(rows))
 
     def without_coordinates(self, gone: Mask, role: Role) -> GroundPoints:
-        """Remove the coordinates of the points ``gone`` (n,), and give these points this role."""
+        """Return a copy in which the points ``gone`` (n,) have no coordinates and this role."""
         roles = tuple(role if away else r for away, r in zip(gone, self.roles, strict=True))
         return GroundPoints(self.ids, roles, self.known.only(~gone))
 

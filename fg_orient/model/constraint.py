@@ -38,7 +38,7 @@ SIZES: Final = {
 
 @dataclass(frozen=True)
 class Constraint:
-    """Geometric relation between points or photos.
+    """Geometric relation between points or photos, such as a distance or a common plane.
 
     Parameters
     ----------
@@ -51,8 +51,8 @@ class Constraint:
     value_m : float, optional
         Distance or base.
     sigma : float, optional
-        Standard deviation in m; in rad for "parallel", "perpendicular" and "equal attitude". None: a hard constraint,
-        which holds exactly.
+        Standard deviation in m; in rad for "parallel", "perpendicular" and "equal attitude". None: a hard
+        constraint, which the solution satisfies exactly.
     observed : mapping
         Value and sigma, m, of each observed parameter of the figure: ``radius`` of circles and spheres, ``a`` (across
         the axis) and ``b`` of a spheroid.
@@ -112,7 +112,10 @@ class Constraint:
 
     @property
     def surplus(self) -> int:
-        """Number of residuals of a figure minus its unknowns; 0 if the figure passes exactly through any points."""
+        """Number of residuals of a figure minus its unknowns.
+
+        With 0 the figure fits any such points exactly and tests nothing.
+        """
         rows, free = SIZES[self.kind]
         return len(self.members) * rows + len(self.observed) - free
 
@@ -137,7 +140,7 @@ def place_of(number: int) -> str:
 def foreign_members(
     constraints: Sequence[Constraint], points: Collection[str], images: Collection[str], file: str = ""
 ) -> list[Finding]:
-    """Return errors for members that are no points or images; ``file`` adds the file's name and the entry's number."""
+    """Return an error for each member that is not a point or image; ``file`` adds file name and entry number."""
     out = []
     for k, c in enumerate(constraints):
         known = images if c.kind in OF_PHOTOS else points

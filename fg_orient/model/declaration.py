@@ -54,7 +54,8 @@ class Option:
     zero, left_out : str
         Meaning of 0, if 0 is allowed below ``within``; meaning of None or of an empty list of names.
     such : str or tuple of str
-        Example of a value. For a number: name accepted instead of it, except by ``Options``.
+        Example of a value. For a number: a name that the command line accepts instead of the number
+        (``Options`` does not).
     usual : tuple of str
         Names for which the command line has a flag; ``--...-of`` sets the value of any other name.
     spelled : str
@@ -181,7 +182,7 @@ def option(default: Any, group: Group, help: str, **more: Any) -> Any:
 
 
 def declared(*records: type) -> Mapping[str, Option]:
-    """Return the options of dataclasses by name, in the order of declaration."""
+    """Return all options that these dataclasses declare, by name, in the order of declaration."""
     return _declared(records)
 
 
@@ -215,10 +216,7 @@ class Checked:
 
 
 def require_declared(names: Iterable[str], caller: str, *records: type, only: Collection[str] = ()) -> None:
-    """Raise TypeError for a name that no record declares or ``only`` excludes.
-
-    The message suggests the most similar name.
-    """
+    """Raise TypeError for an option name that is not declared or not in ``only``; suggest the most similar name."""
     known = [name for name in declared(*records) if not only or name in only]
     for name in sorted(set(names) - set(known)):
         close = get_close_matches(name, known, 1)

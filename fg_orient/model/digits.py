@@ -28,7 +28,7 @@ def last_digit(text: str, significant: int | None = None) -> float:
 
 
 def agreement(off: float, printed: float, unit: float, sigma: float = math.nan) -> Agreement:
-    """Return the closest agreement that applies; "differs" if none applies or the difference is nan.
+    """Return the name of the closest agreement between a number and a printed number; "differs" also if ``off`` is nan.
 
     Parameters
     ----------

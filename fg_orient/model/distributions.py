@@ -46,7 +46,10 @@ t_two_sided = _of_arrays(lambda freedom, t: 2.0 * special.stdtr(freedom, -t))
 
 
 def chi_square_tail(freedom: npt.ArrayLike, x: npt.ArrayLike) -> Array:
-    """Return the tail of chi-square; two degrees of freedom (image points) use ``exp(-x / 2)``, ten times faster."""
+    """Return the tail of chi-square.
+
+    For two degrees of freedom (image points) it is ``exp(-x / 2)``, ten times faster.
+    """
     freedom, x = np.broadcast_arrays(np.asarray(freedom, np.float64), np.asarray(x, np.float64))
     out, other = np.asarray(np.exp(-0.5 * np.maximum(x, 0.0))), freedom != 2.0
     out[other] = special.chdtrc(freedom[other], x[other])
@@ -54,7 +57,7 @@ def chi_square_tail(freedom: npt.ArrayLike, x: npt.ArrayLike) -> Array:
 
 
 def beta_probability(a: npt.ArrayLike, b: npt.ArrayLike, x: npt.ArrayLike) -> Array:
-    """Return the probability of the beta distribution; ``x^a`` for b = 1 (image points)."""
+    """Return the probability of the beta distribution. For b = 1 (image points) it is ``x^a``."""
     a, b, x = np.broadcast_arrays(*(np.asarray(one, np.float64) for one in (a, b, x)))
     out, other = np.asarray(np.power(x, a)), b != 1.0
     out[other] = special.betainc(a[other], b[other], x[other])
@@ -82,12 +85,12 @@ def chi_square_median(freedom: npt.ArrayLike) -> Array:
 
 
 def sidak(level: float, n: int) -> float:
-    """Return the level of each of n independent tests that gives ``level`` for any false alarm (Sidak)."""
+    """Return the level of each of n independent tests so that any false alarm has the probability ``level`` (Sidak)."""
     return float(-np.expm1(np.log1p(-level) / n))
 
 
 def holm(p: Array) -> Array:
-    """Return p-values for which ``adjusted <= alpha`` limits the probability of any false alarm (Holm 1979)."""
+    """Return adjusted p-values: rejecting where ``adjusted <= alpha`` limits any false alarm to alpha (Holm 1979)."""
     order = np.argsort(p)
     raised = np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1))
     out = np.empty(len(p))

@@ -27,7 +27,7 @@ _LONGEST: Final = 80
 DECISIVE: Final = ("doubt", "failure")
 #: Largest number of list items kept by a finding.
 _MOST: Final = 50
-#: Control characters but for blanks, marks of the direction of writing, lone surrogates.
+#: Characters shown as escapes: control characters except blanks, marks of the writing direction, lone surrogates.
 _UNSHOWN: Final = re.compile("[\\x00-\\x08\\x0e-\\x1f\\x7f-\\x9f\\u202a-\\u202e\\u2066-\\u2069\\ud800-\\udfff]")
 _OPTION: Final = re.compile(r"<([a-z][a-z0-9_]*)>")
 
@@ -122,16 +122,13 @@ class _Format(string.Formatter):
 
 
 _FORMAT: Final = _Format()
-#: A number's field, its noun with "(s)", and the verb that follows.
+#: Pattern of a number's field, its noun with "(s)", and the verb after the noun.
 _COUNTED: Final = re.compile(r"(\{(\w+)[^{}]*\}(?: [a-z]+){1,5})\(s\)( (?:are|have|lie)\b)?")
 _SINGULAR: Final = {"": "", " are": " is", " have": " has", " lie": " lies"}
 
 
 def _agreeing(part: str, data: Mapping[str, Any]) -> str:
-    """Return part of a message with nouns and verbs that agree with the numbers before them.
-
-    Keep the data unchanged.
-    """
+    """Return a part of a message in which nouns and verbs have the singular or plural that their numbers need."""
 
     def agree(counted: re.Match[str]) -> str:
         verb = counted[3] or ""
@@ -201,15 +198,18 @@ def as_record(findings: Sequence[Finding]) -> dict[str, Any]:
 
 
 def judged(findings: Sequence[Finding]) -> dict[str, Any]:
-    """Return the status that follows from findings, with :func:`as_record`, for results without another assessment."""
+    """Return the status that follows from findings, with :func:`as_record`.
+
+    Used for results without their own assessment.
+    """
     doubtful = any(one.severity in DECISIVE for one in findings)
     return {"status": "not_trustworthy" if doubtful else "good", **as_record(findings)}
 
 
 def findings_of(record: Mapping[str, Any]) -> tuple[Finding, ...]:
-    """Return the findings of a result. Earlier versions stored sentences.
+    """Return the findings of a stored result.
 
-    The reason given there by the assessment becomes a doubt.
+    In results of earlier versions, which contain sentences, the reason becomes a doubt.
     """
     if "findings" in record:
         return tuple(read(one) for one in record["findings"])
@@ -223,7 +223,7 @@ def sentences(record: Mapping[str, Any]) -> list[str]:
 
 
 def read(record: Mapping[str, Any]) -> Finding:
-    """Return the finding of a record; keep the record's own text if its code has no entry here."""
+    """Return the finding that a record describes. If the catalogue lacks its code, the text of the record is kept."""
     known = {name: record.get(name, "") for name in ("file", "place", "value")}
     severity, data = record.get("severity", "failure"), record.get("data", {})
     if record["code"] in CATALOGUE:

@@ -67,12 +67,12 @@ def _without_folders(word: str) -> str:
 
 
 def is_ours(found: str) -> bool:
-    """Return whether a file belongs to fg_orient, after links are resolved."""
+    """Return whether a file belongs to fg_orient. Links are followed first."""
     return os.path.realpath(os.path.dirname(found)) == os.path.realpath(_OURS)
 
 
 def clash(found: str | None, version: str, other: object = None) -> ImportError | SystemExit:
-    """Return an error with the file found instead of ours, the distribution that owns it, and a remedy.
+    """Return the error for a foreign package ``factors``: its file, the distribution that owns it, and a remedy.
 
     The command ``fg-orient`` cannot catch an error of this import, so it ends with the text and exit code 1.
 
@@ -108,7 +108,7 @@ def shared_file() -> Finding | None:
 
 
 def _own(file: Path, version: str, other: object) -> Finding:
-    """Return the error for a wrong file in the place of ours."""
+    """Return the error if another distribution has replaced our file."""
     source = _source()
     owner = _owner(file)
     if owner is not None:
@@ -122,7 +122,7 @@ def _own(file: Path, version: str, other: object) -> Finding:
 
 
 def _hidden(file: Path) -> Finding:
-    """Return the error for a file that Python finds before ours."""
+    """Return the error if Python finds another file before ours."""
     package = file.stem == "__init__"
     thing, root = (file.parent, file.parent.parent) if package else (file, file.parent)
     listed = [Path(entry).resolve() for entry in os.environ.get("PYTHONPATH", "").split(os.pathsep) if entry]

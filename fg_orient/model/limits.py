@@ -18,7 +18,7 @@ from fg_orient.model.machine import in_gb
 VARIABLE: Final = "FG_ORIENT_LIMITS"
 #: Limits by name.
 LIMITS: Final = {
-    # Memory to read a file: factor times its size, plus bytes. A file that states or implies more is refused.
+    # Memory to read a file: factor times its size, plus bytes. A file whose content needs more memory is refused.
     "memory_factor": 20.0,
     "memory_bytes": 200e6,
     # Sizes of files, bytes.

@@ -2,11 +2,12 @@
 
 Effort is measured as processor time and rise of the resident memory (:func:`measured`).
 
-A graph of thousands of factors produces no garbage, but each garbage collection costs 7 us per factor. Each
-elimination of a graph frees megabytes of small blocks. glibc returns the top of its heap to the system as soon as
-128 KiB of it are free, and requests it again page by page in the next iteration. Without :func:`calm_memory` an
-elimination of 3 000 image points takes twice as long, and the cost per image point differs between small and large
-blocks (measured with benchmarks/graph_cost.py).
+Two properties of memory slow an adjustment. First, a graph of thousands of factors produces no garbage, but
+each garbage collection takes 7 us per factor. Second, each elimination of a graph frees megabytes of small
+blocks. By default glibc returns memory to the system as soon as 128 KiB at the end of its heap are free, and
+requests it again page by page in the next iteration. Without :func:`calm_memory` an elimination of 3 000
+image points takes twice as long, and the cost per image point differs between small and large blocks
+(measured with benchmarks/graph_cost.py).
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from typing import Final
 #: Default limit as a share of the available memory.
 SHARE: Final = 0.8
 GB: Final = 1e9
-#: A limit above this, or a word, means that the control group is unlimited.
+#: A control group is unlimited if its limit is a word, or a number above this one.
 _UNLIMITED: Final = 2**62
 _MEMINFO: Final = Path("/proc/meminfo")
 _GROUPS: Final = Path("/sys/fs/cgroup")
@@ -56,7 +57,7 @@ def available_bytes() -> int | None:
 
 
 def is_out_of_memory(error: BaseException | None) -> bool:
-    """Whether an exception, or one of its causes, says that memory could not be allocated."""
+    """Return whether an exception, or one of its causes, reports that memory could not be allocated."""
     while error is not None:
         words = str(error)
         if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno == errno.ENOMEM):
@@ -64,7 +65,7 @@ def is_out_of_memory(error: BaseException | None) -> bool:
         if any(sign in words for sign in ("annot allocate memory", "bad_alloc", "can't start new thread",
                                           "failed to map segment")):  # fmt: skip
             return True
-        # compiled code that did not get memory and raised nothing, in a process whose memory is limited
+        # in a process with limited memory, compiled code that gets no memory may return NULL without an exception
         if isinstance(error, SystemError) and _has_address_limit():
             return True
         error = error.__cause__ or error.__context__
@@ -81,7 +82,7 @@ def _has_address_limit() -> bool:
 
 
 def _of_system() -> Iterator[int]:
-    """Yield ``MemAvailable`` on Linux, the free pages on other systems."""
+    """Yield the available memory, bytes: ``MemAvailable`` on Linux, free pages on other systems."""
     try:
         rows = dict(line.split(":", 1) for line in _MEMINFO.read_text("ascii").splitlines() if ":" in line)
         yield 1024 * int(rows["MemAvailable"].split()[0])
@@ -92,7 +93,7 @@ def _of_system() -> Iterator[int]:
 
 
 def _of_group() -> Iterator[int]:
-    """Yield free memory, with reclaimable file memory, of this process's control groups (versions 2 and 1)."""
+    """Yield the free memory, bytes, of each control group of this process, including reclaimable file memory."""
     for limit, usage, reclaimable, folder in _group_files():
         try:
             most, used = (int((folder / name).read_text("ascii")) for name in (limit, usage))
@@ -107,7 +108,7 @@ def _of_group() -> Iterator[int]:
 
 
 def _group_files() -> Iterator[tuple[str, str, str, Path]]:
-    """Yield file names of limit, use and reclaimable part, and the folder, from this process's group to the root."""
+    """Yield file names (limit, use, reclaimable part) and folder of this process's control group and its parents."""
     two = ("memory.max", "memory.current", "inactive_file")
     one = ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file")
     try:
@@ -132,11 +133,11 @@ M_TRIM_THRESHOLD: Final = -1
 M_MMAP_THRESHOLD: Final = -3
 #: Free bytes kept at the top of the heap. The limit of glibc is 64 MiB for a process with large arrays.
 KEPT_BYTES: Final = 256 << 20
-#: Number of rows above which returning memory is worth the time.
+#: Memory is returned to the system only after work on more rows than this; for fewer rows it takes too much time.
 MANY_ROWS: Final = 100_000
 VERY_MANY_ROWS: Final = 500_000
-#: Size from which the system provides blocks directly: upper limit of glibc's adaptive rule, which is disabled by
-#: setting a value.
+#: Blocks of this size and above come directly from the system. It is the upper limit of glibc's adaptive
+#: rule; setting any value disables this rule.
 OWN_MAPPING_BYTES: Final = 32 << 20
 
 

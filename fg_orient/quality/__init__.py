@@ -1,1 +1,1 @@
-"""Quality: observability, covariance, accuracy."""
+"""Assessment of solutions: observability, covariance, outlier tests and accuracy."""

@@ -1,20 +1,19 @@
 """Accuracy at control and check points: differences adjusted minus measured.
 
-The statistics are per axis in East, North, Up of the point and in ECEF: root mean square, mean (bias), standard
-deviation and maximum. CE90 and LE90 are 90 % quantiles of the horizontal length and of |Up|; they are also computed
-from the RMSE of normal errors (NSSDA, FGDC-STD-007.3-1998, appendix 3-A). Circular values require that the smaller of
-the East and North RMSE is at least 0.6 of the larger. The difference at a check point is compared with ``sqrt(predicted
-+ own variance)``, both in prior scale. Source: Terlemezoğlu 2019, eqs. 2.72-2.73 (ECEF RMSE); the other quantities are
-common practice.
+Root mean square, mean (bias), standard deviation and maximum are computed for each axis, in East, North, Up
+of the point and in ECEF. CE90 and LE90 are 90 % quantiles of the horizontal length and of |Up|. They are also
+computed from the RMSE, for normal errors (NSSDA, FGDC-STD-007.3-1998, appendix 3-A). Circular values require
+that the smaller of the East and North RMSE is at least 0.6 of the larger. The difference at a check point is
+compared with ``sqrt(predicted + own variance)``, both in prior scale. Source: Terlemezoğlu 2019, eqs.
+2.72-2.73 (ECEF RMSE); the other quantities are common practice.
 
-Test of the predicted accuracy. With e the differences of n check points (adjusted minus measured) and C the joint
-covariance of both, in prior scale, ``T = e^T C^-1 e`` is chi2(3n) distributed if model and sigmas are correct
-(normalised estimation error squared: Bar-Shalom et al. 2001, 5.4). The errors of the orientation affect all check
-points, so C is not block diagonal. The sum of the single normalised errors also has the mean 3n, but a larger variance.
-A test of this sum by chi2(3n) would reject correct predictions.
-
-Four image coordinates of a point in two images determine three ground coordinates; the quantity that remains is the
-y-parallax, in pixels. It replaces the accuracy in a relative adjustment, which has no control points.
+Test of the predicted accuracy. With e the differences of n check points (adjusted minus measured) and C the
+joint covariance of both, in prior scale, ``T = e^T C^-1 e`` is chi2(3n) distributed if model and sigmas are
+correct (normalised estimation error squared: Bar-Shalom et al. 2001, 5.4). The errors of the orientation
+affect all check points, so C is not block diagonal. A simpler sum, of the normalised errors of single points,
+also has the mean 3n, but a larger variance. A test of this sum by chi2(3n) would reject correct predictions.
+Four image coordinates of a point in two images determine three ground coordinates; the quantity that remains
+is the y-parallax, in pixels. It replaces the accuracy in a relative adjustment, which has no control points.
 """
 
 from __future__ import annotations
@@ -68,9 +67,9 @@ CIRCULAR_RATIO = 0.6
 class Beyond:
     """Number of check coordinates above ``RATIO_LIMIT`` standard deviations, and its probability by chance.
 
-    The number is compared with its distribution under the joint covariance (:func:`numbers_by_chance`), because common
-    errors of the images make several coordinates large at once. Sidak's limit of the largest of n is also valid for
-    correlated coordinates.
+    Common errors of the images make several coordinates large at once. Therefore the number is compared with
+    its distribution under the joint covariance (:func:`numbers_by_chance`). Sidak's limit of the largest of n
+    is also valid for correlated coordinates.
 
     Parameters
     ----------
@@ -88,7 +87,7 @@ class Beyond:
     largest : float
         Largest ratio; 0 for n = 0.
     far : tuple of str
-        Ids of points beyond ``largest_limit``, worst first.
+        Ids of points with a coordinate beyond ``largest_limit``, worst first.
     """
 
     n: int
@@ -101,7 +100,7 @@ class Beyond:
 
     @property
     def many(self) -> bool:
-        """True if chance hardly ever gives so large a number."""
+        """True if such a large number hardly ever occurs by chance."""
         return self.probability is not None and self.probability <= CHANCE
 
     @property
@@ -221,7 +220,8 @@ class PointDifferences:
         return out | self._ninety_percent() if len(self) > 1 else out
 
     def _ninety_percent(self) -> dict[str, float]:
-        """Return radii and half-lengths of 90 and 95 %: as quantiles, and from the RMSE."""
+        """Return radii (CE) and half-lengths (LE) that contain 90 and 95 % of the errors: quantiles, and from
+        the RMSE."""
         east, north, up = np.sqrt(np.mean(self.enu_m**2, axis=0)).tolist()
         out = {
             "ce90_m": float(np.quantile(np.hypot(self.enu_m[:, 0], self.enu_m[:, 1]), 0.9)),

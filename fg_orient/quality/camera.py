@@ -1,11 +1,12 @@
 """Test whether the observations separate the camera parameters from other unknowns, by their correlations.
 
-A shift of the principal point together with a rotation has nearly the same effect as decentring distortion. On parallel
-photos of a flat object, a change of the principal distance together with the distance from the object has nearly no
-effect. The sums of these effects are determined, the single values are not: each standard deviation is ``1 / sqrt(1 -
-rho^2)`` times as large as with the other parameters held fixed. Two correlations assess each camera. The multiple
-correlation rho of x0 or y0 with p1 and p2 together does not depend on the order of p1 and p2. The second is the median
-correlation of c with the projection centre along the view.
+A shift of the principal point together with a rotation has nearly the same effect as decentring distortion.
+On parallel photos of a flat object, a change of the principal distance together with the distance from the
+object has nearly no effect. The sums of these effects are determined, but not the single values: the standard
+deviation of each is ``1 / sqrt(1 - rho^2)`` times as large as with the other parameters held fixed. Two
+correlations are computed for each camera. The first is the multiple correlation rho of x0 or y0 with p1 and
+p2 together. The second is the correlation of c with the projection centre along the view, as the median over
+the photos.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from fg_orient.quality.cofactors import Cofactors
 from fg_orient.sensors.frame import FrameSensor
 from fg_orient.sensors.frame_unknowns import INTERIOR
 
-#: Correlation above which parameters are inseparable: standard deviations are then 3.2 times as large.
+#: Parameters with a correlation above this are called inseparable: their standard deviations are 3.2 times as large.
 INSEPARABLE: Final = 0.95
 #: Names of the principal distance in close range and in frame images.
 DISTANCE: Final[tuple[str, ...]] = ("c", "focal")
@@ -69,7 +70,7 @@ def inseparable(images: Iterable[ImageCofactors], limit: float = INSEPARABLE) ->
     ----------
     images : iterable of ImageCofactors
     limit : float
-        Correlation from which on a warning is given.
+        A warning is given for this correlation or a larger one.
     """
     cameras: dict[str, list[ImageCofactors]] = {}
     for one in images:

@@ -20,7 +20,7 @@ PAIRED: Final = 12
 
 @dataclass(frozen=True)
 class Cause:
-    """A mistake that was tried.
+    """A mistake in the input that was tested as explanation of the residuals.
 
     Parameters
     ----------
@@ -33,8 +33,8 @@ class Cause:
     score : float
         ``gain`` minus the penalty of the free parameters (BIC); causes are ranked by it.
     kind : str
-        Causes of one kind include each other, so only the best one is kept. "single": an error of one point, which
-        is named elsewhere.
+        Causes of one kind include each other, so only the best one is kept. "single": an error of one point,
+        which the outlier tests report.
     mend : callable, optional
         Function that returns the block without the mistake.
     volume : float
@@ -63,7 +63,7 @@ class Cause:
 
 
 class Supposed(NamedTuple):
-    """Mistake that a further adjustment shall confirm.
+    """Mistake that is confirmed or withdrawn by a further adjustment.
 
     Parameters
     ----------
@@ -73,7 +73,8 @@ class Supposed(NamedTuple):
         Least decrease of the weighted sum of squares of observations and check points that confirms the mistake; None:
         any decrease of sigma0.
     whole : bool
-        True if the mistake must explain sigma0 and all gross errors: sigmas that are wrong by a factor.
+        True if the mistake must explain sigma0 and all gross errors. This applies to sigmas that are wrong by
+        a factor.
     """
 
     mend: Mend

@@ -9,10 +9,11 @@ points, which are no observations), ``H = W Q W^T``, ``R = I - H_cc`` and ``S = 
     v_c ~ -R e_c,   k ~ H_kc e_c - e_k = G theta,   cov(v_c) = R,  cov(k) = S,  cov(v_c, k) = 0
     M = e_c^T R e_c + G^T S^-1 G,   g = G^T S^-1 k - e_c^T v_c,   T = g^T M^+ g ~ chi2(p)
 
-(score test; Rao 1973, 6e). A mistake without free parameter (feet, exchanged ids) has theta = 1. Twice the logarithm of
-its likelihood ratio is ``2 g - M``. If there is no mistake, this exceeds ``2 ln(n / alpha)`` for any of n such mistakes
-with a probability of at most alpha (Markov's inequality). Errors of image points also change the innovations, by G
-theta; their sums are in ``fg_orient.quality.image_causes``.
+(score test; Rao 1973, 6e). A mistake without free parameter (feet, exchanged ids) has theta = 1. Twice the
+logarithm of its likelihood ratio is ``2 g - M``. Suppose that n such mistakes are tested and there is no
+mistake. The probability that any of the n ratios exceeds ``2 ln(n / alpha)`` is then at most alpha (Markov's
+inequality). Errors of image points also change the innovations, by G theta; their sums are in
+``fg_orient.quality.image_causes``.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Tests of differences at check points with their joint covariance C: trend, and number of large differences.
 
-The errors of the orientation are common to all check points, so their differences are correlated. Therefore two usual
-tests raise an alarm in too many blocks without mistakes: Student's test of the mean against the scatter, and the
-binomial distribution of the number of large differences. Bias, drift and tilt are estimated by generalised least
-squares instead, and the number is compared with numbers simulated from C.
+The errors of the orientation are common to all check points, so their differences are correlated. Therefore
+two usual tests give false alarms in too many blocks: Student's test of the mean against the scatter, and the
+test of the number of large differences by the binomial distribution. Bias, drift and tilt are estimated by
+generalised least squares instead, and the number is compared with numbers simulated from C.
 """
 
 from __future__ import annotations
@@ -21,14 +21,15 @@ RATIO_LIMIT: Final = 3.0
 DRAWS: Final = 20_000
 #: Relative singular value below which check points do not determine a trend.
 RANK: Final = 1e-8
-#: Columns of the trend parameters: 3 k + axis, where k = 0, 1, 2 stands for 1, East, North.
+#: Columns of the trend parameters: 3 k + axis. k = 0 is the constant, k = 1 the slope to East, k = 2 the
+#: slope to North.
 TRENDS: Final = {"bias": (0, 1, 2), "drift": (3, 4, 6, 7), "tilt": (5, 8)}
 
 
 def number_statistic(ratio: Array) -> Array:
-    """Return the number of ratios (..., n) above the limit.
+    """Return the number of ratios (..., n) above the limit, plus a fraction.
 
-    Its fraction, from the largest ratio, orders equal numbers.
+    The fraction increases with the largest ratio and orders equal numbers.
     """
     largest = ratio.max(axis=-1)
     return np.asarray((ratio > RATIO_LIMIT).sum(axis=-1) + largest / (1.0 + largest))
@@ -51,10 +52,11 @@ def probability_of_number(statistic: npt.ArrayLike, null: Array) -> Array:
 
 
 def trend_squares(c: Array, place_km: Array, e: Array) -> tuple[Array, tuple[int, ...]]:
-    """Compute the squares of bias, drift and tilt of the differences, each orthogonal to those before it.
+    """Compute the decrease of the squares by bias, drift and tilt of the differences, in this order.
 
-    Without a trend they are independent chi-squares. The model ``e = bias + slopes place`` is estimated by generalised
-    least squares with the covariance c. Drift: slopes of East and North; tilt: slopes of Up.
+    Each is computed after the effects before it are removed. Without a trend they are independent and have
+    chi-square distributions. The model ``e = bias + slopes place`` is estimated by generalised least squares
+    with the covariance c. Drift: slopes of East and North; tilt: slopes of Up.
 
     Parameters
     ----------

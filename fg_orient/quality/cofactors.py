@@ -1,4 +1,4 @@
-"""Joint cofactors in three forms: one matrix, the border of the normal equations, and images eliminated first.
+"""Joint cofactors from three sources: one matrix, the border of the normal equations, or images eliminated first.
 
 Unknowns are in prior sigmas (images) and metres (points); cofactors are in prior scale. Sources of cofactors:
 ``fg_orient.quality.covariance``.
@@ -70,7 +70,7 @@ class Cofactors(PointCofactors, Protocol):
     def rays(self, problem: Problem, state: State) -> RayCofactors:
         """Return the cofactors of the image points of a problem.
 
-        Without :meth:`star` they are not valid for named points.
+        If :meth:`star` is None, they are not valid for points that extra observations name.
         """
         ...
 
@@ -225,9 +225,9 @@ class BorderCofactors(CommonCofactors):
 class StarCofactors(CommonCofactors):
     """Cofactors if the images are eliminated first (:mod:`fg_orient.adjustment.images_first`).
 
-    Q are the cofactors of the border and the points. The images follow the border by ``x_i = T_i x_b``. Then ``Q_ib =
-    T_i Q`` and ``Q_ij = T_i Q T_j^T + delta_ij N_i^-1``: the cofactors of an image and of its points need no matrix of
-    all images.
+    Q are the cofactors of the border and the points. The unknowns of an image depend on the border by
+    ``x_i = T_i x_b``. Then ``Q_ib = T_i Q`` and ``Q_ij = T_i Q T_j^T + delta_ij N_i^-1``: the cofactors of an
+    image and of its points need no matrix of all images.
 
     Parameters
     ----------

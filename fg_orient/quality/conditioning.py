@@ -1,9 +1,9 @@
 """Condition of the normal equations at the solution, and regularisation by a Tikhonov solver.
 
-The condition is the same measure for all backends. A Tikhonov solver of the dense backend shortens each step and
-chooses kappa for each step. The L-curve is computed from the equations at the approximate values, where the step is
-longest; at the solution all steps are zero. The sigmas, and under a loss the weights, come from the result; without a
-loss the equations are those of the first Gauss-Newton step.
+The condition number is defined in the same way for all backends. A Tikhonov solver of the dense backend
+shortens each step and chooses kappa for each step. The L-curve is computed from the equations at the
+approximate values, where the step is longest; at the solution all steps are zero. Sigmas and (under a loss)
+weights are those of the result. Without a loss these are the equations of the first Gauss-Newton step.
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.model.errors import Finding, finding
 
-#: Beyond this condition, solutions of different solvers agree to 5 or 6 digits only (eps times condition is 2e-6).
+#: Above this condition number, solutions of different solvers agree to 5 or 6 digits only (eps times
+#: condition is 2e-6).
 ILL_CONDITIONED: Final = 1e10
-#: Maximum number of image points for which a solution of the graph or dense backend is eliminated once more.
+#: Maximum number of image points for which the points of a graph or dense solution are eliminated once more.
 ELIMINATED_AGAIN: Final = 20_000
 
 

@@ -1,9 +1,10 @@
 """Cofactors of images and points, in prior scale, from the linearisation at the solution.
 
-Each backend has one source of cofactors, and only the Jacobians are common: the triangular factor of the full Jacobian
-(dense), the inverse of the reduced camera system (Schur), GTSAM Marginals (graph). The last two give the cofactors of
-the images; points follow by back-substitution (``fg_orient.adjustment.cofactors``). Unknowns are prior sigmas (images)
-and metres (points). Points that are located after the adjustment: ``fg_orient.adjustment.resection``.
+Each backend has its own source of cofactors: the triangular factor of the full Jacobian (dense), the inverse
+of the reduced system of the images (Schur), or GTSAM Marginals (graph). Only the Jacobians are common. The
+last two give the cofactors of the images; points follow by back-substitution
+(``fg_orient.adjustment.cofactors``). Unknowns are prior sigmas (images) and metres (points). For points that
+are located after the adjustment see ``fg_orient.adjustment.resection``.
 
 :func:`joint_cofactors` gives them by name, in physical units: images, single parameters, points, adjusted observations,
 residuals. All quantities are linear in the unknowns x. With whitened rows A, observations l of unit weight and
@@ -11,8 +12,9 @@ residuals. All quantities are linear in the unknowns x. With whitened rows A, ob
 
     Q_xx = Q,   Q_x,lbar = Q A^T,   Q_lbar = A Q A^T,   Q_vv = I - A Q A^T,   Q_xv = 0,   Q_lbar,v = 0
 
-(Mikhail & Ackermann 1976, 4.5; T(2.76) and T(2.77) in the corrected form with B = -I). ``Q_x,l = Q_x,lbar`` does not
-depend on a sign convention of conditions: it correlates an unknown with the adjusted observation.
+(Mikhail & Ackermann 1976, 4.5; T(2.76) and T(2.77) in the corrected form with B = -I). ``Q_x,lbar`` is the
+joint cofactor of an unknown and an adjusted observation, so it does not depend on the sign convention of the
+conditions.
 """
 
 from __future__ import annotations
@@ -48,12 +50,13 @@ if TYPE_CHECKING:
     import gtsam
     import pandas
 
-#: Condition of the column-scaled Jacobian above which the dense backend withholds the covariance: there the relative
-#: rounding error of a cofactor, about eps cond, exceeds 1e-3. GTSAM's Cholesky fails much earlier on some well-posed
-#: systems (a condition of 3e4 was seen); the standard deviations from the dense backend are then correct and large.
+#: The dense backend gives no covariance if the condition number of the column-scaled Jacobian exceeds this.
+#: The relative rounding error of a cofactor, about eps cond, is then above 1e-3. GTSAM's Cholesky
+#: factorisation fails much earlier for some well-posed systems (for example at a condition number of 3e4).
+#: For these systems the dense backend gives correct, large standard deviations.
 CONDITION_LIMIT = 1e12
-#: Number of points named by extra observations above which one inverse replaces GTSAM's joint marginals of each point.
-#: Second: largest number of unknowns of this inverse, 32 MB.
+#: If extra observations name more points than the first number, one inverse of all unknowns replaces GTSAM's
+#: joint marginals of each point. The second number is the largest size of this inverse (32 MB).
 MANY_POINTS = 32
 INVERTED = 2000
 
@@ -95,7 +98,7 @@ def gives_statistics(problem: Problem, cofactors: Cofactors) -> bool:
 def dense_cofactors(problem: Problem, design: Array) -> MatrixCofactors:
     """Compute cofactors ``D R^-1 R^-T D`` of the full Jacobian ``J = Q R D^-1``, columns scaled to length 1 by D.
 
-    N is not formed. So the error grows with cond(J), not with its square.
+    The normal matrix N is not formed, so the error is proportional to cond(J) and not to its square.
 
     Parameters
     ----------
@@ -254,7 +257,7 @@ class NamedMatrix:
 
 
 class _Rows(NamedTuple):
-    """Rows of one name: names, units, and derivatives with respect to ("image", k) and ("point", j).
+    """Rows that one name selects in a joint covariance: names, units, derivatives by ("image", k) and ("point", j).
 
     ``residual``: row of ``problem.observations`` to which these residuals belong; -1 for other quantities.
     """

@@ -1,8 +1,9 @@
-"""Detection of undetermined unknowns before the adjustment: held unknowns are reported, others are refused.
+"""Detection of unknowns that the observations do not determine, before the adjustment.
 
-Priors or a regularisation hold unknowns. The checks have the order of the remedies. First come unknowns with too few
-observations (structure), then physically unobservable directions of an image, motions of the block that no control
-point fixes, and other directions.
+They are reported if priors or a regularisation determine them; otherwise the block is refused. The checks
+have the order in which a user corrects a block. First come unknowns with too few observations (structure),
+then physically unobservable directions of an image, motions of the block that no control point fixes, and
+other directions.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ ENOUGH: Final = 20_000
 
 @dataclass(frozen=True)
 class Evidence:
-    """Results of the analysis that led to a refusal.
+    """Results of the analysis of a block that was refused.
 
     Parameters
     ----------
@@ -65,9 +66,9 @@ class Evidence:
 def compiled_problem(block: Block, like: Problem | None = None, *, at_once: bool = True) -> Problem:
     """Compile a block; the error for a block without control points lists the free motions of each part.
 
-    If rays do not meet, mix-ups of tables and metadata that explain it are added. Parameters and errors as of
-    ``compile_problem``. The records of the image points are computed now; if not ``at_once``, some rows are computed
-    when they are needed.
+    If rays do not meet, the error names mix-ups of tables and metadata that explain this. Parameters and
+    errors as of ``compile_problem``. The records of the image points are computed now; if not ``at_once``,
+    some rows are computed when they are needed.
     """
     try:
         compiled = prepared(compile_problem(block, like))
@@ -93,7 +94,7 @@ def _motions_without_control(block: Block) -> list[Finding]:
 
 
 def judge_observability(compiled: Problem) -> tuple[ImageObservability, ...]:
-    """Compute the singular values of each image's whitened Jacobian at the start."""
+    """Analyse the unknowns of each image by the singular values of its whitened Jacobian at the start values."""
     out = []
     with one_blas_thread():
         for k, rows in enumerate(rows_by_image(compiled)):
@@ -151,7 +152,7 @@ def _thinned(compiled: Problem) -> Problem:
 def _structural(
     compiled: Problem, structure: Structure, observability: tuple[ImageObservability, ...]
 ) -> list[Finding]:
-    """List the errors of structure and of single images; damped steps do not require determined points or images."""
+    """List the errors of structure and of single images. Damped steps do not need determined points or images."""
     floating = compiled.least_damping > 0.0 and compiled.redundancy >= 0
     lacks = () if floating else structure.lacks
     out = [finding("statistics.too_few", place=lack.sentence, remedy=lack.remedy) for lack in lacks]
@@ -168,7 +169,7 @@ def _code(compiled: Problem) -> str:
 
 
 def _numerical(compiled: Problem, view: BlockObservability) -> list[Finding]:
-    """List the errors of the whole block; motions are allowed with a free datum."""
+    """List the errors of the whole block. Free motions are not an error if the datum is free."""
     loose = compiled.block.options.datum in ("free", "inner")
     dead = sum(int(m.unobservable.sum()) for m in view.motions)
     out = [] if loose or not dead else _motion_faults(view)

@@ -1,9 +1,10 @@
-"""Comparison of the heights of points with a reference elevation model: differences, and the shift that explains them.
+"""Comparison of the heights of points with a reference elevation model.
 
-Differences are point minus model. Robust measures against blunders and vegetation are added to mean and standard
-deviation: median, NMAD = 1.4826 median|d - median| and quantiles of |d| (Höhle, Höhle 2009). The differences caused by
-a horizontal shift of the points depend on slope and aspect (Nuth, Kääb 2011): ``d = U - s_E E - s_N N`` with the slopes
-s of the model. The shift is solved by least squares, with the model read at the shifted positions in each step.
+Differences are point minus model. In addition to mean and standard deviation there are measures that are
+robust against blunders and vegetation: median, NMAD = 1.4826 median|d - median| and quantiles of |d| (Höhle,
+Höhle 2009). The differences caused by a horizontal shift of the points depend on slope and aspect (Nuth, Kääb
+2011): ``d = U - s_E E - s_N N`` with the slopes s of the model. The shift is estimated by least squares. In
+each step the model is read again at the shifted positions.
 """
 
 from __future__ import annotations
@@ -29,11 +30,11 @@ SLOPE_M: Final = 15.0
 #: Limit in NMAD from the median; differences beyond it are excluded from the shift.
 REACH: Final = 3.0
 MAX_STEPS, STEP_M = 30, 1e-3
-#: Number of steps after which the selection of points is kept: points near the limit would otherwise change in every
-#: step.
+#: After this number of steps the selection of points is kept. Otherwise points near the limit would change in
+#: every step.
 CHOOSING_STEPS: Final = 8
 LEAST_POINTS: Final = 10
-#: Condition number of the scaled slopes and the constant above which East, North and Up are not separable.
+#: East, North and Up are not separable if the condition number of the scaled slopes and the constant exceeds this.
 CONDITION: Final = 1e3
 CONFIDENCE: Final = 0.95
 
@@ -49,7 +50,7 @@ class Shift:
     n : int
         Number of points used.
     limit : float
-        Limit of |shift| / sigma of a significant component (Student, 95 %).
+        A component is significant if |shift| / sigma exceeds this limit (Student, 95 %).
     rmse_before_m, rmse_after_m : float
         RMSE of the differences of these points.
     """
@@ -196,7 +197,7 @@ def _design(ground: Array, axes: Array, dem: HeightSurface) -> Array:
 
 
 def _near(d: Array, known: Mask) -> Mask:
-    """Return the known differences within :data:`REACH` NMAD of their median."""
+    """Return which differences are known and lie within :data:`REACH` NMAD of their median."""
     if not known.any():
         return known
     reach = max(REACH * nmad(d[known]), STEP_M)
@@ -204,7 +205,10 @@ def _near(d: Array, known: Mask) -> Mask:
 
 
 def _shift(ground: Array, dem: HeightSurface) -> tuple[Shift | None, Finding | None]:
-    """Estimate the shift by Gauss-Newton, without blunders by each step's NMAD; None and a reason if impossible."""
+    """Estimate the shift by Gauss-Newton.
+
+    Each step excludes blunders by the NMAD. Return None and a reason if this is impossible.
+    """
     axes, shift, kept = _axes(ground), np.zeros(3), np.zeros(len(ground), bool)
     for k in range(MAX_STEPS):
         moved = ground - np.einsum("k,nkj->nj", shift, axes)

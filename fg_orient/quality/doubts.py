@@ -30,12 +30,13 @@ from fg_orient.quality.outliers import outlier_tests
 from fg_orient.quality.residuals import ResidualCofactors
 from fg_orient.quality.stated_sigmas import StatedSigma, stated_sigmas
 
-#: Largest probability of each doubt in a block without mistakes, for all its tests together; docs/verdict.md prints it.
+#: Largest probability of each doubt in a block without mistakes, for all tests of the doubt together (see
+#: docs/verdict.md).
 BUDGET: Final = {
     "sigma0": 0.0005, "gross_error": 0.002, "beyond_prior": 0.001, "check_beyond": CHANCE, "check_far": CHANCE,
     "sigmas": 0.001,
 }  # fmt: skip
-#: Level of Baarda's test of one observation; at a larger probability the given sigmas allow its error.
+#: Level of Baarda's test of one observation. If its probability is larger, the given sigmas allow the error.
 ALPHA: Final = 0.001
 #: Smallest factor by which the sigma of a group must be wrong: smaller factors change little.
 MATTERS: Final = 1.25
@@ -45,10 +46,7 @@ _ACCEPTANCE: Final = re.compile(r"(verdict\.)?(?P<code>[a-z0-9_]+)(:(?P<place>.*
 
 
 class Examined(NamedTuple):
-    """Doubts that follow from tests of a solution.
-
-    Also cofactors of its residuals, tests and sigmas if they were computed.
-    """
+    """Doubts that follow from tests of a solution, with the computed cofactors, tests and sigmas."""
 
     findings: list[Finding]
     residuals: ResidualCofactors | None = None
@@ -81,7 +79,7 @@ def of_solution(
         return Examined(out)
     residuals = ResidualCofactors(problem, estimate.state, cofactors)
     residuals.compute()
-    if len(problem.observations) >= MANY_ROWS and not options.snoop:  # the next round copies them
+    if len(problem.observations) >= MANY_ROWS and not options.snoop:  # the next round of the search uses them again
         release(problem, "records")
     return_memory(len(problem.observations))
     tests = outlier_tests(
@@ -155,7 +153,8 @@ def gross_errors(tests: OutlierTests, accept: Sequence[str] = ()) -> list[Findin
 def exceeded_priors(problem: Problem, state: State, cofactors: Cofactors) -> list[Finding]:
     """Report a doubt on the image unknown that differs most from its prior, if its prior does not allow the difference.
 
-    The correction x of a prior has the variance ``1 - q`` in prior variances; q is its cofactor after the adjustment.
+    In units of the prior variance, the correction x of an unknown has the variance ``1 - q``, where q is its
+    cofactor after the adjustment.
     """
     if not problem.block.options.priors:
         return []

@@ -1,14 +1,14 @@
 """Elimination of ground points from the whitened rows, for observability, datum, outlier tests and variance components.
 
-The rows of a ground point have Jacobians B to the unknowns of its images and G to the point (a control point has three
-more rows than its image points). The columns of Q beyond the third of ``G = Q R`` are a basis Q2 of the combinations
-that do not depend on the point::
+The rows of a ground point have Jacobians B to the unknowns of its images and G to the point (a control point
+has three more rows than its image points). In the decomposition ``G = Q R``, the columns of Q after the third
+one are called Q2. They are a basis of the combinations of rows that do not depend on the point::
 
     Q2^T B: reduced rows,   F = Q2 Q2^T = I - G (G^T G)^-1 G^T,   A = F B
 
-Points with the same number of rows are eliminated together. Nothing is squared, so singular values of the reduced rows
-are accurate down to 1e-12 of the largest. A point named by an extra observation is not eliminated. Its coordinates are
-unknowns after the unknowns of the images.
+Points with the same number of rows are eliminated together. No normal equations are formed, so singular
+values of the reduced rows are accurate down to 1e-12 of the largest one. A point named by an extra
+observation is not eliminated. Its coordinates are unknowns after the unknowns of the images.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ def control_residuals(problem: Problem, state: State) -> Array:
 def image_columns(problem: Problem, images: Index) -> Index:
     """Return the columns (n, k) of the unknowns of images.
 
-    Surplus places repeat the first column, where Jacobians are zero.
+    An image with fewer unknowns has its first column repeated; the Jacobians there are zero.
     """
     columns = problem.columns[images]
     wide = np.where(columns < problem.n_image_unknowns, columns, 0)
@@ -130,7 +130,8 @@ def eliminated_points(
     only : int array, optional
         Points to eliminate; default: all that are measured.
     groups : int
-        Number of matrices (r, r) that the caller forms per point; it limits the size of the parts.
+        Number of matrices (r, r) that the caller forms per point. It limits the number of points processed
+        together.
     """
     of_point = problem.observations.point
     order = np.lexsort((problem.observations.image, of_point))
@@ -281,7 +282,7 @@ def _compressed(parts: Iterable[PointRows], width: int) -> Array:
 
 
 def _scattered(rows: Array, columns: Index, width: int) -> Array:
-    """Place rows (n, c) at their columns (c,) of a matrix (n, width); columns that occur twice are added."""
+    """Return a matrix (n, width) with the rows (n, c) in their columns (c,); values of a repeated column are added."""
     out = np.zeros((len(rows), width))
     if len(np.unique(columns)) == len(columns):
         out[:, columns] = rows

@@ -1,4 +1,4 @@
-"""Statistics of control features: each image point on a feature is one condition with one normalised misclosure."""
+"""Statistics of control features (lines and splines): number of image points, redundancy and normalised misclosures."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ if TYPE_CHECKING:
 def feature_records(solution: AdjustmentResult) -> list[dict[str, Any]]:
     """Return one record for each control feature, in the order of the block.
 
-    The residuals of an image point on a feature (line, sample, and both distances of its ground point from the feature)
-    follow from one misclosure. So ``w^2 = v^T v / r``, with whitened residuals v and the sum r of their redundancy
-    numbers, is a chi-square of one degree of freedom: w is the normalised misclosure in the given sigmas.
+    The residuals of an image point on a feature (line, sample, and both distances of its ground point from
+    the feature) follow from one misclosure. Let v be these whitened residuals and r the sum of their
+    redundancy numbers. Then ``w^2 = v^T v / r`` has a chi-square distribution with one degree of freedom, and
+    w is the normalised misclosure with the given sigmas.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Constraints in the result: misclosures, and figures with their covariance."""
+"""Constraints in the result: their misclosures, and the figures (planes, circles and others) with their covariance."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class AdjustedFigure:
 
 
 def adjusted_figures(problem: Problem, state: State, cofactors: Cofactors, scale: float) -> tuple[AdjustedFigure, ...]:
-    """Compute the figures of the constraints of a solution; ``scale``: standard deviations from roots of cofactors."""
+    """Compute the figures of a solution's constraints; ``scale`` converts roots of cofactors to standard deviations."""
     out = []
     for figure in fitted_figures(problem, state):
         free = tuple(j for j in figure.points if problem.active[j])

@@ -10,12 +10,12 @@ choices have the same residuals and the same shape, and each follows from any ot
 With all unknowns in D this is the solution of the pseudo-inverse, with the least trace of Q (Meissl 1962). With some
 unknowns, the trace of their part of Q is least (Koch 1999, 3.3).
 
-The adjustment uses a minimal datum: d image unknowns, one per motion, each with one observation, selected by pivoting
-so that the datum is well conditioned. These observations get no residual. So shape and residuals are equal to those of
-the free network, every backend solves regular equations, and no factor connects more variables. (Inner constraints as
-factors would connect all points.) The state is moved to the requested datum in steps with repeated adjustments, because
-a motion is not linear. The cofactors come from the border of the normal equations (``fg_orient.adjustment.border``);
-requested elements are transformed.
+The adjustment uses a minimal datum: d image unknowns, one per motion, are each observed once. Pivoting
+selects them so that the datum is well conditioned. These observations get no residual, so shape and residuals
+equal those of the free network. Every backend then solves regular equations, and no factor connects more
+variables. (Inner constraints as factors would connect all points.) A motion is not linear, so the state is
+moved to the requested datum in several steps, with an adjustment after each. The cofactors come from the
+border of the normal equations (``fg_orient.adjustment.border``). Only requested elements are transformed.
 """
 
 from __future__ import annotations
@@ -66,8 +66,9 @@ from fg_orient.quality.weakest import weakest
 MAX_UNKNOWNS: Final = 3000
 #: Step in prior sigmas and metres below which a datum is reached.
 REACHED: Final = 1e-9
-#: Maximum number of steps to the datum. A motion changes the residuals only to second order, so a Gauss-Newton step
-#: across the motions follows each step. In a well-determined network both converge quadratically.
+#: Maximum number of steps to the datum. A linearised motion changes the residuals to second order, so a
+#: Gauss-Newton step across the motions follows each step. In a well-determined network both converge
+#: quadratically.
 MAX_STEPS: Final = 60
 _LABEL: Final = "minimal datum"
 
@@ -82,8 +83,8 @@ def _kernel(record: Array, setup: Array, x: Array, want: bool) -> tuple[Array, A
     return _residual(record, setup, x), jacobian
 
 
-#: Observation of some unknowns of an image, each with the weight that its own image points give it: a small weight
-#: would only damp the steps, as in Levenberg-Marquardt.
+#: Observation of some unknowns of an image. Each has the weight that its own image points give it, because a
+#: small weight would only damp the steps, as in Levenberg-Marquardt.
 HELD_UNKNOWNS: Final = Equation(
     "held_unknowns",
     _kernel,
@@ -218,7 +219,7 @@ def to_inner_datum(
             try:
                 with one_blas_thread():
                     least = near.newton()
-            except Singular:  # the step was too large for the network
+            except Singular:  # the step to the datum was so large that the network diverged
                 estimate = replace(estimate, converged=False, end=finding("loop.free_datum"))
                 break
         size = float(np.abs(problem.vector(least) - problem.vector(state)).max())

@@ -127,9 +127,8 @@ class GroundErrors:
         return weighted.T @ self.k - e[:m].T @ self.v, e[:m].T @ self.free @ e[:m] + weighted.T @ seen
 
     def _fitted(self, error_m: Array) -> tuple[float, int, Array, Array]:
-        """Estimate free parameters: T, p, estimates and their standard deviations.
-
-        p = 0 if they cannot be estimated.
+        """Estimate free parameters; return T, p, estimates and standard deviations. p = 0 if they cannot be
+        estimated.
         """
         g, normal = self.normal(error_m)
         whitened = np.einsum("aij,ajp->aip", self.whitening, error_m)
@@ -178,7 +177,7 @@ class GroundErrors:
             yield from self._second_ids(a, axes[a], *parts[a])
 
     def _second_ids(self, a: int, axes: Array, g: Array, normal: Array) -> Iterator[Cause]:
-        """Yield causes in which the image points of control point a show the place of another control point."""
+        """Yield causes in which the image points of a control point show the place of another control point."""
         error = (self.given_m[a] - self.given_m[: self.n_control]) @ axes
         gain = 2.0 * error @ g - np.einsum("ni,ij,nj->n", error, normal, error)
         name = self.ids[a]
@@ -198,7 +197,7 @@ class GroundErrors:
         t, p, theta, sigma = self._fitted(axes[:, :, 2:])
         roles, flat = _ROLES[name], np.array([0.0, 0.0, 1.0])
         if p and self.problem.block.georeferenced and abs(theta[0]) <= UNDULATION_M:
-            # a measured height that is too small by the undulation is orthometric
+            # a height that is smaller than the ellipsoidal height by the undulation is orthometric
             text = (
                 f"heights of the {name} look orthometric: ellipsoidal heights are {-theta[0]:+.2f} +- "
                 f"{sigma[0]:.2f} m above them"
@@ -288,9 +287,9 @@ class GroundErrors:
     def _of_some(
         self, what: str, members: Mask, error_m: Array, cure: str, kind: str, mend: Callable[..., Block]
     ) -> Iterator[Cause]:
-        """Yield known errors (n, 3) of some points of a group, found step by step.
+        """Yield causes in which a known error (n, 3) affects some points of a group.
 
-        Each choice of points is a mistake.
+        The points are found step by step. Each choice of points counts as a mistake of its own.
         """
         rows = np.flatnonzero(members)
         m = len(rows)
@@ -326,7 +325,7 @@ class GroundErrors:
         return ecef_to_geodetic(self.given_m)
 
     def _geoid(self, members: Mask) -> str:
-        """Describe the mean undulation at the points of a group: from EGM96, or coarse if its grid is not installed."""
+        """Describe the mean undulation at a group's points: of EGM96, or of a coarse model if the grid is missing."""
         lon, lat, _ = self._geodetic()
         try:
             return f", EGM96 gives {np.mean(undulation_m(_EGM96, lon[members], lat[members])):+.1f} m"
@@ -336,7 +335,7 @@ class GroundErrors:
 
 
 def _best_part(g: Array, normal: Array) -> tuple[Mask, float]:
-    """Return the members (m,) whose errors of size 1 have the largest joint gain ``2 sum(g) - sum(M)``, and the gain.
+    """Return the members (m,) with the largest joint gain ``2 sum(g) - sum(M)`` for errors of size 1, and the gain.
 
     Members are added to an empty set, and removed from the full set, one by one; the better result is used.
     """

@@ -1,7 +1,7 @@
 """Distributions of the outlier tests, control of multiple tests, and the global test.
 
 T is the decrease of the weighted sum of squares v^T v (f degrees of freedom) when d parameters of a gross error are
-added. Three tests use T; without gross errors:
+added. Three tests use T. Their distributions without gross errors are:
 
 - **Baarda** (1968), sigmas a priori: ``T ~ chi2(d)``; d = 1: ``w = sqrt(T) ~ N(0, 1)``;
 - **Pope** (1976), scale ``m0^2 = v^T v / f`` with the suspect: ``T / v^T v ~ Beta(d/2, (f - d)/2)``; d = 1:
@@ -40,7 +40,8 @@ SYMBOLS: Final[dict[str, tuple[str, str]]] = {"baarda": ("w", "T"), "pope": ("ta
 #: Smallest share of a free observation in a direction that the other observations check.
 CHECKED: Final = 1e-6
 _TINY: Final = float(np.finfo(float).tiny)
-#: Relative precision of the v^T v that remains: it is not zero, even if one suspect explains all residuals.
+#: Relative rounding error of the remaining v^T v. It is the least value used, even if one suspect explains
+#: all residuals.
 _ROUNDING: Final = float(np.finfo(float).eps)
 
 
@@ -57,7 +58,10 @@ def require_names(test: str, control: str, level: float) -> None:
 
 
 def can_be_tested(d: npt.ArrayLike, redundancy: float | Array, test: str) -> Mask:
-    """Return whether d parameters (n,) of an error can be tested; an estimated scale needs remaining redundancy."""
+    """Return whether an error with d parameters (n,) can be tested.
+
+    If the scale is estimated, redundancy must remain.
+    """
     d = np.asarray(d)
     return np.asarray((d > 0) & ((d <= redundancy) if test == "baarda" else (d < redundancy)))
 
@@ -65,7 +69,8 @@ def can_be_tested(d: npt.ArrayLike, redundancy: float | Array, test: str) -> Mas
 def eigen(q: Array) -> tuple[Array, Array]:
     """Return ascending eigenvalues (..., k) and eigenvectors (..., k, k), in columns, of symmetric matrices.
 
-    Matrices of two rows are decomposed in closed form, as in Jacobi's rotation: LAPACK takes 0.5 us for each of them.
+    Matrices with two rows are decomposed in closed form (a Jacobi rotation), because LAPACK takes 0.5 us for
+    each.
     """
     if q.shape[-1] != 2:
         return np.linalg.eigh(q)

@@ -1,4 +1,4 @@
-"""Mistakes in image points that may be likely causes of a doubt: origin of the pixels, point ids.
+"""Likely causes of a doubt in image points: wrong pixel origin, wrong point ids.
 
 With whitened residuals v of all rows, ``R = I - A Q A^T`` and an error e of the observations, ``v ~ -R e`` and the
 unknowns move by ``Q A^T e``. The ground points are eliminated (``fg_orient.quality.elimination``): with F and A of each
@@ -108,7 +108,9 @@ class ImageErrors:
         return out
 
     def split(self, points: Index) -> Iterator[tuple[int, tuple[int, ...], Array, Array]]:
-        """Yield partitions of the rays of a point into two groups that see two places; each group determines its place.
+        """Yield partitions of the rays of a point into two groups that see different places.
+
+        Each group determines its place.
 
         Each result contains the point, the images of the group without coordinates, and ``-E^T v`` (3,) and ``E^T R E``
         (3, 3) of its distance from the other place in metres.
@@ -129,10 +131,7 @@ class ImageErrors:
 
 
 def _groups(n: int, is_control: bool) -> Iterator[tuple[int, ...]]:
-    """Yield groups of at least two of n rays.
-
-    Two other rays, or one ray and the coordinates of a control point, remain.
-    """
+    """Yield groups of two or more of n rays. Two other rays, or one ray and control coordinates, must remain."""
     if n > MOST_RAYS:
         return
     for size in range(2, n - (1 if is_control else 2) + 1):

@@ -1,4 +1,4 @@
-"""Regularisation of more than 2000 image unknowns: Tikhonov's method with sampled traces, without a decomposition.
+"""Regularisation of more than 2000 image unknowns by Tikhonov's method. Traces are sampled, without a decomposition.
 
 The penalty is the deviation in prior sigmas. Rank and singular values are not computed. With the cofactors Q of the
 solution and kappa, the resolution is ``I - (kappa + p) Q``; p is 1 with priors and 0 without.

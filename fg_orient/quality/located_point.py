@@ -8,9 +8,9 @@ pseudo-inverse ``(G^T G)^-1 G^T``::
 
 C_x is the joint covariance of the images, so it includes the correlation of their errors.
 
-Error ellipses and the radii CE90, LE90 and SE90 follow exactly from the covariance: the normal density is integrated
-over the circle or sphere. The usual rule, CE90 = 2.146 times the mean of the two sigmas, is valid for circles only: for
-an ellipse of 10 : 1 it is 28 % too small.
+Error ellipses and the radii CE90, LE90 and SE90 follow exactly from the covariance: the normal density is
+integrated over the circle or sphere. The usual rule, CE90 = 2.146 times the mean of the two sigmas, is valid
+for circles only. For an ellipse of 10 : 1 its result is 28 % too small.
 """
 
 from __future__ import annotations
@@ -259,7 +259,7 @@ def radius(covariance: Array, probability: float = 0.9) -> float:
     sigma = np.sqrt(np.maximum(np.linalg.eigvalsh(np.atleast_2d(covariance)), 0.0))[::-1]
     if sigma[0] == 0.0:
         return 0.0
-    # the lower bound belongs to errors along one axis, the upper one to equal errors along all axes
+    # the lower bound is exact for errors along one axis, the upper bound for equal errors along all axes
     low = float(normal_quantile(0.5 * (1.0 + probability)))
     if len(sigma) == 1 or sigma[1] == 0.0:
         return float(low * sigma[0])

@@ -26,14 +26,13 @@ from fg_orient.quality.mended import with_coordinates_of, with_measured
 LEAST_POINTS: Final = 3
 BETTER: Final = 10.0
 MOST_IMAGES: Final = 30
-#: Median distance in pixels up to which no mix-up is assumed: other readings move points farther.
+#: No mix-up is assumed if the median distance, px, is at most this, because other readings move points farther.
 FAR_PX: Final = 30.0
 #: Standard deviations within which two control points have the same coordinates.
 SAME: Final = 3.0
 #: Distance in pixels assigned to points that a sensor cannot project, for instance on the other side of the Earth.
 NOWHERE_PX: Final = 1e6
-#: Maximum distance in metres from the centre of an image of a point that is projected: farther away the projection can
-#: fail.
+#: Maximum distance, m, of a projected point from the centre of an image. Beyond it the projection can fail.
 REACH_M: Final = 2e6
 #: Maximum number of control points whose places are compared.
 MOST_POINTS: Final = 300
@@ -66,7 +65,7 @@ READINGS: Final[dict[str, Reading]] = {
 
 
 def _unpacked(angle: Array, *, seconds: bool) -> Array:
-    """Return degrees of an angle whose first two decimals are minutes; as an option the next two are seconds."""
+    """Return degrees from packed angles: the first two decimals are minutes, and the next two optionally seconds."""
     degrees = np.trunc(angle)
     minutes = (angle - degrees) * 100.0
     if seconds:
@@ -182,12 +181,12 @@ def _of_image(block: Block, k: int) -> MixUp | None:
 
 @dataclass(frozen=True)
 class IdMixUp:
-    """Control points whose image points show other control points, or with the coordinates of other control points.
+    """Control points with wrong ids: their image points show other control points, or their coordinates are copies.
 
     Parameters
     ----------
     points : tuple of (str, str)
-        Point, and point at whose place its image points lie. Two rows: the ids are exchanged.
+        Pairs of a point and the point whose place its image points show. Two pairs: the ids are exchanged.
     best_px, given_px : float
         Median distance between measured and projected image points, at the place of the other point and at the point's
         own place.
@@ -273,9 +272,9 @@ def id_mix_ups(block: Block) -> tuple[IdMixUp, ...]:
 
 
 def with_right_ids(block: Block, found: Sequence[IdMixUp]) -> Block:
-    """Give control points the coordinates of the places where they lie in the images.
+    """Return the block in which control points have the coordinates of the places that their image points show.
 
-    a copied control point gets none.
+    A copied control point has no coordinates.
     """
     gone = np.isin(block.points.ids, [one.points[0][0] for one in found if one.copied])
     right = with_coordinates_of(block, {name: other for one in found if not one.copied for name, other in one.points})
@@ -312,7 +311,7 @@ def undone(block: Block, found: Sequence[MixUp]) -> Block:
     check = np.array([place[one] for one in block.withheld.ids], np.intp)
 
     def read(ecef_m: Array) -> Array:
-        """Return the other reading for check points that it moves far nearer to their places in the images."""
+        """Return check points in the other reading, if it moves them far nearer to their image points."""
         moved = _read(name, ecef_m)
         given, other = (_of_points(block, check, xyz) for xyz in (ecef_m, moved))
         wrong = (given > FAR_PX) & (BETTER * other < given)

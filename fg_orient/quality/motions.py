@@ -1,13 +1,13 @@
-"""Motions of the whole block that only the priors fix.
+"""Motions of the whole block that no observation fixes.
 
-Connected images and their ground points may be shifted, rotated and scaled together: seven motions. Control points fix
-some of them, sensors fix others: an image with position unknowns only cannot follow a rotation. The images *follow* a
-motion if some values of their unknowns give the moved ground nearly the same image coordinates. A followed motion is
-tested by its effect on all observations, with the ground points free.
+Connected images and their ground points may be shifted, rotated and scaled together: seven motions. Control
+points fix some of them. Sensors fix others: an image with only position unknowns cannot follow a rotation.
+The images *follow* a motion if some values of their unknowns give the moved ground points nearly the same
+image coordinates. The effect of such a motion on all observations is tested, with the ground points free.
 
-Navigation unknowns that only their priors determine: shifts and drifts of strips, lever arm and boresight. The priors
-hold directions that the block without priors determines worse than their prior sigma. An unknown is named if its share
-in these directions is at least :data:`HELD`.
+The module also finds navigation unknowns that only their priors determine: shifts and drifts of strips, lever
+arm and boresight. A direction is held by the priors if the block without priors determines it worse than the
+prior sigma. An unknown is named if its share in such directions is at least :data:`HELD`.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ Effect = Callable[[Array, Array], Array]
 
 #: Largest share of the effect of a motion on the image coordinates that remains when the images follow it.
 FOLLOWED: Final = 0.1
-#: Smallest share of the length of a named motion in the space of free motions; then the motion is free.
+#: A named motion is free if at least this share of its length lies in the space of free motions.
 MATCH: Final = 0.9
 #: Smallest share of a named motion that is independent of the motions named before it.
 NEW: Final = 0.1
-#: Size of a motion in sentences, in metres: half of the points move by this distance or more.
+#: Size of a motion, m, that sentences describe: half of the points move by this distance or more.
 SHIFT_M: Final = 10.0
 _TINY: Final = 1e-10
 #: Largest ratio of the second to the first singular value of the directions of parallel features.
@@ -287,7 +287,7 @@ def _remedy(
 
 #: Smallest share of an unknown in the directions held by the priors; two strips that shift together have one half each.
 HELD: Final = 0.4
-#: Texts by the beginning of the names of unknowns of one kind: term, reason, remedy.
+#: Term, reason and remedy for each kind of unknown; the key is the beginning of the names of the unknowns.
 _KINDS: Final = (
     ("gnss_shift", "shift of the receiver", "the whole block moves with it", "measure control points"),
     (

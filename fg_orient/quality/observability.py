@@ -6,9 +6,9 @@ A whitened Jacobian with respect to unknowns in prior sigmas is decomposed by SV
 - **held by the prior** if 1e-5 < s < 1: the prior contains more information than the observations;
 - **determined** if s >= 1.
 
-Each image is analysed with fixed ground points. This is the optimistic case: a direction that is unobservable then is
-unobservable in every adjustment of the image. The whole block is analysed with the ground points eliminated
-(``fg_orient.quality.elimination``).
+Each image is analysed with fixed ground points. This is the most favourable case: a direction that is
+unobservable with fixed ground points is unobservable in every adjustment. The whole block is analysed with
+the ground points eliminated (``fg_orient.quality.elimination``).
 
 Unobservable directions of an image are matched with the physical candidates of its model (``silent_directions``).
 Directions of the block are matched with its motions (``fg_orient.quality.motions``).
@@ -41,7 +41,7 @@ from fg_orient.sensors.latitudinal import observed_by_angles
 
 #: Smallest singular value of directions that the observations determine better than the prior does.
 DETERMINED: Final = 1.0
-#: Smallest share of the length of a candidate in the null space; then it explains an unobservable direction.
+#: A candidate explains an unobservable direction if at least this share of its length lies in the null space.
 MATCH: Final = 0.9
 #: Condition number of a Jacobian above which its normal equations, with the squared condition number, have no correct
 #: digit.
@@ -152,7 +152,7 @@ def _name_by_unknowns(directions: Array, words: tuple[str, ...]) -> tuple[str, .
     shares = directions**2
     largest = shares == shares.max(axis=1, keepdims=True)
     if largest.sum(axis=1).max(initial=0) <= 1 and largest.sum(axis=0).max(initial=0) <= 1:
-        return tuple(words[j] for j in shares.argmax(axis=1))  # usual case: the largest unknowns are all different
+        return tuple(words[j] for j in shares.argmax(axis=1))  # usual case: each direction has another largest unknown
     # scipy.optimize has the same function, but takes 0.1 s to load
     rows, places = csgraph.min_weight_full_bipartite_matching(sparse.csr_array(2.0 - shares))
     return tuple(words[j] for j in places[np.argsort(rows)])
@@ -161,8 +161,8 @@ def _name_by_unknowns(directions: Array, words: tuple[str, ...]) -> tuple[str, .
 def _raw_condition(s: Array, vt: Array, model: ImageModel) -> float:
     """Return the condition number with the unknowns in physical units per line, if the model has such coefficients.
 
-    Product of two norms, ``|J D| |D^-1 J^+|`` with ``J = U S V^T``. The inverse is computed in prior sigmas, where it
-    is accurate, so that condition numbers far above 1 / eps are correct.
+    It is the product of two norms, ``|J D| |D^-1 J^+|``, with ``J = U S V^T``. The inverse is computed in
+    prior sigmas, where it is accurate, so that condition numbers far above 1 / eps are correct.
     """
     unit = model.raw_sigma[model.parameters.own]
     return float(np.linalg.norm(s[:, None] * vt / unit, 2) * np.linalg.norm(unit[:, None] * vt.T / s, 2))
@@ -174,7 +174,7 @@ _VELOCITY: Final = (("velocity along track", "along track"), ("velocity across t
 
 
 def _summary(texts: list[str], held: int, k: int, condition: float | None, raw: float | None) -> str:
-    """Summarise in one line: unobservable directions, directions held by the prior, and whether to scale unknowns."""
+    """Return one line: unobservable directions, directions held by the prior, and whether raw units need scaling."""
     silent = [t for t in texts if t.endswith("acts on nothing")]
     yaw = [t for t in texts if "acts as yaw" in t]
     names = [short for long, short in _VELOCITY if any(t.startswith(long) for t in silent)]
@@ -286,7 +286,7 @@ WORK_LIMIT: Final = 2e9
 
 
 def affordable(problem: Problem) -> bool:
-    """Return whether the decomposition of the whole block takes much less time than its adjustment."""
+    """Return whether the decomposition of the whole block is fast compared with its adjustment."""
     return 2.0 * len(problem.observations) * problem.n_image_unknowns**2 <= WORK_LIMIT
 
 

@@ -31,7 +31,7 @@ GROUPINGS: Final = (*IMAGE_GROUPINGS, "control", "position", "height", "priors")
 
 @dataclass(frozen=True, eq=False)
 class Groups:
-    """Group of each observation of a block; -1 means no group.
+    """Numbers of the groups to which the observations of a block belong; -1 means no group.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ class GroupedResiduals:
         return GroupCofactors(self.known, self.labels, len(self.groups.names))
 
     def medians(self) -> Array:
-        """Return the median quadratic form of each group's units over the chi-square median; nan without redundancy.
+        """Return each group's median of quadratic forms divided by the chi-square median; nan without redundancy.
 
         Points with a single image point are left out: their quadratic form is the same for image and ground.
         """
@@ -208,7 +208,7 @@ class GroupedResiduals:
 
 
 def _add(parts: dict[int, list[float]], labels: Index, v: Array, q: Array) -> None:
-    """Add the quadratic form of one unit, divided by the median of chi-square, to each of its groups."""
+    """Add the quadratic form of one observation, divided by the median of chi-square, to the lists of its groups."""
     for label in set(labels.tolist()) - {-1}:
         mine = np.flatnonzero(labels == label)
         size, axes = np.linalg.eigh(q[np.ix_(mine, mine)])

@@ -86,7 +86,7 @@ class GroupTest:
 
 @dataclass(frozen=True)
 class OutlierTests(Sequence[GroupTest]):
-    """Tests of all suspects, most suspicious first, untested suspects last; stored by columns, rows are made on demand.
+    """Tests of all suspects: most suspicious first, untested last. They are stored by columns.
 
     Parameters
     ----------

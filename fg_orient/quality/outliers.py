@@ -23,7 +23,7 @@ from fg_orient.quality.residuals import ResidualCofactors
 from fg_orient.quality.suspects import KINDS, Kind, Suspects, suspects
 from fg_orient.quality.variance_components import VarianceComponents, freedoms
 
-#: Two suspects are inseparable if their T agree to this relative difference.
+#: Two suspects are inseparable if the relative difference of their T is smaller than this.
 SAME: Final = 1e-6
 
 
@@ -132,7 +132,7 @@ def _column(families: Sequence[Suspects], name: str) -> Index:
 def _classes(point: Index, d: Index, t: Array, tested: Mask) -> tuple[Index, Index]:
     """Return the first member of each class of inseparable suspects, and the class (n,) of each; -1: not tested.
 
-    Suspects of one point with the same d and, apart from rounding, the same T are inseparable.
+    Suspects of one point are inseparable if they have the same d and, apart from rounding, the same T.
     """
     of_class = np.full(len(t), -1, np.intp)
     order = np.flatnonzero(tested)

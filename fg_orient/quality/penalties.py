@@ -1,10 +1,10 @@
 """Penalties on the correction functions of images: first and second derivatives.
 
-The coefficients of one component of an image, such as roll, form a function of one normalised variable t in [-1, 1],
-line or sample: polynomial coefficients and the curves of ``factors.geometry.polynomials``. The function is divided by
-the prior sigma of its first coefficient. A penalty is the mean square of a derivative at :data:`TIMES` equal times, by
-divided differences, which are exact for quadratics. It never combines components or images, and a constant has no
-penalty.
+The coefficients of one component of an image, such as roll, form a function of one normalised variable t in
+[-1, 1], line or sample: polynomial coefficients and the curves of ``factors.geometry.polynomials``. The
+function is divided by the prior sigma of its first coefficient. A penalty is the mean square of a derivative
+at :data:`TIMES` equally spaced values of t. Derivatives are divided differences, which are exact for
+quadratics. Each component of each image has its own penalty. A constant has no penalty.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from fg_orient.model.parameters import ImageParameters, term_of
 
 #: Number of times at which the derivatives of a function are formed.
 TIMES: Final = 11
-#: Derivatives up to this multiple of the rounding of the function's values count as zero.
+#: Derivatives smaller than this multiple of the rounding error of the function are set to zero.
 ROUNDINGS: Final = 100.0
 _ORDER: Final = {"gradient": 1, "laplace": 2}
 

@@ -1,8 +1,8 @@
 """Test of excluded observations for consistency with the adjustment of the other observations.
 
-The excluded observations are tested as if they were included. With their misclosure v at the solution of the other
-observations, their Jacobian J in whitened rows, the cofactors Q of the unknowns, ``S = I + J Q J^T`` and the columns E
-of the error in these rows::
+The excluded observations are tested as if they were included again. With their misclosure v at the solution
+of the other observations, their Jacobian J in whitened rows, the cofactors Q of the unknowns,
+``S = I + J Q J^T`` and the columns E of the error in these rows::
 
     T = (E^T S^-1 v)^T (E^T S^-1 E)^+ (E^T S^-1 v)
 
@@ -55,7 +55,7 @@ class ConsistencyTest:
 
     @classmethod
     def of(cls, t: float, d: int, chi2: float, redundancy: float, test: str) -> ConsistencyTest:
-        """Test T with v^T v and its degrees of freedom; see ``fg_orient.quality.hypotheses``."""
+        """Return the test of T, given v^T v and its degrees of freedom; see ``fg_orient.quality.hypotheses``."""
         given = np.array([t]), np.array([d])
         if not hypotheses.can_be_tested(given[1], redundancy, test)[0]:
             return cls(t, 0, None, None)
@@ -70,7 +70,7 @@ class ConsistencyTest:
 
 @dataclass(frozen=True)
 class Excluded:
-    """Excluded observations of one ground point, and which of them has the suspected error.
+    """Excluded observations of one ground point; ``part`` or ``row`` states which of them has the suspected error.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def misclosures(full: Problem, rest: Problem, state: State, excluded: Sequence[E
     start = np.where(rest.active[:, None], state.ground, full.start.ground)
     out: list[Misclosures | None] = [None] * len(excluded)
     left = dict(enumerate(excluded))
-    while left:  # a ground point has a different place in each of its groups, which are intersected separately
+    while left:  # each group of a ground point is intersected separately
         some = {k: left.pop(k) for k in {one.point: k for k, one in left.items()}.values()}
         at = State(state.image, start.copy())
         lost = {k for k, one in some.items() if full.active[one.point] and not rest.active[one.point]}
@@ -141,7 +141,8 @@ def misclosures(full: Problem, rest: Problem, state: State, excluded: Sequence[E
         some = {k: one for k, one in some.items() if k not in open_}
         for k, (v, d_image, d_ground, images) in zip(some, _rows(full, at, list(some.values())), strict=True):
             e = _columns(full, some[k])
-            # scaled before the projection: the length after it is then the checked share
+            # columns have length 1 before the projection; their length after it is the share that other
+            # observations check
             e = e / np.linalg.norm(e, axis=0)
             points: tuple[int, ...] = ()
             if rest.active[some[k].point]:
@@ -156,7 +157,7 @@ def misclosures(full: Problem, rest: Problem, state: State, excluded: Sequence[E
 def consistency_in_turn(
     groups: Sequence[Misclosures], levels: Sequence[float], rest: Problem, cofactors: Cofactors, chi2: float, test: str
 ) -> list[ConsistencyTest]:
-    """Test groups in order, each together with the earlier groups that fit, in the linear model of one adjustment.
+    """Test groups one after the other; a group that fits counts as included in the tests of the next groups.
 
     After group a is included, the misclosures of the other groups and their cofactors are ``v' = v - S_a S_aa^-1 v_a``
     and ``S' = S - S_a S_aa^-1 S_a^T``. v^T v has increased by ``v_a^T S_aa^-1 v_a``.
@@ -212,7 +213,7 @@ def _columns(full: Problem, one: Excluded) -> Array:
 
 
 def _judged(v: Array, e: Array, s: Array, chi2: float, redundancy: float, test: str) -> ConsistencyTest:
-    """Test in the adjustment with the observations: f increases by their number, v^T v by their sum."""
+    """Return the test in the adjustment that includes the observations: f and v^T v increase by their contributions."""
     residual, weighted = np.linalg.solve(s, v), np.linalg.solve(s, e)
     t, d, _ = hypotheses.quadratic(e.T @ residual, e.T @ weighted)
     return ConsistencyTest.of(float(t), int(d), chi2 + float(v @ residual), redundancy + len(v), test)

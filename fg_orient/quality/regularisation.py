@@ -1,22 +1,27 @@
 """Regularisation of the image unknowns: penalty, rank and kappa are chosen at the start values for all backends.
 
-With the ground points eliminated (``fg_orient.quality.elimination``), a step of the image unknowns solves ``A x = l``.
-x is the total deviation from the metadata, in prior sigmas. These are units only; with priors there is also a row ``x =
-0`` per unknown. The method uses the norm ``|D x|``, where D changes the units. With ``A D^-1 = U S V^T``:
+With the ground points eliminated
+(``fg_orient.quality.elimination``), a step of the image unknowns solves ``A x = l``. x is the total deviation
+from the metadata, in prior sigmas. Here the prior sigmas are only units. If there are priors, each unknown
+has an additional row
+``x = 0``. The method uses the norm ``|D x|``, where D changes the units. With ``A D^-1 = U S V^T``:
 
 - tikhonov: ``|A x - l|^2 + kappa |L D x|^2`` is minimised; L is the identity, or a penalty of the correction functions;
 - truncated: directions with ``s^2 < kappa`` stay at the metadata, ``v^T D x = 0``;
 - minimum_norm: directions with ``s <= rank_cut s_1`` stay there: the pseudo-inverse of Moore and Penrose;
-- generalised_ridge, stein, ridge_stein: as minimum_norm, but the other directions are shrunk
-  (``fg_orient.adjustment.linear.shrinkage``).
+- generalised_ridge, stein, ridge_stein: as minimum_norm, but the components of x along the other directions
+  are also reduced (``fg_orient.adjustment.linear.shrinkage``).
 
-Held directions are observed with a weight w of at least s_1. A residual of one sigma moves a direction of singular
-value s by ``s / w^2``. This is :data:`HELD` or less, unless w would exceed :data:`STIFFEST` times s_1. The result of
-each method is a matrix R of rows that all backends add (``fg_orient.adjustment.penalty``).
+A held direction gets an observation of zero with a weight w of at least s_1. A residual of one sigma then
+moves a direction of singular value s by
+``s / w^2``. The weight is chosen so that this is :data:`HELD` or less, but w is at most :data:`STIFFEST`
+times s_1. The result of each method is a matrix R of rows that all backends add
+(``fg_orient.adjustment.penalty``).
 
-Rules of kappa work on a system in standard form (Eldén 1982; Hansen 1998, 2.3): unknowns ``y`` with penalty ``|y|^2``,
-unpenalised directions eliminated, directions below the rank cut removed. It has as many rows as there are whitened
-image and control observations, minus the number of ground coordinates and unpenalised directions.
+Rules of kappa use a system in standard form (Eldén 1982; Hansen 1998, 2.3). Its unknowns
+``y`` have the penalty ``|y|^2``. Directions without penalty are eliminated, and directions below the rank cut
+are removed. It has as many rows as there are whitened image and control observations, minus the number of
+ground coordinates and unpenalised directions.
 """
 
 from __future__ import annotations
@@ -165,7 +170,7 @@ def _with_all_rows(design: Array, rows: Array, *, priors: bool) -> tuple[float, 
 
 
 def _units(problem: Problem, system: LinearSystem) -> Array:
-    """Return D (z,): units of the norm for one prior sigma."""
+    """Return D (z,): it converts unknowns from prior sigmas to the units of the norm."""
     kind = problem.block.options.regularised_units
     if kind == "columns":
         return column_lengths(system)
@@ -175,7 +180,7 @@ def _units(problem: Problem, system: LinearSystem) -> Array:
 
 
 def _require_complete(problem: Problem, penalty: Array, null: Array) -> None:
-    """Refuse a penalty that does not act on unobserved directions ``null`` (z, d), unless priors hold them."""
+    """Raise InputError if neither the penalty nor priors act on the unobserved directions ``null`` (z, d)."""
     if problem.block.options.priors or not null.shape[1]:
         return
     left = null @ np.linalg.svd(penalty @ null)[2].T

@@ -8,7 +8,7 @@ prior sigmas the products of the errors of points have the expectation
 
     H ((K - I) (K - I)^T + G G^T) H^T + diag (C^T C)^-1,   H = -(C^T C)^-1 C^T B
 
-A covariance contains the second term and the third alone.
+A covariance contains only the terms of the noise, ``G G^T`` and ``(C^T C)^-1``.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from fg_orient.quality.resolution import Resolution, resolution
 
 
 class ExpectedErrors(NamedTuple):
-    """Expected products (3k, 3k) of the errors of points, m^2, ECEF axes: all, and those of the bias alone."""
+    """Expected products (3k, 3k) of the errors of points, m^2, ECEF axes: of all errors, and of the bias alone."""
 
     total: Array
     bias: Array

@@ -5,10 +5,10 @@ its neighbours. Each domain supplies its fit and its tests. The tests may name s
 order (``fg_orient.quality.successive``). This loop decides which observations are excluded or included again, and when
 the search ends.
 
-An early choice among suspects may be wrong. After each fit the excluded observations are therefore predicted from the
-others. Observations that fit are included again before another observation is excluded. Each observation returns at
-most once. Every round except the last changes an observation, and each observation changes at most three times (out,
-back, out again), so the search ends.
+An early choice among suspects may be wrong. After each fit the excluded observations are therefore predicted
+from the others. Observations that fit are included again before another observation is excluded. An
+observation can be included again only once. Every round except the last changes an observation, and each
+observation changes at most three times (excluded, included, excluded). Therefore the search ends.
 
 The record of a search in an adjustment (``fg_orient.orientation.outlier_search``) is :class:`Search`.
 """
@@ -92,8 +92,9 @@ def reject(
         Function that returns observations to include again together, given a fit, the excluded observations, and those
         of them that may return. Without this function no observation returns.
     impossible : tuple of exception classes
-        Errors of a fit whose observations do not determine it. Of several exclusions the second half is then undone,
-        and so on. If the fit is still impossible without the first observation alone, the search ends.
+        Errors of a fit whose observations do not determine it. If several observations were excluded at once,
+        the second half of them is then included again, and so on. If the fit is still impossible without the
+        first observation alone, the search ends.
     """
     last, out, changes, returned = first, list[T](), list[Change[T]](), list[T]()
     while True:
@@ -135,7 +136,8 @@ class ExcludedObservation:
     round : int
         Number of this adjustment, counted from 1.
     with_it : tuple of str
-        Observations that are useless without it, such as the other image point of a point measured twice.
+        Observations that are excluded with it because they are useless alone, such as the other image point
+        of a point measured twice.
     fit : ConsistencyTest
         Consistency with the adjustment without it: when it was included again, otherwise in the last round.
     readmitted : int or None

@@ -35,8 +35,9 @@ ALPHA, POWER = 0.001, 0.80
 CHECKABLE: Final = 0.01
 #: Smaller redundancy numbers are rounding errors of zero; quantities derived from them are not given.
 ROUNDING: Final = 1e-6
-#: Delta-bar above which an error is undetected: seven times the radius of the point's 95 % region. Three rays in a
-#: plane count as two if the angle between two of them is less than 0.38 of their angle to the third ray.
+#: An error is called unseen if its delta-bar exceeds this: seven times the radius of the point's 95 % region.
+#: Three rays in a plane count as two rays if the angle between two of them is less than 0.38 of their angle
+#: to the third ray.
 UNSEEN: Final = 20.0
 
 
@@ -167,12 +168,13 @@ def reliability(cofactors: ResidualCofactors, *, alpha: float = ALPHA, power: fl
 
 
 def unseen_shifts(known: ResidualCofactors) -> Array:
-    """Compute the shift (N, 3) East, North, Up of each unknown point by an unseen error of one pixel; nan without one.
+    """Return the shift (N, 3) East, North, Up of points by an unseen error of one pixel; nan if there is none.
 
-    An error of a ray along its least checked direction is unseen if its minimal detectable bias shifts the point by
-    more than :data:`UNSEEN` of its own sigmas. Both coordinates are tested together. For a tie point with two rays this
-    direction is the epipolar line. The ray with the largest shift counts. Under a loss the rays have their final
-    weights. The error may have either sign; the largest component of the shift is positive.
+    An error of a ray along its least checked direction is unseen if its minimal detectable bias shifts the
+    point by more than :data:`UNSEEN` of its own sigmas. Both coordinates are tested together. For a tie point
+    with two rays this direction is the epipolar line. The result belongs to the ray with the largest shift.
+    Under a loss the rays have their final weights. The error may have either sign; the largest component of
+    the shift is positive.
     """
     problem, o, rays = known.problem, known.problem.observations, known.rays
     some, limit = [], UNSEEN / np.sqrt(noncentrality(dimension=2))
@@ -187,7 +189,7 @@ def unseen_shifts(known: ResidualCofactors) -> Array:
         some.append((point[unseen], moved[unseen, :, 0] / pixels[:, None]))
     point, shift = (np.concatenate(values) for values in zip(*some, strict=True))
     out = np.full((len(problem.active), 3), np.nan)
-    order = np.argsort(np.linalg.norm(shift, axis=1), kind="stable")  # the largest comes last
+    order = np.argsort(np.linalg.norm(shift, axis=1), kind="stable")  # in ascending order: the last assignment wins
     out[point[order]] = shift[order]
     at = np.flatnonzero(np.isfinite(out[:, 0]))
     shift = np.einsum("nij,nj->ni", problem.axes(known.state.ground[at] + problem.origin_m), out[at])

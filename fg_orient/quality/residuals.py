@@ -21,7 +21,7 @@ so R consists of one block per point and a matrix of low rank. E_j selects the r
     (R E_j R)_pp = F E_j F - F E_j H - H E_j F + A_p W_j A_p^T,   H = A_p Q A_p^T
     S_ij = tr(E_i R E_j R) = tr(Q M_i Q M_j) + sum_p sum_(k in i, l in j) (F_kl^2 - 2 F_kl H_kl)
 
-All of it is exact. Priors and extra observations are rows without a point.
+These formulas are exact. Priors and extra observations are rows without a point.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ from fg_orient.quality.hypotheses import CHECKED
 #: Maximum number of elements of the matrices W_j of all groups, 0.5 GB each kind; for example 4 groups and 4000
 #: unknowns.
 LARGEST: Final = 2**26
-#: Ratio of all unknowns to those of a point up to which the rows of the point are a full matrix.
+#: The rows of a point are a full matrix if all unknowns are at most this many times the unknowns of the point.
 FULL: Final = 8
 
 
@@ -94,7 +94,7 @@ class ResidualCofactors:
     cofactors: Cofactors
 
     def compute(self) -> None:
-        """Compute residuals and cofactors of the image points; afterwards their records are not needed any more."""
+        """Compute residuals and cofactors of the image points now. Their records can then be freed."""
         _ = self.v_image, self.rays
 
     @cached_property

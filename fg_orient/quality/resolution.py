@@ -8,10 +8,10 @@ all in prior sigmas. The resolution of an unknown is the change of its estimate 
 if the observations alone determine it, 0 if priors or penalty do. Its matrix has eigenvalues in [0, 1]; their sum is
 the number of unknowns that the observations determine.
 
-The bias needs the true x. The *plug-in* bias uses the estimate instead, and is too small. It cannot be estimated in
-directions that no observation determines; the bound for a true deviation of one prior sigma is given there. The mean
-square error comes from a Monte Carlo simulation of the linear model: true deviations N(0, 1) in prior sigmas,
-observations N(0, 1), kappa held.
+The bias needs the true x. The *plug-in* bias uses the estimate instead, and is too small. In directions that
+no observation determines the bias cannot be estimated. Its bound for a true deviation of one prior sigma is
+given instead. The mean square error comes from a Monte Carlo simulation of the linear model: true deviations
+N(0, 1) in prior sigmas, observations N(0, 1), kappa held.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ SEED: Final = 0
 #: Smallest resolution of an unknown determined by the observations, and largest of an unknown determined by the
 #: metadata.
 DETERMINED, HELD = 0.9, 0.1
-#: Record of the curve of a large system, whose kappas are not recorded.
+#: Record of the curve of a large system; it has no list of kappas.
 _NO_CURVE: Final[dict[str, Any]] = {
     "kappa": [], "residual_norm": [], "solution_norm": [], "curvature": [], "choices": [],
 }  # fmt: skip

@@ -1,19 +1,21 @@
 """Significance of the image unknowns: t tests of single coefficients, F tests of groups.
 
-One unknown has ``m_j = m0 sqrt(q_jj)`` and ``t = |x_j| / m_j`` with f degrees of freedom (Terlemezoğlu 2019, eqs.
-2.78-2.80; m0^2 = v^T P v / f). d unknowns together have ``F = x^T Q^-1 x / (d m0^2)`` with d and f. The hypothesis is
-that the correction is zero. An insignificant orientation parameter keeps the value of the metadata; an insignificant
-term of a look-angle polynomial or an RPC compensation is dropped. Of many single tests 5 % are significant by chance.
-Therefore ``adjusted`` is Holm's (1979) probability over all coefficients. F tests of groups are not adjusted.
+One unknown has ``m_j = m0 sqrt(q_jj)`` and ``t = |x_j| / m_j`` with f degrees of freedom (Terlemezoğlu 2019,
+eqs. 2.78-2.80; m0^2 = v^T P v / f). d unknowns together have ``F = x^T Q^-1 x / (d m0^2)`` with d and f. The
+hypothesis is that the correction is zero. An insignificant orientation parameter can keep the value of the
+metadata. An insignificant term of a look-angle polynomial or RPC compensation can be omitted. Of many single
+tests 5 % are significant by chance. Therefore ``adjusted`` is Holm's (1979) probability over all
+coefficients. F tests of groups are not adjusted.
 
-The prior observation of a tested unknown has exactly the value that the hypothesis states. If the hypothesis is true
-and the other unknowns follow their priors, the corrections have the variance ``Q - Q P Q``, not Q. (P is the inverse of
-the prior covariance of the tested unknowns, I in prior sigmas; Q and P are their blocks.) T is the square of the
-corrections in this variance. m0 is computed without these priors: ``m0^2 = (v^T P v - x^T (P^-1 - Q)^-1 x) / (f - d)``.
-T / (d m0^2) has the distribution F of d and f - d. It equals the test of an adjustment without the priors of the tested
-unknowns. An unknown that only its prior determines (``prior_share`` near 1) is never significant: the observations
-contain no information about it. Correlated unknowns may each be insignificant but significant together, so they are
-dropped one at a time (``fg_orient.orientation.reduction``).
+The prior observation of a tested unknown has exactly the value that the hypothesis states. If the hypothesis
+is true and the other unknowns follow their priors, the corrections have the variance ``Q - Q P Q``, not Q. (P
+is the inverse of the prior covariance of the tested unknowns, I in prior sigmas; Q and P are their blocks.) T
+is the square of the corrections in this variance. m0 is computed without these priors:
+``m0^2 = (v^T P v - x^T (P^-1 - Q)^-1 x) / (f - d)``. T / (d m0^2) has the distribution F of d and f - d. It
+equals the test of an adjustment without the priors of the tested unknowns. An unknown that only its prior
+determines (``prior_share`` near 1) is never significant: the observations contain no information about it.
+Correlated unknowns may each be insignificant but significant together, so they are removed one at a time
+(``fg_orient.orientation.reduction``).
 """
 
 from __future__ import annotations
@@ -183,10 +185,7 @@ def significance(
 def group_test(
     known: ResidualCofactors, sigma0: float, freedom: UnknownFreedom | None, name: str, index: Index
 ) -> GroupTest:
-    """Test the unknowns at places (d,) in ``problem.image_columns`` together by F.
-
-    Others as in :func:`significance`.
-    """
+    """Test unknowns together by F: those at the places (d,) in ``problem.image_columns``."""
     problem, q = known.problem, known.cofactors.unknowns(index)
     _require_unbiased(problem)
     m0, f = (sigma0, float(problem.redundancy)) if freedom is None else (1.0, freedom.together(index))
@@ -204,9 +203,10 @@ def _require_unbiased(problem: Problem) -> None:
 
 
 def under_priors(x: Array, q: Array, m0: float, f: float, estimated: bool) -> tuple[float, int, float]:
-    """Return F of unknowns x (d,) with cofactors q (d, d), prior sigmas; tested directions; f without priors.
+    """Return F of unknowns x (d,) with priors, the number of tested directions, and f without these priors.
 
-    ``estimated``: m0 is computed from all residuals, with f degrees of freedom, without the priors of x.
+    x and the cofactors q (d, d) are in prior sigmas. If ``estimated`` is True, m0 is computed from all
+    residuals except those of the priors of x.
     """
     share, axes = np.linalg.eigh(q)  # share of the priors in each direction
     tested = 1.0 - share > CHECKED

@@ -7,8 +7,8 @@ are right, and
 
     q r / S ~ chi2(r^2 / S)                                              (Satterthwaite 1946)
 
-S is not larger than r, because no eigenvalue of R_gg is above 1. If S is not computed, r replaces it, which makes the
-test conservative.
+S is not larger than r, because the eigenvalues of R_gg are at most 1. If S is not computed, r replaces it;
+the test then has fewer false alarms than stated.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class StatedSigma:
     redundancy : float
         Redundancy of the group.
     larger, smaller : float
-        Probability of such a large, or such a small sum of squares if all sigmas are correct.
+        Probability of this or a larger sum of squares, and of this or a smaller one, if all sigmas are correct.
     """
 
     group: str
@@ -99,8 +99,8 @@ def stated_sigmas(known: ResidualCofactors, without: OutlierTests | None = None)
     known : ResidualCofactors
         Residuals of a solution without a loss.
     without : OutlierTests, optional
-        Tests. The point of the first suspect has a gross error, which is not an error of the sigmas: its worst suspects
-        in each group do not count in the probabilities.
+        Tests. The point of the most suspicious observation has a gross error, which is not an error of the
+        sigmas. Therefore its worst observation in each group is omitted from the probabilities.
     """
     largest = QUICK if len(known.problem.observations) <= EXACT_RAYS else 0
     residuals = GroupedResiduals(known, groups_of(known.problem, USUAL_GROUPS), largest=largest)

@@ -1,14 +1,16 @@
 """Structural rank: unknowns with too few observations, found from the structure of the block without numbers.
 
-Unknowns and observations form a bipartite graph. Its coarse decomposition (Dulmage & Mendelsohn 1958) gives the
-unknowns that have no observation under the best assignment. All unknowns of an image occur in the same observations,
-and this also holds for the three coordinates of a ground point. Whole images and ground points are therefore used
-instead of single unknowns. The assignment is a flow: an image point supplies two observations, a control point three;
-an image needs one observation per unknown, a ground point three.
+Unknowns and observations form a bipartite graph. Its coarse decomposition (Dulmage & Mendelsohn 1958) gives
+the unknowns that have no observation under the best assignment. All unknowns of an image occur in the same
+observations, and this also holds for the three coordinates of a ground point. Therefore the nodes of the
+graph are whole images and ground points, not single unknowns. The assignment is a flow: an image point
+supplies two observations, a control point three; an image needs one observation per unknown, a ground point
+three.
 
-Most blocks need no flow. Each point can take its three observations in equal shares from its image points. If the
-remaining observations are sufficient for each image, these shares are a fractional flow. An integer flow then also
-exists (the constraints of a flow are totally unimodular). This test reads the observations a few times.
+Most blocks need no flow. Suppose that each point takes its three observations in equal shares from its image
+points. If the remaining observations are sufficient for each image, this is a fractional flow. An integer
+flow then also exists (the constraints of a flow are totally unimodular). This test reads the observations a
+few times.
 """
 
 from __future__ import annotations
@@ -94,7 +96,7 @@ def of_ids(noun: str, ids: list[str] | tuple[str, ...]) -> str:
 
 
 def _needs(problem: Problem) -> tuple[Index, Index]:
-    """Count the observations that images (M,) and points (N,) need besides priors, penalties and coordinates.
+    """Count the observations that images (M,) and points (N,) need in addition to priors, penalties and coordinates.
 
     Shared unknowns of images are not counted, so the defect is a lower bound; the singular values include them.
     """
@@ -115,7 +117,10 @@ def _enough(problem: Problem, image_need: Index, point_need: Index) -> bool:
 
 
 def _groups(problem: Problem) -> tuple[Index, Index, Index]:
-    """Return pairs (observation, unknown), and sizes of the observations; images are unknowns 0 .. M-1, points M ..."""
+    """Return pairs (observation, unknown) and the sizes of the observations.
+
+    Unknowns are numbered: first images, then points.
+    """
     o, m = problem.observations, problem.n_images
     n = len(o)
     rows, columns, sizes = [np.tile(np.arange(n), 2)], [np.concatenate([o.image, m + o.point])], [np.full(n, 2)]
@@ -147,7 +152,7 @@ def _parts(problem: Problem) -> tuple[Index, Index]:
 
 
 def _joined(m: int, links: list[tuple[int, int]]) -> list[int]:
-    """Return the least node of the part of each node below m; larger nodes occur only in links."""
+    """Return for each node below m the least node of its connected part; larger nodes occur only in links."""
     above: dict[int, int] = {}
 
     def least(node: int) -> int:

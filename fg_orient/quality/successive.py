@@ -1,7 +1,7 @@
 """Suspects that a search would exclude one after the other, computed from one adjustment.
 
-After a suspect with the columns e of its error is left out, the residuals of the other observations and their cofactors
-are, in the linear model, equal to an adjustment without it (Kok 1984)::
+Let e be the columns of the error of a suspect. In the linear model, residuals and cofactors of an adjustment
+without this suspect follow from those with it (Kok 1984)::
 
     v' = v - Q e (e^T Q e)^+ e^T v,     Q' = Q - Q e (e^T Q e)^+ e^T Q,     v^T v' = v^T v - T,     f' = f - d
 
@@ -33,12 +33,13 @@ from fg_orient.quality.suspects import Kind, suspects
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-#: Number of suspects that are used, those with the smallest probabilities: the minimum, the number for each suspicious
-#: one (a gross error hides others), and the maximum.
+#: Number of suspects that are used, in the order of their probabilities: minimum, number per suspicious
+#: observation (a gross error hides others), and maximum.
 LEAST: Final = 256
 EACH: Final = 2
 MOST: Final = 4096
-#: Largest ratio of the gross errors of one round: second-order terms of the largest may look like a smaller error.
+#: Largest ratio of two gross errors in one round, because second-order effects of a large error may look like
+#: a small error.
 LINEAR: Final = 50.0
 #: Number of changes of the cofactors for which memory is allocated at first.
 FIRST: Final = 64

@@ -12,9 +12,9 @@ Helmert's equations converge in a few rounds (S point by point: ``fg_orient.qual
 are never negative. They replace negative variances of Helmert's equations, and all estimates if there are too many
 unknowns and groups. Each round requires a new adjustment (``fg_orient.orientation.components``).
 
-Ungrouped observations keep their given sigmas. A component is held if its estimate is not larger than its standard
-deviation, because its redundancy is then too small. The robust variant uses medians instead of sums. It tolerates gross
-errors in half of a group, if they neither change the solution nor affect other groups.
+Ungrouped observations keep their given sigmas. A component is held if its estimate is not larger than its
+standard deviation, because its redundancy is then too small. The robust variant uses medians instead of sums.
+It tolerates gross errors in up to half of a group if they change neither the solution nor other groups.
 """
 
 from __future__ import annotations
@@ -228,7 +228,7 @@ def require_method(method: str) -> None:
         raise InputError.of("statistics.method", place="method", value=method, known=", ".join(METHODS))
 
 
-#: Degrees of freedom that stand for a known variance: the F distribution then equals chi-square to 1e-8.
+#: Degrees of freedom used for a known variance. With this number the F distribution equals chi-square to 1e-8.
 KNOWN: Final = 1e8
 
 
@@ -239,11 +239,11 @@ def freedoms(residuals: GroupedResiduals, suspects: Sequence[Suspects], componen
 
         Var = sum_j c_j s_j^2,   c_j = tr((E^T R E)^+ E^T R E_j R E) / d,   sum_j c_j = 1
 
-    with the variance ``c^T C c``, where C is the covariance of the s_j^2. Its degrees of freedom are ``nu = 2 / (c^T C
-    c)`` (Satterthwaite 1946; of mixed models: Fai & Cornelius 1996). T of the suspect is then tested as in
-    ``fg_orient.quality.hypotheses`` with ``v^T v = f = nu``. The redundancy of the whole block would be too strict, the
-    redundancy of the suspect's group too lax (docs/variance-components.md). The latter is used if there are too many
-    unknowns and groups.
+    with the variance ``c^T C c``, where C is the covariance of the s_j^2. Its degrees of freedom are
+    ``nu = 2 / (c^T C c)`` (Satterthwaite 1946; of mixed models: Fai & Cornelius 1996). T of the suspect is
+    then tested as in ``fg_orient.quality.hypotheses`` with ``v^T v = f = nu``. Two simpler choices are worse
+    (docs/variance-components.md): the redundancy of the whole block gives too many alarms, and so does the
+    redundancy of the suspect's group. The latter is used if there are too many unknowns and groups.
 
     Parameters
     ----------
@@ -337,6 +337,6 @@ class UnknownFreedom:
 
 
 def least_freedom(components: VarianceComponents) -> float:
-    """Return the degrees of freedom of the least certain component, for observations outside the adjustment."""
+    """Return the smallest degrees of freedom of all components, for observations outside the adjustment."""
     variances = np.diag(components.covariance)
     return min(KNOWN, 2.0 / float(variances.max())) if len(variances) else KNOWN

@@ -1,8 +1,8 @@
 """Datum of a block without control points: directions that the rays hardly determine stay at the metadata.
 
-A movement x of the image unknowns moves the image points by ``J x``. The ground points move with the images. The part
-of the movement that the points cannot follow appears in the residuals. With N = J^T J and S, the normal matrix of the
-images after the elimination of all points (no priors),
+A movement x of the image unknowns moves the image points by ``J x``. The ground points move with the images.
+The points cannot follow the whole movement; the remaining part appears in the residuals. With N = J^T J and
+S, the normal matrix of the images after the elimination of all points (no priors),
 
     S v = mu N v,    0 <= mu <= 1 without control points
 
@@ -43,11 +43,12 @@ from fg_orient.model.parameters import chosen_datum, with_options
 from fg_orient.quality.cofactors import CommonCofactors, PointCofactors
 from fg_orient.quality.free_network import without_priors
 
-#: Smallest share mu of a free movement (see above); below it, a y-parallax moves an image by 5 times its own size.
+#: Movements with a smaller mu are held (see above): a y-parallax would move the image by more than 5 times
+#: its own size.
 SEEN: Final = 0.04
 #: RMS movement of the image points, in their sigmas, that a held direction still allows.
 HELD: Final = 1e-3
-#: Smallest share of the largest eigenvalue of the scaled N; below it, a movement of the unknowns moves no image point.
+#: Eigenvalues of the scaled N below this share of the largest one belong to movements that move no image point.
 MOVES: Final = 1e-10
 
 

@@ -41,8 +41,8 @@ SIGMA0_LEVEL = 0.999
 MOST_DOWN = 0.5
 #: Maximum number of images that are named.
 NAMED = 10
-#: Number of unknowns eliminated together above which GTSAM's time is reported, and its seconds over the cube of this
-#: number (measured with 3060).
+#: GTSAM's time is reported if it eliminates more unknowns together than the first number. The second number
+#: is its seconds divided by the cube of the number of unknowns (measured with 3060 unknowns).
 WIDE = 1500
 GTSAM_S = 1.1e-10
 NO_INTERVAL = (float("nan"), float("nan"))
@@ -128,9 +128,10 @@ def turned_down_images(problem: Problem, weights: Weights) -> list[tuple[str, in
 
 
 def points_with_rays(problem: Problem, weights: Weights, rays: int) -> list[int]:
-    """List unknown points with this number of rays (0 or 1) not down-weighted, and without control of full weight.
+    """List unknown points without control of which exactly this number of rays (0 or 1) is not down-weighted.
 
-    Without a ray no observation checks the position; with one ray the position along it is not determined.
+    A control observation counts only if it is not down-weighted. Without a ray no observation checks the
+    position. With one ray the position along it is not determined.
     """
     o, n = problem.observations, len(problem.active)
     if problem.block.options.loss in UNWEIGHED:

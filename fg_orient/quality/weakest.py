@@ -1,8 +1,9 @@
 """Directions of a block that its observations determine least, from the border of the normal equations.
 
-Inverse iteration with the border finds the space of the weakest directions. Their singular values and the directions in
-this space come from the rows themselves, so that nothing is squared: values down to 1e-12 of the largest are accurate.
-This takes a small part of the time of a decomposition of all rows (``fg_orient.quality.elimination``).
+Inverse iteration with the border finds the space of the weakest directions. Singular values and directions
+within this space are computed from the rows themselves, without squares. Therefore values down to 1e-12 of
+the largest one are accurate. This takes a small part of the time of a decomposition of all rows
+(``fg_orient.quality.elimination``).
 """
 
 from __future__ import annotations
@@ -17,13 +18,15 @@ from factors.arrays import Array
 from fg_orient.adjustment.border_matrix import BorderMatrix
 from fg_orient.adjustment.schur_reduced import Singular
 
-#: Added to the diagonal of the scaled matrix: above its rounding, far below the eigenvalues of weak directions.
+#: This number is added to the diagonal of the scaled matrix. It is above the rounding error and far below the
+#: eigenvalues of weak directions.
 SHIFT: Final = 1e-11
-#: Directions at first, beyond the seven of each part; steps of the inverse iteration, and of the correction by rows.
+#: Number of start directions in addition to seven per part; numbers of steps of the inverse iteration and of
+#: the correction by rows.
 BESIDE: Final = 9
 STEPS: Final = 3
 CORRECTIONS: Final = 2
-#: Singular value of a motion from which rounding alone is left: corrections no longer change it.
+#: A smaller singular value of a motion is rounding noise, which corrections do not change.
 EXACT: Final = 1e-11
 #: Directions up to this multiple of the limit are corrected.
 BESIDES: Final = 10.0
@@ -112,7 +115,7 @@ class _ByRows(NamedTuple):
 
 
 def _by_rows(border: BorderMatrix, space: Array) -> _ByRows:
-    """Resolve a space (b, d) of movements."""
+    """Compute singular values and directions within a space (b, d) of movements, from all rows."""
     r = np.linalg.qr(border.images_of(space), mode="r")
     own = np.asarray(solve_triangular(r, space.T, trans="T").T)
     followed = border.follow(own)

@@ -1,10 +1,12 @@
 """Message catalogue: entries for errors, warnings and notes, by code.
 
-Each entry gives the message, remedy and severity of a stable code (:class:`fg_orient.model.messages.entry.Entry`).
-Message and remedy are format strings of the keyword arguments of :func:`fg_orient.model.errors.finding`; ``<out>``
-names an option. The first part of the code is the domain (``xml``, ``dimap``, ``points``, ...). An entry that is raised
-in only one place may be declared there: ``finding`` accepts the same notation and adds it. Tests compare the catalogue
-with the sources: every code is known and used, and no field of a message is missing.
+Each entry gives the message, remedy and severity of a stable code
+(:class:`fg_orient.model.messages.entry.Entry`). Message and remedy are format strings of the keyword
+arguments of :func:`fg_orient.model.errors.finding`;
+``<out>`` names an option. The first part of the code is the domain (``xml``, ``dimap``, ``points``, ...). A
+message that is used in only one place may be declared there: ``finding`` accepts the same notation and adds
+the entry. Tests compare the catalogue with the sources: every code is known and used, and no field of a
+message is missing.
 """
 
 from __future__ import annotations
