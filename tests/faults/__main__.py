@@ -1,22 +1,23 @@
 """Faults at writing calls of commands; figures and failures as JSON.
 
 ``python -m tests.faults --command adjust --errors ENOSPC,EIO,EROFS,KILL`` lets every call of ``adjust`` fail by each
-error; ``--most N`` takes a sample of the calls. ``--kills N`` kills the command at random times instead.
+error; ``--most N`` takes a sample of the calls. ``--kills N`` kills the command at random times instead, and
+``--writers`` runs a second one with the same output before each call.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import random
 import sys
 import tempfile
 import time
 from dataclasses import asdict
 from pathlib import Path
 
-from tests.faults.harness import ERRORS, Faults, sample
+from tests.faults.harness import ERRORS
 from tests.faults.scenarios import SCENARIOS, made
+from tests.faults.trials import Faults, sample
 
 
 def main() -> int:
@@ -24,8 +25,10 @@ def main() -> int:
     parser.add_argument("--command", choices=sorted(SCENARIOS), action="append")
     parser.add_argument("--errors", default=",".join(ERRORS))
     parser.add_argument("--sticky", action="store_true", help="all later calls fail, too")
-    parser.add_argument("--most", type=int)
+    parser.add_argument("--most", type=int, help="largest number of calls, at random")
+    parser.add_argument("--alike", type=int, help="of calls of one kind for a file: this number, then each fifth")
     parser.add_argument("--kills", type=int, default=0)
+    parser.add_argument("--writers", action="store_true", help="a second writer runs before each call")
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     reports = []
@@ -34,27 +37,20 @@ def main() -> int:
             begin = time.monotonic()
             faults = Faults(made(name, Path(folder).resolve()), Path(folder).resolve())
             if given.kills:
-                random_times(faults, given.kills, given.seed)
+                faults.kill_at_random_times(given.kills, given.seed)
+            elif given.writers:
+                faults.two_writers(overwrite=False)
+                faults.two_writers(overwrite=True)
             else:
+                chosen = sample(faults.good, given.most, given.seed, alike=given.alike)
+                faults.report.tried = len(chosen)
                 for error in given.errors.split(","):
-                    for nth in sample(faults.good.count, given.most, given.seed):
+                    for nth in chosen:
                         faults.fail(nth, error, sticky=given.sticky)
             reports.append(asdict(faults.report) | {"seconds": time.monotonic() - begin})
             print(json.dumps(reports[-1]), file=sys.stderr, flush=True)
     print(json.dumps(reports))
     return int(any(report["failures"] for report in reports))
-
-
-def random_times(faults: Faults, kills: int, seed: int) -> None:
-    """Kill a command at random times of its duration."""
-    from tests.faults.harness import command, run
-
-    faults._copy()
-    begin = time.monotonic()
-    run(command(*faults.scenario.words(faults.root)), faults.root, count=False)
-    duration, rng, done = time.monotonic() - begin, random.Random(seed), 0
-    while done < kills:
-        done += faults.kill_after(rng.uniform(0.0, duration))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 /* Number the system calls of a process that write below a folder, and let one of them fail.
  *
  * arm() installs a seccomp filter that reports these calls to a helper process. The helper lets them pass, answers with
- * an error in their place, or kills the process. So calls of libraries in C are met, too. Linux 5.9 or newer. */
+ * an error in their place, kills the process, or lets it wait. So calls of libraries in C are met, too.
+ * Linux 5.9 or newer. */
 #define _GNU_SOURCE
 #include <errno.h>
 #include <fcntl.h>
@@ -20,23 +21,23 @@
 #include <sys/uio.h>
 #include <unistd.h>
 
-enum { LONGEST = 240, KILL = -1 };
+enum { LONGEST = 240, KILL = -1, PAUSE = -2 };
 
 struct call { int number; char path[LONGEST]; };
-/* Shared with the parent: numbers of calls, and the calls themselves. */
-struct record { int count; int most; struct call calls[]; };
+/* Shared with the parent: numbers of calls, whether the process waits and may go on, and the calls themselves. */
+struct record { int count; int most; volatile int paused; volatile int go; struct call calls[]; };
 
 /* Calls with a descriptor in the first argument, with a path there, and with a folder and a path. */
 static const int BY_DESCRIPTOR[] = {SYS_write, SYS_pwrite64, SYS_writev, SYS_pwritev, SYS_fsync, SYS_fdatasync,
                                     SYS_ftruncate, SYS_fallocate, SYS_sendfile};
-static const int BY_FOLDER[] = {SYS_openat, SYS_mkdirat, SYS_renameat2, SYS_symlinkat, SYS_linkat,
+static const int BY_FOLDER[] = {SYS_openat, SYS_mkdirat, SYS_renameat2, SYS_symlinkat, SYS_linkat, SYS_unlinkat,
 #ifdef SYS_renameat
                                 SYS_renameat,
 #endif
 };
 static const int BY_PATH[] = {
 #ifdef SYS_rename
-    SYS_rename, SYS_mkdir, SYS_open, SYS_creat,
+    SYS_rename, SYS_mkdir, SYS_open, SYS_creat, SYS_unlink, SYS_rmdir,
 #endif
     -1};
 #define LENGTH(a) ((int)(sizeof(a) / sizeof((a)[0])))
@@ -45,6 +46,16 @@ static int among(int number, const int *list, int n) {
     for (int k = 0; k < n; k++)
         if (list[k] == number) return 1;
     return 0;
+}
+
+/* Whether a call removes a file or folder. */
+int removes(int number) {
+    static const int REMOVALS[] = {
+#ifdef SYS_unlink
+        SYS_unlink, SYS_rmdir,
+#endif
+        SYS_unlinkat};
+    return among(number, REMOVALS, LENGTH(REMOVALS));
 }
 
 static int filter(void) {
@@ -133,6 +144,12 @@ static void serve(int listener, pid_t process, const char *root, int nth, int er
                     kill(process, SIGKILL);
                     _exit(0);
                 }
+                if (error == PAUSE) {
+                    record->paused = 1;
+                    while (!record->go) usleep(500);
+                    ioctl(listener, SECCOMP_IOCTL_NOTIF_SEND, &answer);
+                    continue;
+                }
                 answer.error = -error;
                 answer.flags = 0;
             }
@@ -141,8 +158,8 @@ static void serve(int listener, pid_t process, const char *root, int nth, int er
     }
 }
 
-/* Number the calls of this process from now on; the nth one fails with an error (-1: SIGKILL), and all after it if
- * sticky. Returns 0, or the number of an error. */
+/* Number the calls of this process from now on; the nth one fails with an error (-1: SIGKILL, -2: it waits until the
+ * parent lets it go on), and all after it if sticky. Returns 0, or the number of an error. */
 int arm(const char *root, int nth, int error, int sticky, struct record *record) {
     pid_t process = getpid();
     int listener = filter();

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.faults.harness import Scenario, command, run
+from tests.faults.harness import command, run
+from tests.faults.trials import Scenario
 
 
 def _good(folder: Path, *words: object) -> None:
@@ -26,6 +27,34 @@ def adjust(folder: Path) -> Scenario:
     _twin(folder)
     words = ("--checkpoint-every", "0", "--quiet")
     return Scenario("adjust", folder, lambda f: ("adjust", f / "twin/project.toml", "--out", f / "out", *words),
+                    ("--overwrite",), (".out.checkpoint.npz",), other=("--eop-set", "9"))  # fmt: skip
+
+
+def resume(folder: Path) -> Scenario:
+    """``adjust`` with many iterations; the run after a killed one continues from its checkpoint."""
+    _twin(folder)
+    words = ("--loss", "huber", "--checkpoint-every", "0", "--quiet")
+    return Scenario("resume", folder, lambda f: ("adjust", f / "twin/project.toml", "--out", f / "out", *words),
+                    ("--overwrite",), (".out.checkpoint.npz",), ("--resume",))  # fmt: skip
+
+
+def parts(folder: Path) -> Scenario:
+    """``adjust`` of a block in parts, whose files are in a folder of the run; continued from its checkpoint."""
+    _twin(folder)
+    (folder / "work").mkdir()
+    words = ("--parts", "3", "--checkpoint-every", "0", "--quiet")
+    return Scenario(
+        "parts", folder,
+        lambda f: ("adjust", f / "twin/project.toml", "--out", f / "out", "--work-dir", f / "work", *words),
+        ("--overwrite",), (".out.checkpoint.npz",), ("--resume",),
+    )  # fmt: skip
+
+
+def parquet(folder: Path) -> Scenario:
+    """``adjust --tables parquet``."""
+    _twin(folder)
+    words = ("--tables", "parquet", "--quiet")
+    return Scenario("parquet", folder, lambda f: ("adjust", f / "twin/project.toml", "--out", f / "out", *words),
                     ("--overwrite",), (".out.checkpoint.npz",))  # fmt: skip
 
 
@@ -40,14 +69,15 @@ def replace(folder: Path) -> Scenario:
 
 def simulate(folder: Path) -> Scenario:
     (folder / "empty").mkdir()
-    return Scenario("simulate", folder, lambda f: ("simulate", "zonguldak", "--out", f / "a/twin"), ("--overwrite",))
+    return Scenario("simulate", folder, lambda f: ("simulate", "zonguldak", "--out", f / "a/twin"), ("--overwrite",),
+                    other=("--seed", "7"))  # fmt: skip
 
 
 def compare(folder: Path) -> Scenario:
     _twin(folder)
     words = ("--eop-sets", "1,9", "--solvers", "qr", "--backends", "dense", "--quiet")
     return Scenario("compare", folder, lambda f: ("compare", f / "twin/project.toml", "--out", f / "out", *words),
-                    ("--overwrite",))  # fmt: skip
+                    ("--overwrite",), other=("--target", "9"))  # fmt: skip
 
 
 def _survey(folder: Path) -> Path:
@@ -77,6 +107,36 @@ def geopackage(folder: Path) -> Scenario:
                                                      f / "other.gpkg"), ("--overwrite",))  # fmt: skip
 
 
+def pair(folder: Path) -> Scenario:
+    """``convert`` into two tables."""
+    project = _twin(folder)
+    files = [project.parent / name for name in ("points.csv", "observations.csv")]
+    return Scenario("pair", folder, lambda f: ("convert", *(f / "twin" / file.name for file in files),
+                                               "--from", "csv", "--to", "csv",
+                                               "--out", f / "other.csv"), ("--overwrite",),
+                    other=("--sigma-ground", "9", "9", "9"))  # fmt: skip
+
+
+def model(folder: Path) -> Scenario:
+    """``convert`` of a bundle into the three files of COLMAP."""
+    from fg_orient.formats.exchange.bal import BalData, write_bal
+
+    rng = np.random.default_rng(4)
+    cameras = np.column_stack([rng.normal(0.0, 0.1, (3, 6)), np.full((3, 3), (900.0, 0.0, 0.0))])
+    which = np.repeat(np.arange(3), 8)
+    write_bal(folder / "block.txt", BalData(which, np.tile(np.arange(8), 3), rng.normal(0.0, 99.0, (24, 2)), cameras,
+                                            rng.normal((0.0, 0.0, -9.0), 1.0, (8, 3))))  # fmt: skip
+    return Scenario("model", folder, lambda f: ("convert", f / "block.txt", "--from", "bal", "--to", "colmap-text",
+                                                "--out", f / "colmap"), ("--overwrite",))  # fmt: skip
+
+
+def projection(folder: Path) -> Scenario:
+    """``rectify projection``: one table."""
+    (folder / "points.csv").write_text("id,lon_deg,lat_deg\na,31.5,41.5\nb,31.6,41.4\n", "utf-8")
+    return Scenario("projection", folder, lambda f: ("rectify", "projection", f / "points.csv", "--to", "EPSG:32636",
+                                                     "--out", f / "map.csv"), ("--overwrite",))  # fmt: skip
+
+
 def rectify(folder: Path) -> Scenario:
     rng = np.random.default_rng(2)
     image = rng.uniform(0.0, 1000.0, (30, 2))
@@ -89,7 +149,7 @@ def rectify(folder: Path) -> Scenario:
     (folder / "points.csv").write_text(text, "utf-8")
     words = ("--crs", "EPSG:32635", "--quiet")
     return Scenario("rectify", folder, lambda f: ("rectify", "fit", f / "points.csv", "--out", f / "out", *words),
-                    ("--overwrite",))  # fmt: skip
+                    ("--overwrite",), other=("--degree", "2"))  # fmt: skip
 
 
 def ortho(folder: Path) -> Scenario:
@@ -109,13 +169,28 @@ def ortho(folder: Path) -> Scenario:
     )  # fmt: skip
 
 
-def match(folder: Path) -> Scenario:
+def _rendered(folder: Path, *, chips: bool = False) -> None:
     from tests.support.rendered_pair import Scene, View, write_pair
 
-    views = View("a", (0.25, -0.05), 130), View("b", (-0.25, 0.1), 130, shift_px=(2.5, -1.5))
-    write_pair(folder, Scene(60.0, 3, relief_m=5.0, walls=3), views, snr=50.0)
+    views, scene = [View("a", (0.25, -0.05), 130), View("b", (-0.25, 0.1), 130, shift_px=(2.5, -1.5))], None
+    scene = Scene(60.0, 3, relief_m=5.0, walls=3)
+    write_pair(folder, scene, tuple(views), snr=50.0)
+    if chips:
+        rng = np.random.default_rng(8)
+        scene.write_chips(folder / "chips.gpkg", rng.uniform(-15.0, 15.0, (2, 4)), 20, rng)
+
+
+def match(folder: Path) -> Scenario:
+    _rendered(folder)
     return Scenario("match", folder, lambda f: ("match", f / "project.toml", "--quiet"), ("--overwrite",),
-                    (".project.match",))  # fmt: skip
+                    (".project.match",), ("--resume",), other=("--correlation", "0.97"))  # fmt: skip
+
+
+def control(folder: Path) -> Scenario:
+    """``match --control``: a table of points, too."""
+    _rendered(folder, chips=True)
+    return Scenario("control", folder, lambda f: ("match", f / "project.toml", "--control", f / "chips.gpkg",
+                                                  "--quiet"), ("--overwrite",), (".project.match",))  # fmt: skip
 
 
 def report(folder: Path) -> Scenario:
@@ -140,10 +215,21 @@ def layers(folder: Path) -> Scenario:
                     ("out/report.html",))  # fmt: skip
 
 
+def cloud(folder: Path) -> Scenario:
+    """``dsm-points``: a file that laspy writes."""
+    project = _twin(folder)
+    _good(folder, "adjust", project, "--out", folder / "out", "--quiet")
+    return Scenario("cloud", folder, lambda f: ("dsm-points", f / "out", "--out", f / "points.las"),
+                    ("--overwrite",))  # fmt: skip
+
+
 SCENARIOS: dict[str, Callable[[Path], Scenario]] = {
     one.__name__: one
-    for one in (adjust, replace, simulate, compare, convert, geopackage, rectify, ortho, match, report, figures, layers)
-}
+    for one in (
+        adjust, replace, resume, parts, parquet, simulate, compare, convert, pair, model, geopackage, rectify, ortho,
+        projection, match, control, report, figures, layers, cloud,
+    )
+}  # fmt: skip
 
 
 def made(name: str, work: Path) -> Scenario:
