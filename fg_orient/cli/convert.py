@@ -130,14 +130,15 @@ def convert(
 
 def _convert_image(files: list[Path], form: Format, out: list[Path], sensors: Sensors, overwrite: bool) -> None:
     """Write the model of an image, adjusted or not, in the format of another program."""
-    from fg_orient.formats.atomic import require_free_files
+    from fg_orient.formats.atomic import outputs, require_free_files
 
     if len(files) != 1 or len(out) != 1:
         raise InputError.of("cli.usage", place="fg-orient convert", text="Give one image and one --out")
     require_free_files(out[0], overwrite=overwrite)
     sensor = sensors.read(files[0])
     assert form.write_image is not None  # a format that writes images
-    record = form.write_image(out[0], getattr(sensor, "sensor", sensor), getattr(sensor, "correction", None))
+    with outputs(out[0], overwrite=overwrite):
+        record = form.write_image(out[0], getattr(sensor, "sensor", sensor), getattr(sensor, "correction", None))
     answer({"from": str(files[0]), "to": form.name, "out": [str(out[0])], **record}, _show_image, out[0], record)
 
 
@@ -207,7 +208,7 @@ def convert_camera(
     Where no exact conversion exists, the camera is fitted over the whole image: the largest and the rms difference in
     the image are part of the result.
     """
-    from fg_orient.formats.atomic import require_free_files
+    from fg_orient.formats.atomic import outputs, require_free_files
     from fg_orient.formats.metadata.frame import read_camera, read_convention, write_camera, write_convention
     from fg_orient.sensors.frame import IDEAL_TO_MEASURED, MEASURED_TO_IDEAL
     from fg_orient.sensors.interior import converted
@@ -224,7 +225,8 @@ def convert_camera(
     }  # fmt: skip
     if model in (IDEAL_TO_MEASURED, MEASURED_TO_IDEAL):
         fitted = converted(interior, model)
-        write_camera(out, fitted.interior)
+        with outputs(out, overwrite=overwrite):
+            write_camera(out, fitted.interior)
         answer(record | {"max_px": fitted.max_px, "rms_px": fitted.rms_px}, _show_camera)
         return
     from fg_orient.sensors.camera_conversion import converted_interior
@@ -237,7 +239,8 @@ def convert_camera(
         found = converted_interior(interior, model, image)
     else:
         found = theirs.converted(file, model)
-    write_convention(out, found, pixel_mm, r0_mm)
+    with outputs(out, overwrite=overwrite):
+        write_convention(out, found, pixel_mm, r0_mm)
     answer(record | {
         "values": dict(found.values), "sigma": found.sigma, "exact": found.is_exact, "max_px": found.max_px,
         "rms_px": found.rms_px, "at_px": list(found.at_px),

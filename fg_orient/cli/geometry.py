@@ -266,7 +266,7 @@ def footprint(
 
     On the ground at --height or on --dem.
     """
-    from fg_orient.formats.atomic import require_free_files, write_text
+    from fg_orient.formats.atomic import outputs, require_free_files, write_text
     from fg_orient.sensors.viewing import View, feature_collection, viewing_records
 
     if (height is None) == (dem is None):
@@ -280,7 +280,8 @@ def footprint(
     if out is not None:
         from fg_orient.result.plain import dumps
 
-        write_text(out, dumps(feature_collection(views, records["images"]), indent=1) + "\n")
+        with outputs(out, overwrite=overwrite):
+            write_text(out, dumps(feature_collection(views, records["images"]), indent=1) + "\n")
     notes = [replace(one, place=f"image {view.image.id}") for view in views for one in view.image.sensor.notes]
     record = {**records, "notes": list(map(str, notes)), "out": None if out is None else str(out)}
     answer(record, _show_footprints, records, notes, out)

@@ -146,13 +146,13 @@ def number(value: object, digits: int = 3) -> str:
 
 def write_records(path: Path, columns: Sequence[str], records: Sequence[dict[str, Any]], overwrite: bool) -> None:
     """Write records as a table with all digits, completely or not at all; InputError if the file may not be written."""
-    from fg_orient.formats.atomic import require_free_files
+    from fg_orient.formats.atomic import outputs
     from fg_orient.formats.table_write import save_table
     from fg_orient.result.plain import table_of_rows
 
-    require_free_files(path, overwrite=overwrite)
     rows = ([record[name] for name in columns] for record in records)
-    save_table(path, table_of_rows(columns, rows).columns)
+    with outputs(path, overwrite=overwrite):
+        save_table(path, table_of_rows(columns, rows).columns)
 
 
 # --- tables ----------------------------------------------------------------------------------------------------------

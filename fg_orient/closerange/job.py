@@ -23,7 +23,15 @@ from fg_orient.closerange.report_words import doubts, photo_rows
 from fg_orient.closerange.resection import resect
 from fg_orient.closerange.surface import Kind
 from fg_orient.closerange.surface_fit import Priors, fit_surface
-from fg_orient.formats.atomic import Contents, require_free, require_free_files, staged_folder, write_text, writing
+from fg_orient.formats.atomic import (
+    Contents,
+    outputs,
+    require_free,
+    require_free_files,
+    staged_folder,
+    write_text,
+    writing,
+)
 from fg_orient.formats.closerange import read_photos
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.model.errors import Finding, InputError, as_record, finding
@@ -356,5 +364,6 @@ def finished(
             if photos:
                 (folder / "photos.toml").write_text("schema = 1\n\n" + "\n".join(photos), encoding="utf-8")
     if report is not None:
-        write_text(report, page)
+        with outputs(report, overwrite=output.overwrite and not report.is_dir(), option="report"):
+            write_text(report, page)
     return record | {"out": None if out is None else str(out), "page": None if report is None else str(report)}

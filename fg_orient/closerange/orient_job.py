@@ -16,7 +16,7 @@ from fg_orient.closerange.minima import BENT
 from fg_orient.closerange.options import ImageOptions
 from fg_orient.closerange.orientation import absolute_orientation, relative_orientation
 from fg_orient.closerange.photo import Photo, photo_text
-from fg_orient.formats.atomic import require_free_files, write_text
+from fg_orient.formats.atomic import outputs, require_free_files, write_text
 from fg_orient.formats.closerange import read_photos
 from fg_orient.formats.table_write import save_table
 from fg_orient.model.errors import Finding, InputError, as_record, finding
@@ -84,12 +84,8 @@ def run_relative(
         "left_out": sorted(set(ids) - {ids[k] for k in of[both[0]]}),
         **as_record([*no_redundancy(fit.m0), *fit.second_orientation(), *_bent(fit.bend)]),
     }
-    if photos is not None:
-        texts = [
-            photo_text(pose, own, r) for pose, own, r in zip(poses, interior, (np.eye(3), fit.rotation), strict=True)
-        ]
-        write_text(photos, "schema = 1\n\n" + "\n".join(texts))
-    return _written(record, out, photos)
+    texts = [photo_text(pose, own, r) for pose, own, r in zip(poses, interior, (np.eye(3), fit.rotation), strict=True)]
+    return _written(record, out, photos, "schema = 1\n\n" + "\n".join(texts), overwrite=overwrite)
 
 
 def _in_both(which: Index, of: Index, n_points: int) -> list[Index]:
@@ -146,7 +142,7 @@ def run_absolute(
         "points": rows_of({"id": ids, "{}_m": fit.apply(model)}),
         **as_record([*no_redundancy(fit.m0), *_bent(fit.bend)]),
     }
-    return _written(record, out, None)
+    return _written(record, out, overwrite=overwrite)
 
 
 def _bent(bend: float) -> Sequence[Finding]:
@@ -163,12 +159,17 @@ def _bent(bend: float) -> Sequence[Finding]:
     ]
 
 
-def _written(record: dict[str, Any], out: Path | None, photos: Path | None) -> Record:
-    """Return the plain record, after its points are written."""
+def _written(
+    record: dict[str, Any], out: Path | None, photos: Path | None = None, text: str = "", *, overwrite: bool
+) -> Record:
+    """Return the plain record, after its points and the photo file with ``text`` are written."""
     record = plain(
         {**record, "out": None if out is None else str(out), "photos_out": None if photos is None else str(photos)}
     )
-    if out is not None:
-        names = tuple(record["points"][0])
-        save_table(out, table_of_rows(names, (tuple(point.values()) for point in record["points"])).columns)
+    with outputs(out, overwrite=overwrite), outputs(photos, overwrite=overwrite, option="photos_out"):
+        if photos is not None:
+            write_text(photos, text)
+        if out is not None:
+            names = tuple(record["points"][0])
+            save_table(out, table_of_rows(names, (tuple(point.values()) for point in record["points"])).columns)
     return record

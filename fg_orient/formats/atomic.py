@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import Final, get_args
 
-from fg_orient.formats.staging import held, linked, publish, sweep, sweep_once, synchronise
+from fg_orient.formats.staging import claimed, held, linked, publish, sweep, sweep_once, synchronise
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import TableForm
 
@@ -85,6 +85,78 @@ def together(*files: Path) -> Iterator[None]:
                 with contextlib.suppress(OSError):
                     file.unlink() if old is None else old.replace(file)
             raise
+
+
+@contextlib.contextmanager
+def alone(*files: Path) -> Iterator[None]:
+    """Exclude other runs that call this function from files, while the block reads or writes them.
+
+    Parameters
+    ----------
+    *files : Path
+        Files in missing folders are ignored: their writer refuses them.
+
+    Raises
+    ------
+    InputError
+        Another run writes one of them, or its folder cannot be written.
+    """
+    with contextlib.ExitStack() as stack:
+        for file in sorted({file.absolute() for file in files}):  # in one order, against mutual waiting
+            if file.parent.is_dir():
+                with writing(file, option=""):
+                    sweep_once(file.parent)
+                    try:
+                        stack.enter_context(claimed(file))
+                    except BlockingIOError:
+                        raise InputError.of("output.busy", file=file) from None
+        yield
+
+
+@contextlib.contextmanager
+def outputs(*files: Path | None, overwrite: bool, option: str = "out") -> Iterator[None]:
+    """Files that the block writes: all of them or, if it ends with an exception, none.
+
+    No other run writes them at the same time. A file that exists now, also if another run wrote it during the
+    computation, is replaced only with ``overwrite``.
+
+    Parameters
+    ----------
+    *files : Path, optional
+        None: not a file. A folder is not put back.
+    overwrite : bool
+    option : str
+        Option that named them, for messages.
+
+    Raises
+    ------
+    InputError
+        A file exists, is being written by another run, or its folder cannot be written.
+    """
+    wanted = [file for file in files if file is not None]
+    with alone(*wanted):
+        require_free_files(*wanted, overwrite=overwrite, option=option)
+        several = [file for file in wanted if not file.is_dir()] if len(wanted) > 1 else []
+        with together(*several):
+            yield
+
+
+@contextlib.contextmanager
+def made_folder(folder: Path, out: str | Path | None = None) -> Iterator[None]:
+    """Folder for outputs of the block, with its parents; if it ends with an exception, those that are new are removed.
+
+    InputError: it cannot be made; ``out`` is the output that the message names.
+    """
+    new = [path for path in (folder, *folder.parents) if not path.exists()]
+    try:
+        with writing(out or folder, option="out" if out else ""):
+            folder.mkdir(parents=True, exist_ok=True)
+        yield
+    except BaseException:
+        for path in new:
+            with contextlib.suppress(OSError):
+                path.rmdir()
+        raise
 
 
 def write_bytes(path: str | os.PathLike[str], data: bytes, *, durable: bool = True) -> None:
@@ -242,25 +314,16 @@ def staged_folder(out: str | Path, *, overwrite: bool = False, contents: Content
     """
     target = Path(out).absolute()
     require_free(target, overwrite=overwrite, contents=contents)
-    made = [p for p in (target.parent, *target.parent.parents) if not p.exists()]
-    done = False
-    try:
-        with contextlib.ExitStack() as stack:
-            with writing(out):
-                target.parent.mkdir(parents=True, exist_ok=True)
-                staging = stack.enter_context(held(target))
-                staging.mkdir()
-            yield staging
-            require_free(target, overwrite=overwrite, contents=contents)  # another process may have made it meanwhile
-            with writing(out):
-                synchronise(staging)
-                try:
-                    publish(staging, target, replace=overwrite)
-                except FileExistsError as error:
-                    raise InputError.of("output.exists", file=out, option="out") from error
-        done = True
-    finally:
-        if not done:
-            for folder in made:
-                with contextlib.suppress(OSError):
-                    folder.rmdir()
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(made_folder(target.parent, out))
+        with writing(out):
+            staging = stack.enter_context(held(target))
+            staging.mkdir()
+        yield staging
+        require_free(target, overwrite=overwrite, contents=contents)  # another process may have made it meanwhile
+        with writing(out):
+            synchronise(staging)
+            try:
+                publish(staging, target, replace=overwrite)
+            except FileExistsError as error:
+                raise InputError.of("output.exists", file=out, option="out") from error

@@ -33,6 +33,10 @@ _fcntl: Any = import_module("fcntl") if find_spec("fcntl") else None  # not on W
 #: Pattern of the names of lock files; below: maximum length of the output's name in it.
 _LOCK: Final = re.compile(r"\.(.+)\.([0-9a-f]{12})\.lock")
 LONGEST: Final = 200
+#: Token of the lock that all writers of one output take. Other locks have random tokens.
+_CLAIM: Final = "0" * 12
+#: Pause between two attempts, s. A run that removes old files holds a lock for a moment.
+PAUSE_S: Final = 1e-3
 #: A lock of another machine is removed when it is older than this, s.
 FOREIGN_S: Final = 7 * 86_400.0
 #: Maximum number of attempts. Another run may remove a new lock file before it is locked.
@@ -72,6 +76,34 @@ def held(target: Path, suffix: str = "") -> Iterator[Path]:
         if suffix:  # a writer in C may make further files
             _remove_all(lock.parent, f"{lock.name.removesuffix('.lock')}.tmp")
         _release(lock, descriptor)
+
+
+@contextlib.contextmanager
+def claimed(target: Path) -> Iterator[None]:
+    """Exclude other runs from an output while the block writes it, where the system has locks.
+
+    Raises
+    ------
+    BlockingIOError
+        Another run has it.
+    OSError
+        The lock cannot be made.
+    """
+    path = target.with_name(f".{target.name[:LONGEST]}.{_CLAIM}.lock")
+    for _ in range(TRIES):
+        descriptor = os.open(path, os.O_CREAT | os.O_RDWR | getattr(os, "O_NOFOLLOW", 0), 0o666)
+        if _take(descriptor) is not False and _is(path, descriptor):
+            break
+        os.close(descriptor)
+        time.sleep(PAUSE_S)
+    else:
+        raise BlockingIOError(errno.EWOULDBLOCK, os.strerror(errno.EWOULDBLOCK), str(target))
+    try:
+        os.ftruncate(descriptor, 0)
+        os.write(descriptor, f"{platform.node()} {os.getpid()}\n".encode())
+        yield
+    finally:
+        _release(path, descriptor)
 
 
 @contextlib.contextmanager
@@ -115,14 +147,14 @@ def _release(lock: Path, descriptor: int) -> None:
         os.close(descriptor)
 
 
-def _take(descriptor: int) -> bool:
-    """Try to take a lock without waiting; False if another process owns it or locks are not available."""
+def _take(descriptor: int) -> bool | None:
+    """Try to take a lock without waiting; False if another process holds it, None if locks are not available."""
     if _fcntl is None:
-        return False
+        return None
     try:
         _fcntl.flock(descriptor, _fcntl.LOCK_EX | _fcntl.LOCK_NB)
-    except OSError:
-        return False
+    except OSError as error:
+        return None if error.errno in _NOT_THERE else False
     return True
 
 

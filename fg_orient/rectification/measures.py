@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from factors.arrays import Array
-from fg_orient.formats.atomic import require_free_files
+from fg_orient.formats.atomic import outputs, require_free_files
 from fg_orient.formats.table_write import save_table
 from fg_orient.formats.tables import require_table
 from fg_orient.model.errors import InputError
@@ -130,7 +130,8 @@ def project_points(
     columns = dict(zip((*GEOGRAPHIC, *PLANE, "scale_meridian", "scale_parallel", "scale_area"),
                        np.column_stack([geographic, plane, scales]).T, strict=True))  # fmt: skip
     if out is not None:
-        save_table(out, {"id": list(table.cells["id"]), **columns})
+        with outputs(out, overwrite=overwrite):
+            save_table(out, {"id": list(table.cells["id"]), **columns})
     return {
         "projection": definition,
         "points": rows_of({"id": table.cells["id"], **columns}),

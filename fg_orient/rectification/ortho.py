@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.arrays import Array
-from fg_orient.formats.atomic import require_free_files, staged_file
+from fg_orient.formats.atomic import outputs, require_free_files, staged_file
 from fg_orient.formats.gdal import TIFF_MARKS, Written, copy_as_cog, opened, rasterio_of
 from fg_orient.formats.sensor import read_sensor
 from fg_orient.geodesy import ecef_to_geodetic, from_geographic, same_crs
@@ -125,7 +125,7 @@ def orthorectify(
         if knots is None:
             raise InputError.of("ortho.no_overlap", file=image, what=surface.path)
         _require_writable(Path(out), overwrite=overwrite)
-        with staged_file(Path(out), place="<out>", suffix=".tif") as staged:
+        with outputs(Path(out), overwrite=overwrite), staged_file(Path(out), place="<out>", suffix=".tif") as staged:
             target = staged.with_suffix(".work.tif") if chosen.cog else staged
             try:
                 seen, filled, written = fill(

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 import fg_orient
 from factors.arrays import Array, Mask
-from fg_orient.formats.atomic import require_free_files
+from fg_orient.formats.atomic import outputs, require_free_files
 from fg_orient.formats.exchange.gis import GROUND, libraries, write_point_layer
 from fg_orient.formats.heights import ZeroLevel, coordinates_in
 from fg_orient.formats.load import foreign_bytes
@@ -134,7 +134,7 @@ def export_points(
         libraries(target)
     require_free_files(target, overwrite=overwrite)
     result = read_result(folder)
-    with foreign_bytes("report.damaged", folder):
+    with foreign_bytes("report.damaged", folder), outputs(target, overwrite=overwrite):
         return _export(result, target, Path(folder), chosen, with_codes(crs), geoid)
 
 

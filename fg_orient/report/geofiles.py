@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.arrays import Array
-from fg_orient.formats.atomic import require_free_files, staged_file, write_text
+from fg_orient.formats.atomic import outputs, require_free_files, staged_file, write_text
 from fg_orient.formats.exchange.gis import GPKG_OPTIONS
 from fg_orient.formats.gdal import plain_case
 from fg_orient.formats.load import foreign_bytes
@@ -84,10 +84,11 @@ def export(
     with foreign_bytes("report.damaged", folder):
         layers = (points(result.points), error_vectors(result.points, vector_scale), footprints(result))
         text = "" if package else geojson(layers)
-    if package:
-        write_geopackage(target, layers, str(result.record["provenance"]["date_time_utc"]))
-    else:
-        write_text(target, text)
+    with outputs(target, overwrite=overwrite and not target.is_dir(), option="export"):
+        if package:
+            write_geopackage(target, layers, str(result.record["provenance"]["date_time_utc"]))
+        else:
+            write_text(target, text)
     return {layer.name: len(layer.geometries) for layer in layers}
 
 

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from factors.arrays import Array
 from factors.cameras.rfm import terms
 from factors.cameras.rfm_project import COMPENSATION, RANGE
-from fg_orient.formats.atomic import require_free_files
+from fg_orient.formats.atomic import outputs
 from fg_orient.formats.registry import formats
 from fg_orient.formats.rpc import read_rpc, rpc_writer
 from fg_orient.formats.rpc.fields import USUAL_ORDER
@@ -118,7 +118,12 @@ def write_as(
         The file exists, or cannot be written, or an RPC file beside the image would hide its tags, or a virtual raster
         has no image.
     """
-    require_free_files(out, overwrite=overwrite)
+    with outputs(out, overwrite=overwrite):
+        return write_alone(model, out, target, image=image)
+
+
+def write_alone(model: RpcModel, out: Path, target: str, *, image: Path | None = None) -> dict[str, Any]:
+    """Write a model as :func:`write_as` does, if the block of the caller has the output (``atomic.outputs``)."""
     if target == "geotiff-tags":
         for beside in (out.with_name(out.stem + end) for end in SIDECARS):
             if beside.exists():

@@ -17,7 +17,7 @@ import numpy as np
 
 from factors.arrays import Array
 from factors.cameras.rfm_project import COMPENSATION, RANGE
-from fg_orient.formats.atomic import require_free_files, write_text
+from fg_orient.formats.atomic import made_folder, outputs, require_free_files, write_text
 from fg_orient.formats.registry import formats
 from fg_orient.formats.rpc import read_rpc
 from fg_orient.formats.table_write import table_file
@@ -28,7 +28,7 @@ from fg_orient.model.options import Options
 from fg_orient.result.plain import read_table
 from fg_orient.result.record import RESULT_FILE, read_record
 from fg_orient.result.summary import file_stems
-from fg_orient.rpc.files import IMAGES, write_as
+from fg_orient.rpc.files import IMAGES, write_alone
 from fg_orient.rpc.virtual_grid import with_image_to_ground
 from fg_orient.sensors.rpc import RpcModel
 from fg_orient.sensors.rpc_sensor import RpcSensor
@@ -189,8 +189,8 @@ def hand_over(
     known = {name: handed for name, handed in models.items() if handed.values is not None and program == "asp"}
     moved = {name: translation(handed) for name, handed in known.items()}
     paths = {name: out / f"adjust-{stems[name]}.adjust" for name, move in moved.items() if move.is_same}
-    require_free_files(*(path for _, path, _ in jobs), *paths.values(), overwrite=overwrite)
-    out.mkdir(parents=True, exist_ok=True)
+    files = [*(path for _, path, _ in jobs), *paths.values()]
+    require_free_files(*files, overwrite=overwrite)
     # readers of DIMAP need both directions
     whole = {
         name: with_image_to_ground(handed.model)
@@ -198,18 +198,20 @@ def hand_over(
         else handed.model
         for name, handed in models.items()
     }
-    written = [
-        {
-            "image": name,
-            **write_as(whole[name], path, form, overwrite=overwrite, image=images.get(name)),
-            "use": kind.use.format(stem=stems[name]),
-        }
-        for name, path, form in jobs
-    ]
+    with made_folder(out), outputs(*files, overwrite=overwrite):
+        written = [
+            {
+                "image": name,
+                **write_alone(whole[name], path, form, image=images.get(name)),
+                "use": kind.use.format(stem=stems[name]),
+            }
+            for name, path, form in jobs
+        ]
+        for name, path in paths.items():
+            write_text(path, moved[name].text)
     notes = []
     for name, move in moved.items():
         if name in paths:
-            write_text(paths[name], move.text)
             notes.append(finding("handover.adjust", file=paths[name], place=f"image {name}", most_px=move.most_px))
         else:
             notes.append(finding("handover.no_translation", place=f"image {name}", most_px=move.most_px, limit=SAME_PX))

@@ -114,7 +114,7 @@ def pair(folder: Path) -> Scenario:
     return Scenario("pair", folder, lambda f: ("convert", *(f / "twin" / file.name for file in files),
                                                "--from", "csv", "--to", "csv",
                                                "--out", f / "other.csv"), ("--overwrite",),
-                    other=("--sigma-ground", "9", "9", "9"))  # fmt: skip
+                    other=("--to-crs", "EPSG:4978"))  # fmt: skip
 
 
 def model(folder: Path) -> Scenario:

@@ -201,6 +201,8 @@ class Faults:
                     self._message(where, ended)
                     if ended.code not in (2, 3):
                         self._note(f"{where}: code {ended.code} {ended.stderr[-600:]}")
+            if self.scenario.again and not overwrite and len(written) != 1:
+                self._note(f"{where}: codes {outside.code}, {inside.code}: an output was replaced, or there is none")
             if files not in written:
                 names = [sorted({n for n, _ in files.items() ^ one.items()})[:6] for one in (first, second)]
                 self._note(f"{where}: codes {outside.code}, {inside.code}, differs from both in {names}")

@@ -29,7 +29,7 @@ from scipy.spatial.transform import Rotation
 
 from factors.arrays import Array, Index
 from factors.cameras import frame_camera
-from fg_orient.formats.atomic import require_free_files, write_bytes
+from fg_orient.formats.atomic import outputs, require_free_files, write_bytes
 from fg_orient.formats.columns import finite
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.exchange.text import read_packed, whole
@@ -298,7 +298,8 @@ def write_bal(path: str | Path, data: BalData, *, overwrite: bool = False) -> No
     raw = "\n".join([*lines, ""]).encode()
     if path.suffix == ".gz":
         raw = gzip.compress(raw, mtime=0)
-    write_bytes(path, bz2.compress(raw) if path.suffix == ".bz2" else raw)
+    with outputs(path, overwrite=overwrite):
+        write_bytes(path, bz2.compress(raw) if path.suffix == ".bz2" else raw)
 
 
 def _load(paths: tuple[Path, ...]) -> tuple[BalData, list[str], tuple[Finding, ...]]:

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from factors.arrays import Array, Index, Mask
-from fg_orient.formats.atomic import require_free_files, write_bytes
+from fg_orient.formats.atomic import outputs, require_free_files, write_bytes
 from fg_orient.formats.exchange.bal import BalData, bundle_format
 from fg_orient.formats.exchange.text import TextLines
 from fg_orient.model.errors import Finding, InputError, finding
@@ -117,7 +117,8 @@ def write_bundler(path: str | Path, data: BalData, *, overwrite: bool = False) -
     for k, xyz in enumerate(data.points.tolist()):
         own = views[ends[k] : ends[k + 1]]
         lines += [" ".join(map(repr, xyz)), "128 128 128", " ".join([str(len(own)), *own])]
-    write_bytes(path, "\n".join([*lines, ""]).encode())
+    with outputs(path, overwrite=overwrite):
+        write_bytes(path, "\n".join([*lines, ""]).encode())
 
 
 def _named(paths: tuple[Path, ...]) -> tuple[BalData, list[str], tuple[Finding, ...]]:

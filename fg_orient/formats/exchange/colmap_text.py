@@ -18,9 +18,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from factors.arrays import Array, Index
-from fg_orient.formats.atomic import require_free_files, write_lines
+from fg_orient.formats.atomic import made_folder, outputs, require_free_files, write_lines
 from fg_orient.formats.columns import finite
-from fg_orient.formats.exchange.text import TextLines, make_folder, positions, require_once, whole
+from fg_orient.formats.exchange.text import TextLines, positions, require_once, whole
 from fg_orient.formats.exchange.ties import model_format
 from fg_orient.formats.frame_model import FrameModel, Pose
 from fg_orient.model.errors import InputError, finding
@@ -224,10 +224,10 @@ def write_colmap_text(folder: str | Path, model: FrameModel, *, overwrite: bool 
     order = np.lexsort((model.point, model.image))
     place = np.empty(len(order), np.intp)  # number of an image point within its image
     place[order] = np.arange(len(order)) - np.searchsorted(model.image[order], model.image[order])
-    make_folder(folder)
-    write_lines(paths[0], ["# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]", *cameras])
-    write_lines(paths[1], [*_IMAGE_HEAD, *_image_lines(model, order)])
-    write_lines(paths[2], [_POINT_HEAD, *_point_lines(model, place)])
+    with made_folder(folder), outputs(*paths, overwrite=overwrite):
+        write_lines(paths[0], ["# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]", *cameras])
+        write_lines(paths[1], [*_IMAGE_HEAD, *_image_lines(model, order)])
+        write_lines(paths[2], [_POINT_HEAD, *_point_lines(model, place)])
     return lost
 
 

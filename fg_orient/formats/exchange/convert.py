@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from factors.arrays import Array, Index, Mask
-from fg_orient.formats.atomic import require_free_files
+from fg_orient.formats.atomic import outputs, require_free_files
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.faults import Faults
 from fg_orient.formats.heights import on_found_grid
@@ -156,7 +156,8 @@ def write_survey(
     survey = placed(survey, format_, settings.crs, str(paths[0]))
     _require(survey, format_, str(paths[0]))
     lost = losses(survey, format_, str(paths[0]))
-    lost = (*lost, *(format_.write(survey, targets, settings) or ()))
+    with outputs(*wanted, overwrite=overwrite):
+        lost = (*lost, *(format_.write(survey, targets, settings) or ()))
     return wanted, lost
 
 

@@ -17,7 +17,6 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.arrays import Array, Index
-from fg_orient.formats.atomic import writing
 from fg_orient.formats.columns import finite
 from fg_orient.formats.faults import Faults
 from fg_orient.formats.load import foreign_bytes
@@ -240,12 +239,6 @@ def positions(ids: Array, wanted: Array) -> Index:
     order = np.argsort(ids)
     at = order[np.minimum(np.searchsorted(ids, wanted, sorter=order), len(ids) - 1)]
     return np.where(ids[at] == wanted, at, -1)
-
-
-def make_folder(folder: Path) -> None:
-    """Create a folder if it does not exist; raise InputError if this fails."""
-    with writing(folder, option=""):
-        folder.mkdir(parents=True, exist_ok=True)
 
 
 def read_packed(path: Path, code: str) -> bytes:

@@ -32,9 +32,9 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.arrays import Array
-from fg_orient.formats.atomic import write_bytes, write_lines
+from fg_orient.formats.atomic import made_folder, outputs, write_bytes, write_lines
 from fg_orient.formats.exchange.survey import Survey
-from fg_orient.formats.exchange.text import TextLines, make_folder, read_packed, require_once
+from fg_orient.formats.exchange.text import TextLines, read_packed, require_once
 from fg_orient.formats.exchange.ties import matched_survey, pairs_of, tie_survey
 from fg_orient.formats.registry import TIES_ONLY, Format, Holds, Settings
 from fg_orient.model.errors import InputError
@@ -142,10 +142,12 @@ def write_matches(survey: Survey, paths: tuple[Path, ...], settings: Settings) -
         rows = pairs.get((0, 1), np.empty((0, 2), np.intp))
         write_match(paths[0], pixels[rows[:, 0]], pixels[rows[:, 1]])
         return
-    make_folder(paths[0])
-    for (a, b), rows in pairs.items():
-        file = paths[0] / f"run{_BEFORE}{_plain(survey.images, a)}{_BETWEEN}{_plain(survey.images, b)}.match"
-        write_match(file, pixels[rows[:, 0]], pixels[rows[:, 1]])
+    files = [
+        paths[0] / f"run{_BEFORE}{_plain(survey.images, a)}{_BETWEEN}{_plain(survey.images, b)}.match" for a, b in pairs
+    ]
+    with made_folder(paths[0]), outputs(*files, overwrite=True):
+        for file, rows in zip(files, pairs.values(), strict=True):
+            write_match(file, pixels[rows[:, 0]], pixels[rows[:, 1]])
 
 
 def _plain(images: Sequence[str], k: int) -> str:
@@ -238,15 +240,15 @@ def write_ties(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> N
 
     If ids are not whole numbers, the points are numbered from 0.
     """
-    make_folder(paths[0])
     numbers = [name if name == str(int(name)) else "" for name in survey.ids if name.isascii() and name.isdigit()]
     names = survey.ids if len(numbers) == len(survey.ids) and all(numbers) else tuple(map(str, range(len(survey.ids))))
     o = survey.observed
-    for k, image in enumerate(survey.images):
-        own = np.flatnonzero(o.image == k)
-        cells = zip(o.sample[own].tolist(), o.line[own].tolist(), o.point[own].tolist(), strict=True)
-        rows = [f"{x!r},{y!r},{names[p]}" for x, y, p in cells]
-        write_lines(paths[0] / f"{PREFIX}{_inside(image)}.csv", [HEADER, *rows])
+    tables = [paths[0] / f"{PREFIX}{_inside(image)}.csv" for image in survey.images]
+    with made_folder(paths[0]), outputs(*tables, overwrite=True):
+        for k, file in enumerate(tables):
+            own = np.flatnonzero(o.image == k)
+            cells = zip(o.sample[own].tolist(), o.line[own].tolist(), o.point[own].tolist(), strict=True)
+            write_lines(file, [HEADER, *(f"{x!r},{y!r},{names[p]}" for x, y, p in cells)])
 
 
 MICMAC = Format(

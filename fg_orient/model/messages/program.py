@@ -29,6 +29,8 @@ installation.user_folder: this folder hides the package 'factors' of fg_orient i
     -> rename or remove the folder, or start Python where it is not on the search path
 output.exists: the output exists already
     -> give another {option} or add <overwrite>
+output.busy: another run is writing this file
+    -> wait until that run has ended
 output.not_a_folder: this is not a folder, or it is a link to one
 replay.same_folder: the repeated run would replace the result that it repeats
     -> give another <out>

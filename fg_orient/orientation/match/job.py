@@ -12,7 +12,7 @@ import numpy as np
 from factors._preparation import working_clock
 from factors.arrays import Array
 from fg_orient.adjustment.parts.execution import Execution, opened
-from fg_orient.formats.atomic import Contents, require_free, staged_folder, together, writing
+from fg_orient.formats.atomic import Contents, alone, require_free, staged_folder, together, writing
 from fg_orient.formats.heights import ZeroLevel
 from fg_orient.formats.project import ProjectImages, read_images
 from fg_orient.formats.rasters import Place, missing, place_of, raster_beside
@@ -92,49 +92,53 @@ def match_project(
     Raises
     ------
     InputError
-        Fewer than two images, images without pixels, without georeference or without common ground, tables that cannot
-        be extended, pairs that do not match.
+        Another run matches this project; fewer than two images, images without pixels, without georeference or without
+        common ground, tables that cannot be extended, pairs that do not match.
     """
     path, chosen = Path(project), options or MatchOptions()
     target = path.parent / "match" if out is None else Path(out)
     begin = working_clock()
-    read = read_images(path)
-    require_free(target, overwrite=overwrite, contents=CONTENTS)
-    require_tables(path, read, overwrite=overwrite)
-    cv2_of()
-    places = _places(path, read)
-    known = None if control is None else read_control(Path(control))
-    if known is not None:
-        _coordinates(known, read, path)  # its errors before the work
-    surface = None if dem is None else RasterDem(dem, vertical_crs=vertical_crs, warn=warn)
-    low, high = _heights(read, chosen, surface)
-    setup = Setup(str(path), places, low, high, chosen, "" if dem is None else str(dem), vertical_crs)
-    pairs = overlapping(read, places, low, high)
-    if not pairs:
-        raise InputError.of("match.no_overlap", file=path, low=low, high=high)
-    store = kept.Store(path, setup, resume=resume)
-    with opened(Execution(workers=workers)) as pool:
-        coarse = store.each(pool, coarse_task, [(setup, a, b) for a, b in pairs], "pairs", progress)
-        found = _match_cells(pool, store, setup, pairs, [c for c, _ in coarse], progress)
-    results, failed = _accepted(read, setup, pairs, coarse, found)
-    if not results:
-        raise InputError.of("match.none", file=path, reason="; ".join(f"{a} and {b}: {why}" for a, b, why in failed))
-    ties = tie_points(results, places, chosen)
-    record = record_of(read, setup, results, failed, ties, working_clock() - begin, command)
-    rows = None
-    if known is not None:
-        rows, found_chips = _control_rows(known, setup, path, read, results)
-        record |= as_record([*findings_of(record), *found_chips])
-        record["control"] = {"points": len(known.chips), "measured": len(rows.ids), "image_points": len(rows.image)}
-    with (
-        together(*table_files(path, read)), staged_folder(target, overwrite=overwrite, contents=CONTENTS) as folder,
-        writing(target),
-    ):  # fmt: skip
-        write_report(folder, record, results, ties, setup)
-        record["files"] = write_tables(path, read, ties, rows)
-    record["out"] = str(target)
-    store.remove()
-    return record
+    with alone(path):  # another run would change tables and finished parts
+        read = read_images(path)
+        tables = table_files(path, read)
+        require_free(target, overwrite=overwrite, contents=CONTENTS)
+        require_tables(path, read, overwrite=overwrite)
+        cv2_of()
+        places = _places(path, read)
+        known = None if control is None else read_control(Path(control))
+        if known is not None:
+            _coordinates(known, read, path)  # its errors before the work
+        surface = None if dem is None else RasterDem(dem, vertical_crs=vertical_crs, warn=warn)
+        low, high = _heights(read, chosen, surface)
+        setup = Setup(str(path), places, low, high, chosen, "" if dem is None else str(dem), vertical_crs)
+        pairs = overlapping(read, places, low, high)
+        if not pairs:
+            raise InputError.of("match.no_overlap", file=path, low=low, high=high)
+        store = kept.Store(path, setup, resume=resume)
+        with opened(Execution(workers=workers)) as pool:
+            coarse = store.each(pool, coarse_task, [(setup, a, b) for a, b in pairs], "pairs", progress)
+            found = _match_cells(pool, store, setup, pairs, [c for c, _ in coarse], progress)
+        results, failed = _accepted(read, setup, pairs, coarse, found)
+        if not results:
+            reasons = "; ".join(f"{a} and {b}: {why}" for a, b, why in failed)
+            raise InputError.of("match.none", file=path, reason=reasons)
+        ties = tie_points(results, places, chosen)
+        record = record_of(read, setup, results, failed, ties, working_clock() - begin, command)
+        rows = None
+        if known is not None:
+            rows, found_chips = _control_rows(known, setup, path, read, results)
+            record |= as_record([*findings_of(record), *found_chips])
+            counts = {"points": len(known.chips), "measured": len(rows.ids), "image_points": len(rows.image)}
+            record["control"] = counts
+        with (
+            alone(*tables[1:]), together(*tables),
+            staged_folder(target, overwrite=overwrite, contents=CONTENTS) as folder, writing(target),
+        ):  # fmt: skip
+            write_report(folder, record, results, ties, setup)
+            record["files"] = write_tables(path, read, ties, rows)
+        record["out"] = str(target)
+        store.remove()
+        return record
 
 
 def _places(path: Path, read: ProjectImages) -> tuple[Place, ...]:
