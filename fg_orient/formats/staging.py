@@ -73,9 +73,12 @@ def held(target: Path, suffix: str = "") -> Iterator[Path]:
         yield staging
     finally:
         remove(staging)
-        if suffix:  # a writer in C may make further files
-            _remove_all(lock.parent, f"{lock.name.removesuffix('.lock')}.tmp")
-        _release(lock, descriptor)
+        # a writer in C may make further files
+        gone = _remove_all(lock.parent, staging.name.removesuffix(suffix)) if suffix else not os.path.lexists(staging)
+        if not gone:  # they cannot be removed now: the lock stays, too, so that a later run removes both
+            os.close(descriptor)
+        else:
+            _release(lock, descriptor)
 
 
 @contextlib.contextmanager
@@ -210,11 +213,14 @@ def _ours(descriptor: int) -> bool:
     return host in ("", platform.node()) or time.time() - os.fstat(descriptor).st_mtime > FOREIGN_S
 
 
-def _remove_all(folder: Path, *beginnings: str) -> None:
+def _remove_all(folder: Path, *beginnings: str) -> bool:
+    """Remove the files and folders with these beginnings of their names; False if one is still there."""
     with contextlib.suppress(OSError):
-        for entry in list(os.scandir(folder)):
-            if entry.name.startswith(beginnings):
-                remove(folder / entry.name)
+        found = [folder / entry.name for entry in os.scandir(folder) if entry.name.startswith(beginnings)]
+        for path in found:
+            remove(path)
+        return not any(map(os.path.lexists, found))
+    return False
 
 
 @lru_cache(maxsize=256)
@@ -231,8 +237,8 @@ def _clear(folder: Path, target: str, stem: str) -> None:
     old = folder / f"{stem}.old"
     if old.exists() and not os.path.lexists(folder / target) and len(target) < LONGEST:
         old.rename(folder / target)
-    _remove_all(folder, f"{stem}.tmp", f"{stem}.old")
-    (folder / f"{stem}.lock").unlink()
+    if _remove_all(folder, f"{stem}.tmp", f"{stem}.old"):
+        (folder / f"{stem}.lock").unlink()
 
 
 # --- the last step -----------------------------------------------------------------------------------

@@ -14,8 +14,17 @@ from pathlib import Path
 import pytest
 
 from fg_orient.formats import staging
-from fg_orient.formats.atomic import Contents, staged_file, staged_folder, together, write_text
-from fg_orient.formats.staging import publish, scratch_folder, sweep, synchronise
+from fg_orient.formats.atomic import (
+    Contents,
+    alone,
+    made_folder,
+    outputs,
+    staged_file,
+    staged_folder,
+    together,
+    write_text,
+)  # fmt: skip
+from fg_orient.formats.staging import held, publish, scratch_folder, sweep, synchronise
 from fg_orient.model.errors import InputError
 
 pytestmark = [
@@ -178,6 +187,72 @@ def test_several_files_change_together_or_not_at_all(tmp_path: Path) -> None:
         write_text(first, "new")
         write_text(second, "new")
     assert first.read_text("utf-8") == "new" and hidden(tmp_path) == []
+
+
+def test_outputs_of_several_files_are_all_written_or_none(tmp_path: Path) -> None:
+    old, new = tmp_path / "old", tmp_path / "new"
+    old.write_text("before")
+    with pytest.raises(RuntimeError), outputs(old, new, None, overwrite=True):
+        write_text(old, "after")
+        write_text(new, "after")
+        raise RuntimeError
+    assert old.read_text() == "before" and sorted(path.name for path in tmp_path.iterdir()) == ["old"]
+    with outputs(old, new, overwrite=True):
+        write_text(old, "after")
+        write_text(new, "after")
+    assert old.read_text() == new.read_text() == "after" and hidden(tmp_path) == []
+
+
+def test_an_output_is_written_by_one_run_at_a_time(tmp_path: Path) -> None:
+    """A second run is refused while the first one writes, and, without ``overwrite``, after it."""
+    one, other = tmp_path / "one", tmp_path / "other"
+    with outputs(one, other, overwrite=False):
+        for overwrite in (False, True):
+            with pytest.raises(InputError) as refused, outputs(other, overwrite=overwrite):
+                pytest.fail("two runs write one file")
+            assert refused.value.problems[0].code == "output.busy" and str(other) in str(refused.value)
+        write_text(other, "text")
+    with pytest.raises(InputError) as refused, outputs(other, overwrite=False):
+        pytest.fail("the file exists")
+    assert refused.value.problems[0].code == "output.exists" and other.read_text() == "text"
+    assert hidden(tmp_path) == []
+
+
+def test_the_lock_of_a_killed_run_excludes_nobody(tmp_path: Path) -> None:
+    code = "import sys, time; from fg_orient.formats.atomic import alone; from pathlib import Path\n"
+    code += "with alone(Path(sys.argv[1])):\n    print('ready', flush=True)\n    time.sleep(600)"
+    words = [sys.executable, "-c", code, str(tmp_path / "file")]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None and process.stdout.readline() == "ready\n"
+        with pytest.raises(InputError), alone(tmp_path / "file"):
+            pytest.fail("the process is alive")
+        process.kill()
+    assert len(hidden(tmp_path)) == 1
+    with outputs(tmp_path / "file", overwrite=False):
+        write_text(tmp_path / "file", "text")
+    assert hidden(tmp_path) == []
+
+
+def test_a_hidden_file_that_cannot_be_removed_keeps_its_lock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So the next run removes both: without the lock it would not know the file as its own."""
+    with monkeypatch.context() as patched, held(tmp_path / "out") as temporary:
+        temporary.write_text("half")
+        patched.setattr(Path, "unlink", lambda *_, **__: (_ for _ in ()).throw(OSError(5, "error")))
+        patched.setattr(staging, "_release", lambda *_: pytest.fail("the lock is removed"))
+    assert [name.rsplit(".", 1)[1] for name in hidden(tmp_path)] == ["lock", "tmp"]
+    sweep(tmp_path)
+    assert hidden(tmp_path) == []
+
+
+def test_a_new_folder_is_removed_after_an_error(tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError), made_folder(tmp_path / "a" / "b"):
+        raise RuntimeError
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "a").mkdir()
+    with pytest.raises(RuntimeError), made_folder(tmp_path / "a" / "b"):
+        (tmp_path / "a" / "b" / "kept").write_text("of another run")
+        raise RuntimeError
+    assert [path.name for path in tmp_path.rglob("*")] == ["a", "b", "kept"]
 
 
 def test_a_work_folder_is_of_the_user_alone(tmp_path: Path) -> None:

@@ -54,6 +54,14 @@ def test_killed_at_random_times(name: str) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("name", ["rectify", "pair", "match"])
+def test_two_writers(name: str) -> None:
+    """A folder, two tables, and tables of a project with a folder: no mixture, whichever run is faster."""
+    (report,) = reports("--command", name, "--writers", "--most", "20")
+    assert report["failures"] == [] and report["runs"] >= 40
+
+
+@pytest.mark.slow
 def test_a_disk_that_stays_full() -> None:
     for report in reports("--command", "rectify", "--command", "convert", "--errors", "ENOSPC", "--sticky"):
         assert report["failures"] == []

@@ -36,14 +36,14 @@ def main() -> int:
         with tempfile.TemporaryDirectory(prefix="faults-") as folder:
             begin = time.monotonic()
             faults = Faults(made(name, Path(folder).resolve()), Path(folder).resolve())
+            chosen = sample(faults.good, given.most, given.seed, alike=given.alike)
+            faults.report.tried = len(chosen)
             if given.kills:
                 faults.kill_at_random_times(given.kills, given.seed)
             elif given.writers:
-                faults.two_writers(overwrite=False)
-                faults.two_writers(overwrite=True)
+                faults.two_writers(chosen, overwrite=False)
+                faults.two_writers(chosen, overwrite=True)
             else:
-                chosen = sample(faults.good, given.most, given.seed, alike=given.alike)
-                faults.report.tried = len(chosen)
                 for error in given.errors.split(","):
                     for nth in chosen:
                         faults.fail(nth, error, sticky=given.sticky)

@@ -46,7 +46,7 @@ def _without_times(path: Path, data: bytes) -> bytes:
     if path.suffix == ".gpkg":
         return _database(path)
     if path.suffix == ".html":
-        text = re.sub(r"<svg.*?</svg>", "", data.decode("utf-8"), flags=re.DOTALL)
+        text = re.sub(r"<svg.*?</svg>| --overwrite| --resume", "", data.decode("utf-8"), flags=re.DOTALL)
         return re.sub(r"[\d.,]+(e[+−-]?\d+)?", "0", text).encode()
     if path.name == "manifest.json":
         return _manifest(path, json.loads(data))

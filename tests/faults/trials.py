@@ -174,12 +174,12 @@ class Faults:
             names = sorted({name for name, _ in files.items() ^ self.after.items()})
             self._note(f"{where}: next run {ended.code}, differs in {names[:8]}, {ended.stderr[-300:]}")
 
-    def two_writers(self, overwrite: bool) -> None:
-        """Let the command wait before each of its calls while a second one runs; one output whole, no other files."""
+    def two_writers(self, chosen: Sequence[int], *, overwrite: bool) -> None:
+        """Let the command wait before some of its calls while a second one runs; one output whole, no other files."""
         more = self.scenario.again if overwrite else ()
         seconds = (*more, *self.scenario.other)
         first, second = self._alone(*more)[1], self._alone(*seconds)[1]
-        for nth in range(1, self.good.count + 1):
+        for nth in chosen:
             self._copy()
             words = self.scenario.words(self.root)
             waiting = Running(command(*words, *more), self.root, nth=nth, error=PAUSE)
