@@ -27,6 +27,8 @@ from fg_orient.cli.output import answer, flag, number, say, table, tell
 from fg_orient.model.errors import Finding, InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from fg_orient.formats.registry import Format
 
 
@@ -57,6 +59,7 @@ def convert(
     accept_unverified: Annotated[
         bool, option("Read a format that was never tested with a file of its program.", flag="--accept-unverified")
     ] = False,
+    bands: Annotated[int, option("With --to csm-state: bands of columns, each a state in a file.", "N")] = 1,
     formats: Annotated[bool, option("List the formats and end.", flag="--formats")] = False,
     overwrite: Overwrite = False,
     office: Any = None,
@@ -81,8 +84,10 @@ def convert(
     if not files or not out:
         raise InputError.of("cli.usage", place="fg-orient convert", text="Give IN, --out and the formats")
     if target in image_formats:
-        _convert_image(files, image_formats[target], out, sensors, overwrite)
+        _convert_image(files, image_formats[target], out, sensors, bands, overwrite)
         return
+    if bands != 1:
+        raise InputError.of("csm.bands", option="bands", value=bands)
     if sigma_axes not in ("ecef", "enu"):
         raise InputError.of("options.value", option="sigma_axes", value=sigma_axes, expected="ecef or enu")
     reader = format_named(source, place="<from>") if source else format_of(files[0], place="<from>")
@@ -128,25 +133,62 @@ def convert(
     answer(record, _show, {"note": survey.notes, "remark": remarks, "lost": lost}, counts, written)
 
 
-def _convert_image(files: list[Path], form: Format, out: list[Path], sensors: Sensors, overwrite: bool) -> None:
+#: Fewest columns of a band.
+NARROW = 32
+
+
+def _convert_image(
+    files: list[Path], form: Format, out: list[Path], sensors: Sensors, bands: int, overwrite: bool
+) -> None:  # fmt: skip
     """Write the model of an image, adjusted or not, in the format of another program."""
     from fg_orient.formats.atomic import outputs, require_free_files
 
     if len(files) != 1 or len(out) != 1:
         raise InputError.of("cli.usage", place="fg-orient convert", text="Give one image and one --out")
-    require_free_files(out[0], overwrite=overwrite)
-    sensor = sensors.read(files[0])
+    if bands < 1:
+        raise InputError.of("options.value", option="bands", value=bands, expected="1 or more")
+    if bands > 1 and not form.in_bands:
+        raise InputError.of("csm.bands", option="bands", value=form.name)
+    paths = [out[0].with_name(f"{out[0].stem}_{k + 1}{out[0].suffix}") for k in range(bands)] if bands > 1 else [out[0]]
+    require_free_files(*paths, overwrite=overwrite)
+    read = sensors.read(files[0])
+    sensor, correction = getattr(read, "sensor", read), getattr(read, "correction", None)
     assert form.write_image is not None  # a format that writes images
-    with outputs(out[0], overwrite=overwrite):
-        record = form.write_image(out[0], getattr(sensor, "sensor", sensor), getattr(sensor, "correction", None))
-    answer({"from": str(files[0]), "to": form.name, "out": [str(out[0])], **record}, _show_image, out[0], record)
+    with outputs(*paths, overwrite=overwrite):
+        if bands == 1:
+            record = form.write_image(paths[0], sensor, correction)
+        else:
+            record = _bands(form.write_image, paths, sensor, correction)
+    record = {"from": str(files[0]), "to": form.name, "out": list(map(str, paths)), **record}
+    answer(record, _show_image, paths, record)
 
 
-def _show_image(out: Path, record: dict[str, Any]) -> None:
+def _bands(
+    write: Callable[..., dict[str, Any]], paths: list[Path], sensor: Any, correction: Any
+) -> dict[str, Any]:  # fmt: skip
+    """Write bands of about the same number of columns; the record of each, and the differences of all."""
+    ends = [round(k * sensor.n_samples / len(paths)) for k in range(len(paths) + 1)]
+    if sensor.n_samples < NARROW * len(paths):
+        raise InputError.of("options.value", option="bands", value=len(paths),
+                            expected=f"1 .. {sensor.n_samples // NARROW}")  # fmt: skip
+    columns = list(zip(ends[:-1], ends[1:], strict=True))
+    records = [write(path, sensor, correction, own) for path, own in zip(paths, columns, strict=True)]
+    return {
+        "largest_px": max(one["largest_px"] for one in records),
+        "mean_px": sum(one["mean_px"] for one in records) / len(records),
+        "bands": [{"columns": list(own)} | one for own, one in zip(columns, records, strict=True)],
+    }
+
+
+def _show_image(paths: list[Path], record: dict[str, Any]) -> None:
     if "largest_px" in record:
         largest, mean = (number(record[f"{name}_px"], 6) for name in ("largest", "mean"))
         say(f"difference from the image: largest {largest} px, mean {mean} px")
-    say(f"written: {out}")
+    for path, band in zip(paths, record.get("bands", [None] * len(paths)), strict=True):
+        say(
+            f"written: {path}"
+            + (", columns {} .. {}".format(band["columns"][0], band["columns"][1] - 1) if band else "")
+        )
 
 
 def _scenes(sensors: dict[str, Any]) -> list[Any]:

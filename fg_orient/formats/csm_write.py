@@ -3,7 +3,9 @@
 Positions and attitudes are sampled in equal time steps. CSM interpolates between the
 samples by polynomials. The step is halved until these polynomials agree with the image
 within :data:`STATE_PX`. The look angles are converted to a straight detector line with
-radial distortion (``fg_orient.sensors.line_detector``).
+distortion (``fg_orient.sensors.line_detector``). A state may contain only a band of the
+columns. Each band has its own camera: look angles of degree 5 (SPOT 5) need six bands
+for 1e-3 px.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from factors.arrays import Array
 from factors.geometry import ellipsoid, interpolation
 from factors.geometry.interpolation import MAX_SAMPLES, sign_aligned
 from fg_orient.formats.atomic import write_text
-from fg_orient.formats.csm import LINE_SCAN_MODEL
+from fg_orient.formats.csm import DISTORTIONS, LINE_SCAN_MODEL
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.line_detector import COMPARED, LineDetector, fit_detector
@@ -40,8 +42,12 @@ TURNED: Final = np.diag([1.0, -1.0, -1.0])
 _PARAMETERS: Final = 16
 
 
-def write_state(path: Path, sensor: Any, correction: Any = None) -> dict[str, Any]:
-    """Write the state of a pushbroom image.
+#: First column of a band and the column after its last one.
+Columns = tuple[int, int]
+
+
+def write_state(path: Path, sensor: Any, correction: Any = None, columns: Columns | None = None) -> dict[str, Any]:
+    """Write the state of a pushbroom image, or of a band of its columns.
 
     Parameters
     ----------
@@ -49,6 +55,8 @@ def write_state(path: Path, sensor: Any, correction: Any = None) -> dict[str, An
     sensor : PushbroomSensor
     correction : Correction, optional
         From an adjustment.
+    columns : (2,) tuple of int, optional
+        Columns ``first`` to ``end - 1`` of the image: the image of the state begins with column ``first``.
 
     Returns
     -------
@@ -64,21 +72,24 @@ def write_state(path: Path, sensor: Any, correction: Any = None) -> dict[str, An
     if not isinstance(sensor, PushbroomSensor):
         raise InputError.of("csm.sensor", file=sensor.file, value=type(sensor).__name__)
     c = correction or Correction()
-    detector = _detector(sensor, c)
+    columns = columns or (0, sensor.n_samples)
+    detector = _detector(sensor, c, columns)
     zero_s, times, p, v, q = _sampled(sensor, c, detector)
-    write_text(path, f"{LINE_SCAN_MODEL}\n{json.dumps(_fields(sensor, detector, zero_s, times, p, v, q), indent=2)}\n")
+    fields = _fields(sensor, detector, columns, zero_s, times, p, v, q)
+    write_text(path, f"{LINE_SCAN_MODEL}\n{json.dumps(fields, indent=2)}\n")
     step_s = float(times[1] - times[0])
     return {"camera_px": list(detector.largest_px), "step_s": step_s, "states": len(times)}
 
 
-def _detector(sensor: PushbroomSensor, correction: Correction) -> LineDetector:
+def _detector(sensor: PushbroomSensor, correction: Correction, columns: Columns) -> LineDetector:
     """Fit a detector line to the corrected look angles.
 
-    They are compared at samples over the whole line.
+    They are compared at samples over all its columns.
     """
-    sample = np.linspace(sensor.first_sample, sensor.last_sample, min(COMPARED, sensor.n_samples))
+    first, end = columns
+    sample = np.linspace(first, end - 1.0, min(COMPARED, end - first))
     psi_x, psi_y = sensor.corrected_look(sensor.look_angles(sample), sample, correction)
-    return fit_detector(sample, np.stack([-np.tan(psi_y), -np.tan(psi_x)], axis=1))
+    return fit_detector(sample, np.stack([-np.tan(psi_y), -np.tan(psi_x)], axis=1), band=end - first < sensor.n_samples)
 
 
 def _span(sensor: PushbroomSensor) -> tuple[Array, Array]:
@@ -183,12 +194,21 @@ def _lines(sensor: PushbroomSensor, zero_s: float) -> dict[str, list[float]]:
     }  # fmt: skip
 
 
+def _distortion(detector: LineDetector) -> dict[str, Any]:
+    """Fields of the distortion; a camera without one has radial coefficients of zero."""
+    own = detector.distortion
+    kind = {name: number for number, name in DISTORTIONS.items()}.get(own.model, 0)
+    return {"m_distortionType": kind, "m_opticalDistCoeffs": list(own.coefficients) or [0.0] * 3}
+
+
 def _fields(
-    sensor: PushbroomSensor, detector: LineDetector, zero_s: float, times: Array, p: Array, v: Array, q: Array
-) -> dict[str, Any]:
+    sensor: PushbroomSensor, detector: LineDetector, columns: Columns, zero_s: float, times: Array, p: Array, v: Array,
+    q: Array,
+) -> dict[str, Any]:  # fmt: skip
     """Return all fields of a state as written to the JSON file."""
     image, _ = _span(sensor)
-    centre = sensor.centre_m
+    first, n_samples = columns[0], columns[1] - columns[0]
+    centre = sensor.locate(0.5 * (sensor.first_line + sensor.last_line), first + 0.5 * (n_samples - 1), height_m=0.0)[0]
     middle = p[len(p) // 2]
     distance = float(np.linalg.norm(middle - centre))
     start, step = float(times[0]), float((times[-1] - times[0]) / (len(times) - 1))
@@ -197,17 +217,17 @@ def _fields(
         "m_modelName": LINE_SCAN_MODEL, "m_imageIdentifier": Path(sensor.file).stem,
         "m_sensorName": sensor.metadata.instrument,
         "m_sensorIdentifier": sensor.metadata.instrument, "m_platformIdentifier": sensor.metadata.mission,
-        "m_nLines": sensor.n_lines, "m_nSamples": sensor.n_samples, "m_platformFlag": 1, "m_ikCode": 0,
+        "m_nLines": sensor.n_lines, "m_nSamples": n_samples, "m_platformFlag": 1, "m_ikCode": 0,
         **_lines(sensor, zero_s), "m_startingEphemerisTime": 0.0, "m_centerEphemerisTime": 0.0,
-        "m_detectorSampleSumming": 1.0, "m_detectorLineSumming": 1.0, "m_startingDetectorSample": 0.0,
+        "m_detectorSampleSumming": 1.0, "m_detectorLineSumming": 1.0, "m_startingDetectorSample": float(first),
         "m_startingDetectorLine": 0.0, "m_zDirection": 1.0, "m_focalLength": detector.focal_px,
         "m_detectorSampleOrigin": detector.origin_sample + 0.5, "m_detectorLineOrigin": 0.0,
         "m_iTransS": [0.0, detector.sign, 0.0], "m_iTransL": [-detector.offset_px, -detector.slope, 1.0],
-        "m_distortionType": 0, "m_opticalDistCoeffs": list(detector.radial),
+        **_distortion(detector),
         "m_majorAxis": ellipsoid.A_M, "m_minorAxis": ellipsoid.B_M, "m_minElevation": -10_000.0,
         "m_maxElevation": 10_000.0, "m_referencePointXyz": centre.tolist(), "m_gsd": distance / detector.focal_px,
         "m_flyingHeight": float(np.linalg.norm(middle) - np.linalg.norm(centre)),
-        "m_halfSwath": 0.5 * sensor.n_samples * distance / detector.focal_px,
+        "m_halfSwath": 0.5 * n_samples * distance / detector.focal_px,
         "m_halfTime": float(0.5 * (image[1] - image[0])), "m_t0Ephem": start, "m_dtEphem": step, "m_t0Quat": start,
         "m_dtQuat": step, "m_numPositions": p.size, "m_numQuaternions": q.size, "m_positions": p.ravel().tolist(),
         "m_velocities": v.ravel().tolist(), "m_quaternions": q.ravel().tolist(),

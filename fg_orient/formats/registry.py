@@ -155,9 +155,12 @@ class Format:
         ``chooses_light`` is true.
     write_image : callable, optional
         The writer takes the path, the sensor and its correction or None. It returns a
-        record of the differences between the file and the image.
+        record of the differences between the file and the image. If ``in_bands``, its
+        fourth argument is the first column of a band and the column after its last one.
     extrapolates : bool
         Whether ``read_image`` accepts the keyword ``extrapolate_attitude_s``.
+    in_bands : bool
+        Whether ``write_image`` also writes a band of the columns of a pushbroom image.
     chooses_light : bool
         Whether ``read_image`` accepts the keyword ``light``: names of effects on light
         (``fg_orient.sensors.light_sizes``).
@@ -185,7 +188,8 @@ class Format:
     read_rpc: Callable[[Path, Reading], RpcModel] | None = None
     write_rpc: Callable[[Path, RpcModel], None] | None = None
     read_image: Callable[..., Any] | None = None
-    write_image: Callable[[Path, Any, Any], dict[str, Any]] | None = None
+    write_image: Callable[..., dict[str, Any]] | None = None
+    in_bands: bool = False
     extrapolates: bool = False
     chooses_light: bool = False
     beside_rpc: bool = False

@@ -17,9 +17,10 @@ import numpy as np
 from factors.arrays import Array
 from fg_orient.model.errors import InputError
 
-#: Steps of Newton's method, and its tolerance, mm.
+#: Steps of Newton's method, and its tolerance: mm, and a share of the coordinates for a detector in pixels.
 STEPS: Final = 30
 TOLERANCE_MM: Final = 1e-12
+ROUNDING: Final = 4.0 * float(np.finfo(float).eps)
 #: Complex step, mm.
 _H: Final = 1e-30
 #: Names of the models of distortion and their numbers of coefficients.
@@ -92,6 +93,7 @@ class Distortion:
     def _solved(self, wanted: Array, function: Callable[[Array], Array]) -> Array:
         """Arguments (n, 2) with the values ``wanted`` (n, 2) by Newton's method with complex steps."""
         xy = np.array(wanted, float)
+        enough = max(TOLERANCE_MM, ROUNDING * float(np.abs(wanted).max(initial=0.0)))
         for _ in range(STEPS):
             at = function(xy)
             (a, c), (b, d) = (function(xy + 1j * _H * axis).imag.T / _H for axis in np.eye(2))
@@ -99,9 +101,9 @@ class Distortion:
             with np.errstate(all="ignore"):
                 step = np.stack([d * u - b * v, a * v - c * u], axis=1) / (a * d - b * c)[:, None]
             xy = xy + step
-            if not np.abs(step).max(initial=0.0) > TOLERANCE_MM:
+            if not np.abs(step).max(initial=0.0) > enough:
                 return np.asarray(xy)
-        return np.where(np.abs(step) > TOLERANCE_MM, np.nan, xy)
+        return np.where(np.abs(step) > enough, np.nan, xy)
 
 
 @dataclass(frozen=True)

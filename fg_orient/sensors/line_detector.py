@@ -1,24 +1,33 @@
-"""Camera of a line-scan state: a straight detector line with radial distortion, fitted to the look angles of samples.
+"""Camera of a line-scan state: a straight detector line with distortion, fitted to the look angles of samples.
 
-The line is at ``(x, y) = (d, y0 + b d)`` pixels of the focal plane, d = +-(sample - s0); its ideal coordinates are
-``(x, y) (1 - k0 - k1 r^2 - k2 r^4)``, and the line of sight is ``R (x, y, focal)`` in body axes turned to the ground
-(x right of flight, y backward, z down). Look angles that are linear in the sample need neither distortion nor R.
+The line is at ``(x, y) = (d, y0 + b d)`` pixels of the focal plane, d = +-(sample - s0). The distortion leads to ideal
+coordinates, and the line of sight is ``R (x, y, focal)`` in body axes turned to the ground (x right of flight, y
+backward, z down). Look angles that are linear in the sample need neither distortion nor R. Others get the nearer of:
+
+* radial distortion, ``ideal = (x, y) (1 - k0 - k1 r^2 - k2 r^4)``: degree 5, with one set of coefficients;
+* transverse distortion: d and y0 are polynomials of degree 3 in the ideal x, so each direction has its own degree 3.
+  Its error falls with the fourth power of the width of a band of columns.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from factors.arrays import Array
 from fg_orient.sensors.focal_plane import Distortion
 
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
+
 #: Residual, px, below which a straight line without distortion is exact: rounding of the tangents.
 EXACT_PX: Final = 1e-7
 #: Start values of the distance of the line from the axis and of its sample, in half lines.
 _STARTS: Final = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0))
+#: Residual, px, below which the transverse distortion is taken without a look at the radial one.
+GOOD_PX: Final = 1e-6
 #: Samples to which the camera is fitted, and at which it is compared.
 FITTED: Final = 201
 #: Evaluations of the camera for each start.
@@ -36,8 +45,8 @@ class LineDetector:
         R, turned body axes from camera axes.
     focal_px, origin_sample, sign, slope, offset_px : float
         Focal length, s0, the sign of d, b and y0.
-    radial : (3,) tuple
-        k0, k1, k2 for r in pixels.
+    distortion : Distortion
+        In pixels.
     largest_px : (2,) tuple
         Largest differences of the look angles along lines and samples.
     """
@@ -48,52 +57,79 @@ class LineDetector:
     sign: float
     slope: float
     offset_px: float
-    radial: tuple[float, float, float]
+    distortion: Distortion = Distortion()
     largest_px: tuple[float, float] = (0.0, 0.0)
 
     def directions(self, sample: Array) -> Array:
         """Lines of sight (n, 3) in turned body axes, z component 1."""
         d = self.sign * (sample - self.origin_sample)
         measured = np.stack([d, self.offset_px + self.slope * d], axis=1)
-        ideal = Distortion("radial", self.radial).ideal(measured)
+        ideal = self.distortion.ideal(measured)
         u = np.column_stack([ideal, np.full(len(d), self.focal_px)]) @ self.rotation.T
         return np.asarray(u / u[:, 2:])
 
     def compared(self, sample: Array, tangents: Array) -> LineDetector:
         """Camera with its largest differences from tangents (n, 2) at samples (n,)."""
         apart = np.abs(self.directions(sample)[:, :2] - tangents).max(axis=0) * self.focal_px
-        return LineDetector(
-            self.rotation, self.focal_px, self.origin_sample, self.sign, self.slope, self.offset_px, self.radial,
-            (float(apart[1]), float(apart[0])),
-        )  # fmt: skip
+        return replace(self, largest_px=(float(apart[1]), float(apart[0])))
 
 
-def fit_detector(sample: Array, tangents: Array) -> LineDetector:
-    """Camera whose directions at samples (n,) are nearest to tangents (n, 2): x right of flight, y backward."""
+def fit_detector(sample: Array, tangents: Array, *, band: bool = False) -> LineDetector:
+    """Camera whose directions at samples (n,) are nearest to tangents (n, 2): x right of flight, y backward.
+
+    ``band``: the samples are a part of a line, to which the transverse distortion is fitted only: the search for a
+    radial one takes seconds, and it did not find a better one for bands of SPOT 5.
+    """
     step = np.polyfit(sample, tangents[:, 0], 1)
     sign, focal = float(np.sign(step[0])), float(1.0 / abs(step[0]))
     origin = float(-step[1] / step[0])
     slope, offset = np.polyfit(sign * (sample - origin), tangents[:, 1] * focal, 1)
-    plain = LineDetector(np.eye(3), focal, origin, sign, float(slope), float(offset), (0.0, 0.0, 0.0))
-    plain = plain.compared(sample, tangents)
-    return plain if max(plain.largest_px) < EXACT_PX else _bent(sample, tangents, sign, focal)
+    plain = LineDetector(np.eye(3), focal, origin, sign, float(slope), float(offset)).compared(sample, tangents)
+    if max(plain.largest_px) < EXACT_PX:
+        return plain
+    cubic = _transverse(sample, tangents, sign, focal)
+    if band or max(cubic.largest_px) < GOOD_PX:
+        return cubic
+    return min(cubic, _radial(sample, tangents, sign, focal), key=lambda one: max(one.largest_px))
 
 
-def _bent(sample: Array, tangents: Array, sign: float, focal: float) -> LineDetector:
+def _axis(tangents: Array) -> Rotation:
+    """Rotation of the camera whose axis is the mean line of sight."""
+    from scipy.spatial.transform import Rotation
+
+    mean = tangents.mean(axis=0)
+    return Rotation.from_rotvec([-np.arctan(mean[1]), np.arctan(mean[0]), 0.0])
+
+
+def _transverse(sample: Array, tangents: Array, sign: float, focal: float) -> LineDetector:
+    """Camera with transverse distortion: least squares in Chebyshev polynomials of the ideal x."""
+    rotation = _axis(tangents).as_matrix()
+    u = np.column_stack([tangents, np.ones(len(tangents))]) @ rotation
+    x, y = (focal * u[:, :2] / u[:, 2:]).T
+    middle = 0.5 * (sample[0] + sample[-1])
+    c = np.zeros((2, 10))
+    for row, values in zip(c, (sign * (sample - middle), y), strict=True):
+        fit = np.polynomial.Chebyshev.fit(x, values, 3).convert(kind=np.polynomial.Polynomial)
+        row[[0, 1, 3, 6]] = np.pad(fit.coef, (0, 4 - len(fit.coef)))
+    c[1] *= -1.0  # on the line, y of the detector is 0: y minus its polynomial
+    c[1, 2] += 1.0
+    found = LineDetector(rotation, focal, middle, sign, 0.0, 0.0, Distortion("transverse", tuple(c.ravel().tolist())))
+    return found.compared(sample, tangents)
+
+
+def _radial(sample: Array, tangents: Array, sign: float, focal: float) -> LineDetector:
     """Camera with rotation and radial distortion, the best of several starts."""
     from scipy.optimize import least_squares
     from scipy.spatial.transform import Rotation
 
-    half = 0.5 * (sample[-1] - sample[0])
-    middle, axis = 0.5 * (sample[0] + sample[-1]), tangents.mean(axis=0)
+    half, middle, turn = 0.5 * (sample[-1] - sample[0]), 0.5 * (sample[0] + sample[-1]), _axis(tangents)
     rows = np.linspace(0, len(sample) - 1, min(FITTED, len(sample))).astype(np.intp)
     at, seen = sample[rows], tangents[rows]
-    turn = Rotation.from_rotvec([-np.arctan(axis[1]), np.arctan(axis[0]), 0.0])
 
     def camera(x: Array) -> LineDetector:
         """Camera of unknowns of size about 1."""
         rotation = (turn * Rotation.from_rotvec(x[:3])).as_matrix()
-        radial = float(x[6]), float(x[7]) / half**2, float(x[8]) / half**4
+        radial = Distortion("radial", (float(x[6]), float(x[7]) / half**2, float(x[8]) / half**4))
         return LineDetector(rotation, focal, middle + half * x[3], sign, float(x[5]), half * float(x[4]), radial)
 
     def misfit(x: Array) -> Array:

@@ -15,6 +15,7 @@ from fg_orient.formats.rpc import write_rpc
 from fg_orient.formats.sensor import read_sensor
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.correction import Correction
+from fg_orient.sensors.line_detector import fit_detector
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from tests.support import csm_line_scan as csm
 from tests.support.command import in_process
@@ -34,11 +35,29 @@ def pixels(sensor: PushbroomSensor, n: int = 5) -> tuple[np.ndarray, np.ndarray]
 
 def apart_px(path: Path, sensor: PushbroomSensor, correction: Correction | None = None) -> float:
     """Largest distance, px: pixels to the ground by the second evaluator, back by the sensor."""
+    return largest_px(path, sensor, *pixels(sensor), correction)
+
+
+def band_px(path: Path, sensor: PushbroomSensor, columns: list[int], n: int) -> float:
+    """Likewise at three lines and ``n`` samples of the band of columns of a state."""
+    line, sample = np.meshgrid(
+        np.linspace(sensor.first_line, sensor.last_line, 3), np.linspace(columns[0], columns[1] - 1.0, n)
+    )
+    assert csm.read_state(path)["m_nSamples"] == columns[1] - columns[0]
+    return largest_px(path, sensor, line.ravel(), sample.ravel(), None, columns[0])
+
+
+def largest_px(
+    path: Path, sensor: PushbroomSensor, line: np.ndarray, sample: np.ndarray, correction: Correction | None,
+    first: int = 0,
+) -> float:  # fmt: skip
+    """Likewise at pixels of the image; the image of the state begins with column ``first``."""
     state = csm.read_state(path)
-    line, sample = pixels(sensor)
     worst = 0.0
     for height_m in (0.0, 800.0):
-        ground = np.array([csm.to_ground(state, a + 0.5, b + 0.5, height_m) for a, b in zip(line, sample, strict=True)])
+        ground = np.array(
+            [csm.to_ground(state, a + 0.5, b - first + 0.5, height_m) for a, b in zip(line, sample, strict=True)]
+        )
         got = np.stack(sensor.project(ground, correction), axis=1) - np.stack([line, sample], axis=1)
         worst = max(worst, float(np.abs(got).max()))
     return worst
@@ -162,11 +181,18 @@ def test_spot_5_as_state(real_data: Path, tmp_path: Path) -> None:
     """0.025 px: its look angles are polynomials of degree 5 in both directions, which no distortion of CSM contains.
 
     A polynomial of degree 4 leaves 0.13 px, of degree 5 1e-4 px; a radial distortion has the terms of degree 5, but the
-    same ones for both directions.
+    same ones for both directions. Six bands of columns leave 8.2e-4 px.
     """
-    sensor, path = read_sensor(real_data / "geocosicorr3d/SPOT5.DIM"), tmp_path / "state.json"
+    source = real_data / "geocosicorr3d/SPOT5.DIM"
+    sensor, path = read_sensor(source), tmp_path / "state.json"
     record = write_compared(path, sensor)
     assert apart_px(path, sensor) < 0.03 and record["largest_px"] < 0.03
+    done = in_process("convert", source, "--to", "csm-state", "--bands", "6", "--out", path, "--json")
+    assert done.code == 0 and done.json["largest_px"] < 1e-3, done.stderr
+    bands = [band["columns"] for band in done.json["bands"]]
+    assert [bands[0][0], *(end for _, end in bands)] == list(range(0, 12_001, 2_000))
+    for out, columns in zip(done.json["out"], bands, strict=True):
+        assert band_px(Path(out), sensor, columns, 41) < 1e-3
     psi_x, psi_y = sensor.look_angles(np.arange(12_000.0))
     for degree, low, high in ((4, 0.02, 0.2), (5, 0.0, 2e-4)):
         for tangent in (np.tan(psi_x), np.tan(psi_y)):
@@ -186,6 +212,47 @@ def test_convert_writes_a_state(tmp_path: Path) -> None:
     assert again.code == 2 and "--overwrite" in again.stderr
     done = in_process("convert", source, "--to", "csm-state", "--out", out, "--overwrite")
     assert done.code == 0 and "largest 0.0000" in done.stdout
+
+
+@pytest.mark.oracle
+def test_look_angles_of_degree_5_in_bands(tmp_path: Path) -> None:
+    """The error of a band of columns falls with the fourth power of its width: cubic polynomials in both directions."""
+    n = 8_000
+    u = np.linspace(-1.0, 1.0, n)
+    curved = np.stack([0.3 * u**3 + 0.2 * u**4 + u**5, 0.2 * u**2 - 0.1 * u**4 + 0.15 * u**5], axis=1)
+    tangents = 5e-6 * (np.stack([-4_000.0 * u, 30.0 + u], axis=1) + curved)
+
+    def largest(bands: int) -> float:
+        worst = 0.0
+        for part in np.split(np.arange(n), bands):
+            camera = fit_detector(part.astype(float), tangents[part], band=True)
+            apart = np.abs(camera.directions(part.astype(float))[:, :2] - tangents[part]).max() / 5e-6
+            assert apart == pytest.approx(max(camera.largest_px), rel=0.02)
+            worst = max(worst, float(apart))
+        return worst
+
+    wide, narrow = largest(8), largest(16)
+    assert 8.0 < wide / narrow < 32.0 and narrow < 1e-3
+
+
+@pytest.mark.behaviour
+def test_convert_writes_bands(tmp_path: Path) -> None:
+    """Each state has its columns: pixels of the image by the second evaluator."""
+    source, out = write_isd(tmp_path), tmp_path / "state.json"
+    sensor = read_sensor(source)
+    done = in_process("convert", source, "--to", "csm-state", "--bands", "3", "--out", out)
+    assert done.code == 0, done.stderr
+    ends = [round(k * sensor.n_samples / 3) for k in range(4)]
+    for k, columns in enumerate(zip(ends[:-1], ends[1:], strict=True)):
+        path = tmp_path / f"state_{k + 1}.json"
+        assert f"{path}, columns {columns[0]} .. {columns[1] - 1}" in done.stdout
+        assert band_px(path, sensor, list(columns), 5) < 1e-5
+    again = in_process("convert", source, "--to", "csm-state", "--bands", "3", "--out", out)
+    assert again.code == 2 and "state_1.json" in again.stderr
+    for bands, target, code in (("0", "csm-state", "1 or more"), ("100000", "csm-state", "1 .. "),
+                                ("2", "isd", "divided into bands")):  # fmt: skip
+        done = in_process("convert", source, "--to", target, "--bands", bands, "--out", tmp_path / "a.json")
+        assert done.code == 2 and code in done.stderr
 
 
 @pytest.mark.behaviour

@@ -19,7 +19,7 @@ import numpy as np
 from factors.arrays import Array
 from factors.geometry.interpolation import sign_aligned
 from fg_orient.formats.csm import LINE_SCAN_MODEL, UNIT, distortion_of, open_state
-from fg_orient.formats.csm_write import write_state
+from fg_orient.formats.csm_write import Columns, write_state
 from fg_orient.formats.json_files import JsonFile
 from fg_orient.formats.metadata.csm_frame import write_state as write_frame
 from fg_orient.formats.registry import Format
@@ -155,11 +155,13 @@ def _directions(state: JsonFile, n_samples: int) -> tuple[DirectionTable, str]:
     return DirectionTable(sample, np.ascontiguousarray(forward), np.ascontiguousarray(left)), along
 
 
-def write_compared(path: Path, sensor: Any, correction: Any = None) -> dict[str, Any]:
+def write_compared(
+    path: Path, sensor: Any, correction: Any = None, columns: Columns | None = None
+) -> dict[str, Any]:  # fmt: skip
     """Write a state, read it again, and compare it with the image.
 
     The file converts pixels to ground points, and the image converts them back to pixels.
-    A frame image is written as a frame state.
+    A frame image is written as a frame state. ``columns``: as in :func:`fg_orient.formats.csm_write.write_state`.
 
     Returns
     -------
@@ -168,12 +170,15 @@ def write_compared(path: Path, sensor: Any, correction: Any = None) -> dict[str,
         ``largest_px`` and ``mean_px`` over image and heights.
     """
     if isinstance(sensor, FramingSensor):
+        if columns is not None:
+            raise InputError.of("csm.bands", file=sensor.file, option="bands", value=type(sensor).__name__)
         return write_frame(path, sensor, correction)
-    record = write_state(path, sensor, correction)
+    record = write_state(path, sensor, correction, columns)
     written = GeneralPushbroom(read_state(path))
-    line, sample = sensor.grid(SIDE)
-    apart = [np.hypot(*(np.stack(sensor.project(written.locate(line, sample, height_m=h), correction))
-                        - [line, sample])) for h in HEIGHTS_M]  # fmt: skip
+    line, sample = written.grid(SIDE)
+    here = np.stack([line, sample + (columns[0] if columns else 0)])
+    apart = [np.hypot(*(np.stack(sensor.project(written.locate(line, sample, height_m=h), correction)) - here))
+             for h in HEIGHTS_M]  # fmt: skip
     return record | {"largest_px": float(np.max(apart)), "mean_px": float(np.mean(apart))}
 
 
@@ -183,5 +188,5 @@ def _is_state(_: Path, head: str) -> bool:
 
 FORMAT = Format(
     name="csm-state", title="CSM line-scan state", sniff=_is_state, chooses_light=True, write_image=write_compared,
-    read_image=lambda path, light=(): noted(GeneralPushbroom(read_state(path, light))),
+    in_bands=True, read_image=lambda path, light=(): noted(GeneralPushbroom(read_state(path, light))),
 )  # fmt: skip

@@ -61,6 +61,8 @@ isd.metric (note): the distortion is that of a metric camera in the keywords of 
     zero
 csm.sensor: only the rigorous model of a pushbroom image becomes a line-scan state
     -> give its metadata with states and attitudes
+csm.bands: only the model of a pushbroom image is divided into bands of columns
+    -> write one file: omit <bands>
 csm.parameters: a state with parameters that are not zero is not read
     -> give a state in which the adjustment is applied to positions and quaternions
 csm.aircraft: the interpolation of aircraft is not read
