@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -171,7 +172,7 @@ def _bands(
     if sensor.n_samples < NARROW * len(paths):
         raise InputError.of("options.value", option="bands", value=len(paths),
                             expected=f"1 .. {sensor.n_samples // NARROW}")  # fmt: skip
-    columns = list(zip(ends[:-1], ends[1:], strict=True))
+    columns = list(itertools.pairwise(ends))
     records = [write(path, sensor, correction, own) for path, own in zip(paths, columns, strict=True)]
     return {
         "largest_px": max(one["largest_px"] for one in records),

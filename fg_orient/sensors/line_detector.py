@@ -33,6 +33,7 @@ FITTED: Final = 201
 #: Evaluations of the camera for each start.
 MOST: Final = 1500
 COMPARED: Final = 6007
+_NONE: Final = Distortion()
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ class LineDetector:
     sign: float
     slope: float
     offset_px: float
-    distortion: Distortion = Distortion()
+    distortion: Distortion = _NONE
     largest_px: tuple[float, float] = (0.0, 0.0)
 
     def directions(self, sample: Array) -> Array:

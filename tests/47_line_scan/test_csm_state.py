@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -243,7 +244,7 @@ def test_convert_writes_bands(tmp_path: Path) -> None:
     done = in_process("convert", source, "--to", "csm-state", "--bands", "3", "--out", out)
     assert done.code == 0, done.stderr
     ends = [round(k * sensor.n_samples / 3) for k in range(4)]
-    for k, columns in enumerate(zip(ends[:-1], ends[1:], strict=True)):
+    for k, columns in enumerate(itertools.pairwise(ends)):
         path = tmp_path / f"state_{k + 1}.json"
         assert f"{path}, columns {columns[0]} .. {columns[1] - 1}" in done.stdout
         assert band_px(path, sensor, list(columns), 5) < 1e-5
