@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from fg_orient.formats.json_files import JsonFile
 from fg_orient.formats.registry import read_bytes
@@ -13,9 +13,17 @@ from fg_orient.sensors.focal_plane import Distortion
 FRAME_MODEL: Final = "USGS_ASTRO_FRAME_SENSOR_MODEL"
 LINE_SCAN_MODEL: Final = "USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL"
 #: A state names its distortion model by one of these numbers.
-DISTORTIONS: Final = {0: "radial", 1: "transverse"}
+DISTORTIONS: Final = {0: "radial", 1: "transverse", 7: "radtan"}
+RADTAN: Final = 7
 #: Maximum difference of the norm of a quaternion from 1.
 UNIT: Final = 1e-3
+
+
+def distortion_fields(distortion: Distortion) -> dict[str, Any]:
+    """Fields of a distortion, without one radial coefficients of zero; inverse of :func:`distortion_of`."""
+    kind = {name: number for number, name in DISTORTIONS.items()}.get(distortion.model, 0)
+    c = distortion.coefficients or (0.0, 0.0, 0.0)
+    return {"m_distortionType": kind, "m_opticalDistCoeffs": list(c[:-1] if kind == RADTAN else c)}
 
 
 def open_state(path: Path, model: str) -> JsonFile:
@@ -35,14 +43,16 @@ def open_state(path: Path, model: str) -> JsonFile:
 def distortion_of(state: JsonFile) -> Distortion:
     """Return the distortion of a state.
 
-    InputError: the distortion is neither radial nor transverse, or its coefficients are impossible.
+    The coordinates of the distortion ``radtan`` are divided by the focal length of the state.
+    InputError: the distortion is not one of :data:`DISTORTIONS`, or its coefficients are impossible.
     """
     kind = int(state.number("m_distortionType", 0))
     if kind not in DISTORTIONS:
         raise InputError.of("isd.distortion", file=state.path, place="m_distortionType", value=kind,
                             known=", ".join(f"{k} ({name})" for k, name in DISTORTIONS.items()))  # fmt: skip
     try:
-        return Distortion(DISTORTIONS[kind], tuple(state.numbers("m_opticalDistCoeffs", -1).tolist()))
+        c = state.numbers("m_opticalDistCoeffs", -1).tolist()
+        return Distortion(DISTORTIONS[kind], (*c, state.number("m_focalLength")) if kind == RADTAN else tuple(c))
     except InputError as error:
         problem = error.problems[0]
         raise InputError.of(problem.code, file=state.path, place="m_opticalDistCoeffs", value=problem.value,

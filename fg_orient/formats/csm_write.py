@@ -20,7 +20,7 @@ from factors.arrays import Array
 from factors.geometry import ellipsoid, interpolation
 from factors.geometry.interpolation import MAX_SAMPLES, sign_aligned
 from fg_orient.formats.atomic import write_text
-from fg_orient.formats.csm import DISTORTIONS, LINE_SCAN_MODEL
+from fg_orient.formats.csm import LINE_SCAN_MODEL, distortion_fields
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.line_detector import COMPARED, LineDetector, fit_detector
@@ -194,13 +194,6 @@ def _lines(sensor: PushbroomSensor, zero_s: float) -> dict[str, list[float]]:
     }  # fmt: skip
 
 
-def _distortion(detector: LineDetector) -> dict[str, Any]:
-    """Fields of the distortion; a camera without one has radial coefficients of zero."""
-    own = detector.distortion
-    kind = {name: number for number, name in DISTORTIONS.items()}.get(own.model, 0)
-    return {"m_distortionType": kind, "m_opticalDistCoeffs": list(own.coefficients) or [0.0] * 3}
-
-
 def _fields(
     sensor: PushbroomSensor, detector: LineDetector, columns: Columns, zero_s: float, times: Array, p: Array, v: Array,
     q: Array,
@@ -223,7 +216,7 @@ def _fields(
         "m_startingDetectorLine": 0.0, "m_zDirection": 1.0, "m_focalLength": detector.focal_px,
         "m_detectorSampleOrigin": detector.origin_sample + 0.5, "m_detectorLineOrigin": 0.0,
         "m_iTransS": [0.0, detector.sign, 0.0], "m_iTransL": [-detector.offset_px, -detector.slope, 1.0],
-        **_distortion(detector),
+        **distortion_fields(detector.distortion),
         "m_majorAxis": ellipsoid.A_M, "m_minorAxis": ellipsoid.B_M, "m_minElevation": -10_000.0,
         "m_maxElevation": 10_000.0, "m_referencePointXyz": centre.tolist(), "m_gsd": distance / detector.focal_px,
         "m_flyingHeight": float(np.linalg.norm(middle) - np.linalg.norm(centre)),

@@ -24,7 +24,10 @@ ROUNDING: Final = 4.0 * float(np.finfo(float).eps)
 #: Complex step, mm.
 _H: Final = 1e-30
 #: Names of the models of distortion and their numbers of coefficients.
-MODELS: Final = {"none": 0, "radial": 3, "transverse": 20, "metric": 8}
+MODELS: Final = {"none": 0, "radial": 3, "transverse": 20, "metric": 8, "radtan": 6}
+
+
+_TO_MEASURED: Final = ("transverse", "radtan")
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,8 @@ class Distortion:
     model : str
         "none"; "radial": ideal = m (1 - k0 - k1 r^2 - k2 r^4); "transverse": m = polynomials of degree 3 in the ideal
         coordinates, 10 coefficients of x, then of y; "metric": Conrady-Brown of ISIS's metric cameras, with
-        coefficients xp, yp, k1, k2, k3, j1, j2, t0 (mm, rad).
+        coefficients xp, yp, k1, k2, k3, j1, j2, t0 (mm, rad); "radtan": measured = Brown's polynomials in ideal
+        coordinates divided by the focal length, coefficients k1, k2, p1, p2, k3 as in OpenCV, and the focal length, mm.
     coefficients : tuple of float
     """
 
@@ -53,13 +57,13 @@ class Distortion:
 
     def ideal(self, measured_mm: Array) -> Array:
         """Ideal coordinates (n, 2) mm of measured ones (n, 2)."""
-        if self.model == "transverse":
-            return self._solved(measured_mm, self._transverse)
+        if self.model in _TO_MEASURED:
+            return self._solved(measured_mm, self._distorted)
         return self._forward(measured_mm)
 
     def measured(self, ideal_mm: Array) -> Array:
         """Measured coordinates (n, 2) mm of ideal ones (n, 2); nan where there are none."""
-        return self._transverse(ideal_mm) if self.model == "transverse" else self._solved(ideal_mm, self._forward)
+        return self._distorted(ideal_mm) if self.model in _TO_MEASURED else self._solved(ideal_mm, self._forward)
 
     def mirrored(self) -> Distortion:
         """Distortion of a camera whose first axis points the other way."""
@@ -69,11 +73,21 @@ class Distortion:
             c = np.concatenate([-odd * c[:10], odd * c[10:]])
         if self.model == "metric":
             c[[0, 7]] *= -1.0
+        if self.model == "radtan":
+            c[3] *= -1.0
         return replace(self, coefficients=tuple(c.tolist()))
 
-    def _transverse(self, xy: Array) -> Array:
-        """Measured coordinates of ideal ones by polynomials of degree 3, as in USGSCSM."""
+    def _distorted(self, xy: Array) -> Array:
+        """Measured coordinates of the models that lead from ideal ones, as in USGSCSM."""
         x, y = xy.T
+        if self.model == "radtan":
+            k1, k2, p1, p2, k3, focal = self.coefficients
+            x, y = x / focal, y / focal
+            r = x * x + y * y
+            radial = 1.0 + r * (k1 + r * (k2 + r * k3))
+            u = x * radial + 2.0 * p1 * x * y + p2 * (r + 2.0 * x * x)
+            v = y * radial + 2.0 * p2 * x * y + p1 * (r + 2.0 * y * y)
+            return focal * np.stack([u, v], axis=1)
         terms = np.stack([0.0 * x + 1.0, x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3], axis=1)
         return np.asarray(terms @ np.array(self.coefficients).reshape(2, 10).T)
 

@@ -30,13 +30,14 @@ class State:
     def undistorted(self, x: float, y: float) -> tuple[float, float]:
         """Ideal coordinates, mm."""
         c = self.s["m_opticalDistCoeffs"]
-        if self.s["m_distortionType"] == 0:
+        kind = self.s["m_distortionType"]
+        if kind == 0:
             r = x * x + y * y
             d = c[0] + r * (c[1] + r * c[2])
             return x * (1 - d), y * (1 - d)
         u, v = x, y
         for _ in range(50):  # a fixed point: distortion is small
-            du, dv = self._transverse(u, v)
+            du, dv = self._transverse(u, v) if kind == 1 else self._brown(u, v)
             u, v = u + x - du, v + y - dv
         return u, v
 
@@ -45,10 +46,24 @@ class State:
         f = [1, x, y, x * x, x * y, y * y, x * x * x, x * x * y, x * y * y, y * y * y]
         return sum(c[i] * f[i] for i in range(10)), sum(c[10 + i] * f[i] for i in range(10))
 
+    def _brown(self, x: float, y: float) -> tuple[float, float]:
+        """Type 7: k1, k2, p1, p2, k3 as in OpenCV, in units of the focal length."""
+        f = self.s["m_focalLength"]
+        k1, k2, p1, p2, k3 = self.s["m_opticalDistCoeffs"]
+        a, b = x / f, y / f
+        r2 = a * a + b * b
+        k = 1.0 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+        return (
+            f * (a * k + 2.0 * p1 * a * b + p2 * (r2 + 2.0 * a * a)),
+            f * (b * k + p1 * (r2 + 2.0 * b * b) + 2.0 * p2 * a * b),
+        )
+
     def distorted(self, x: float, y: float) -> tuple[float, float]:
         """Measured coordinates, mm."""
         if self.s["m_distortionType"] == 1:
             return self._transverse(x, y)
+        if self.s["m_distortionType"] == 7:
+            return self._brown(x, y)
         u, v = x, y
         for _ in range(100):
             du, dv = self.undistorted(u, v)

@@ -24,7 +24,7 @@ import numpy as np
 from factors.arrays import Array
 from factors.geometry import ellipsoid
 from fg_orient.formats.atomic import write_text
-from fg_orient.formats.csm import DISTORTIONS, FRAME_MODEL, UNIT, distortion_of, open_state
+from fg_orient.formats.csm import DISTORTIONS, FRAME_MODEL, UNIT, distortion_fields, distortion_of, open_state
 from fg_orient.formats.json_files import JsonFile
 from fg_orient.formats.registry import Format
 from fg_orient.geodesy.bodies import Body, is_earth, spheroid
@@ -44,8 +44,8 @@ def read_state(path: str | Path) -> FramingSensor:
     Raises
     ------
     InputError
-        A value is missing or impossible. Or the distortion is neither radial nor
-        transverse, or the principal point is not zero.
+        A value is missing or impossible. Or the distortion is not radial, transverse, or
+        radial and tangential. Or the principal point is not zero.
     """
     path = Path(path)
     state = open_state(path, FRAME_MODEL)
@@ -119,7 +119,7 @@ def write_state(path: Path, sensor: Any, correction: Any = None) -> dict[str, An
         raise InputError.of("csm.frame (failure): only a frame image of an ISD or of a CSM state becomes a frame state "
                             "-> give such metadata", file=sensor.file, value=type(sensor).__name__)  # fmt: skip
     camera = _forward(sensor.camera.corrected(correction))
-    written = replace(camera, distortion=_fitted(camera, sensor))
+    written = _fitted(camera, sensor)
     write_text(path, f"{FRAME_MODEL}\n{json.dumps(_fields(sensor, written), indent=2)}\n")
     apart = _differences(camera, written, sensor)
     return {"distortion": written.distortion.model, "largest_px": float(apart.max()), "mean_px": float(apart.mean())}
@@ -140,36 +140,80 @@ def _forward(camera: FramingCamera) -> FramingCamera:
     )  # fmt: skip
 
 
-def _fitted(camera: FramingCamera, sensor: FramingSensor) -> Distortion:
-    """Return a distortion that a state can contain.
+def _fitted(camera: FramingCamera, sensor: FramingSensor) -> FramingCamera:
+    """Return a camera that a state can contain.
 
-    It is the given one, or the transverse or radial distortion with the smallest difference over the image.
+    It is the given one, or the camera with the smallest difference over the image.
+    A radial and tangential distortion gets its own rotation and affine detector, so that it contains the
+    decentring and the principal point of metric cameras.
     """
     own = camera.distortion
     if own.model in DISTORTIONS.values():
-        return own
+        return camera
     if own.model == "none":
-        return Distortion("radial", (0.0, 0.0, 0.0))
+        return replace(camera, distortion=Distortion("radial", (0.0, 0.0, 0.0)))
     measured = camera.detector.millimetres(*sensor.grid(SIDE))
     ideal = own.ideal(measured)
     x, y = ideal.T
     terms = np.stack([x**0, x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3], axis=1)
-    size = np.abs(terms).max(axis=0)
-    found = np.linalg.lstsq(terms / size, measured, rcond=None)[0] / size[:, None]
-    transverse = Distortion("transverse", tuple(found.T.ravel().tolist()))
+    transverse = Distortion("transverse", tuple(_solved(terms, measured).T.ravel().tolist()))
     r = np.sum(measured**2, axis=1)
     powers = np.concatenate([measured[:, i, None] * np.stack([r**0, r, r * r], axis=1) for i in range(2)])
-    size = np.abs(powers).max(axis=0)
-    k = np.linalg.lstsq(powers / size, (measured - ideal).T.ravel(), rcond=None)[0] / size
-    radial = Distortion("radial", tuple(k.tolist()))
-    return min(transverse, radial, key=lambda d: _differences(camera, replace(camera, distortion=d), sensor).max())
+    radial = Distortion("radial", tuple(_solved(powers, (measured - ideal).T.ravel()).tolist()))
+    nearest = [replace(camera, distortion=d) for d in (transverse, radial)] + [_radtan(camera, measured, ideal)]
+    return min(nearest, key=lambda one: _differences(camera, one, sensor).max())
+
+
+def _radtan(camera: FramingCamera, measured: Array, ideal: Array) -> FramingCamera:
+    """Camera with radial and tangential distortion that is nearest at measured and ideal coordinates (n, 2) mm.
+
+    Unknowns are a rotation and the coefficients; the affine map from distorted to measured coordinates is linear.
+    """
+    from scipy.optimize import least_squares  # loaded for these files only
+    from scipy.spatial.transform import Rotation
+
+    focal, ones = camera.focal_mm, np.ones((len(ideal), 1))
+    rays = np.hstack([ideal, focal * ones])
+
+    def parts(unknowns: Array) -> tuple[Array, Distortion, Array]:
+        """Rotation, distortion, and affine terms (n, 3) of all pixels."""
+        turn = Rotation.from_rotvec(unknowns[:3]).as_matrix()
+        seen = rays @ turn.T
+        distortion = Distortion("radtan", (*map(float, unknowns[3:]), focal))
+        return turn, distortion, np.hstack([ones, distortion.measured(focal * seen[:, :2] / seen[:, 2:])])
+
+    def misfit(unknowns: Array) -> Array:
+        affine = parts(unknowns)[2]
+        return np.asarray((affine @ _solved(affine, measured) - measured).ravel())
+
+    found = least_squares(misfit, np.zeros(8), method="lm", xtol=1e-14, ftol=1e-14, x_scale=[0.01] * 3 + [0.1] * 5).x
+    turn, distortion, affine = parts(found)
+    (shift_x, shift_y), *back = _solved(affine, measured)
+    per_mm = np.array([camera.detector.lines[1:], camera.detector.samples[1:]])
+    shift, per_mm = per_mm @ [shift_x, shift_y], per_mm @ np.array(back).T
+    lines, samples = (
+        (float(first + own), float(a), float(b))
+        for first, own, (a, b) in zip(
+            (camera.detector.lines[0], camera.detector.samples[0]), shift, per_mm, strict=True
+        )
+    )
+    detector = replace(camera.detector, lines=lines, samples=samples)
+    return replace(camera, mounting=turn @ camera.mounting, detector=detector, distortion=distortion)
+
+
+def _solved(terms: Array, values: Array) -> Array:
+    """Least-squares coefficients of terms of any size."""
+    size = np.abs(terms).max(axis=0)
+    found = np.linalg.lstsq(terms / size, values, rcond=None)[0]
+    return np.asarray((found.T / size).T)
 
 
 def _differences(one: FramingCamera, other: FramingCamera, sensor: FramingSensor) -> Array:
-    """Return the distances (n,), px, between the pixels that both cameras give for the same ideal coordinates."""
+    """Return the distances (n,), px, between the pixels that both cameras give for the same lines of sight."""
     line, sample = sensor.grid(SIDE)
     ideal = one.distortion.ideal(one.detector.millimetres(line, sample))
-    there = other.detector.pixels(other.distortion.measured(ideal))
+    seen = np.column_stack([ideal, np.full(len(ideal), one.focal_mm)]) @ (other.mounting @ one.mounting.T).T
+    there = other.detector.pixels(other.distortion.measured(other.focal_mm * seen[:, :2] / seen[:, 2:]))
     return np.asarray(np.hypot(there[0] - line, there[1] - sample))
 
 
@@ -180,7 +224,6 @@ def _fields(sensor: FramingSensor, camera: FramingCamera) -> dict[str, Any]:
     detector, centre = camera.detector, camera.centre_m
     major, _, minor = (ellipsoid.A_M, ellipsoid.A_M, ellipsoid.B_M) if sensor.body is None else sensor.body.radii_m
     quaternion = Rotation.from_matrix(camera.rotation.T).as_quat().tolist()
-    kind = next(k for k, name in DISTORTIONS.items() if name == camera.distortion.model)
     affine = np.array([detector.samples, detector.lines])
     back = np.linalg.inv(affine[:, 1:])  # detector samples and lines to millimetres
     shift = (-back @ affine[:, 0]).tolist()
@@ -195,8 +238,8 @@ def _fields(sensor: FramingSensor, camera: FramingCamera) -> dict[str, Any]:
         "m_transX": [shift[0], *back[0].tolist()], "m_transY": [shift[1], *back[1].tolist()],
         "m_ccdCenter": list(detector.centre), "m_detectorLineSumming": detector.summing[0],
         "m_detectorSampleSumming": detector.summing[1], "m_startingDetectorLine": detector.start[0],
-        "m_startingDetectorSample": detector.start[1], "m_distortionType": kind,
-        "m_opticalDistCoeffs": list(camera.distortion.coefficients), "m_linePp": 0.0, "m_samplePp": 0.0,
+        "m_startingDetectorSample": detector.start[1], **distortion_fields(camera.distortion),
+        "m_linePp": 0.0, "m_samplePp": 0.0,
         "m_pixelPitch": float(np.linalg.norm(back[:, 0])), "m_ifov": 0.0, "m_lineJitter": 0.0, "m_sampleJitter": 0.0,
         "m_originalHalfLines": sensor.n_lines / 2.0, "m_originalHalfSamples": sensor.n_samples / 2.0,
         "m_minElevation": -1000.0, "m_maxElevation": 1000.0, "m_ephemerisTime": 0.0,
