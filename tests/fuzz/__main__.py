@@ -1,7 +1,7 @@
 """``python -m tests.fuzz --minutes N --reader NAME --seed S``: change files until the time is over; a line per reader.
 
-Each reader runs in a process of its own: a reader that hangs, or dies, is found, too. What is found is written to the
-folder ``--keep``.
+Each reader runs in a process of its own: a reader that hangs, or dies, is found, too. So is one that refuses the files
+it begins with. What is found is written to the folder ``--keep``.
 """
 
 from __future__ import annotations
@@ -16,28 +16,33 @@ import time
 from pathlib import Path
 from typing import Final
 
-from tests.fuzz.harness import Broken, Session
+from tests.fuzz.harness import Session
 from tests.fuzz.readers import READERS
 
 #: Seconds without a finished case after which a process is ended: code in C does not see the alarm.
-STUCK: Final = 90.0
+STUCK: Final = 150.0
+#: Cases of a reader whatever its share of the time, and the exit code of one that refuses the files it begins with.
+FEWEST: Final = 20
+REFUSED: Final = 5
 
 
-def _child(name: str, seed: int, cases: int, until: float, keep: Path, pulse: Path) -> None:
-    """Run the cases of a reader and write its figures."""
+def _child(name: str, seed: int, cases: int, share: float, keep: Path, pulse: Path) -> None:
+    """Run the cases of a reader and write its figures; imports and compilation do not count in its share, seconds."""
     with tempfile.TemporaryDirectory(dir="/dev/shm" if os.path.isdir("/dev/shm") else None) as folder:
         session = Session(READERS[name], Path(folder, "files"), seed, keep, guided=True)
         first = session.begin()
         if first:
             print(f"{name}: the files themselves: {first}", file=sys.stderr)
-        count = 0
-        while count < cases and time.time() < until:
+        count, until = 0, time.time() + share
+        while count < cases and (count < FEWEST or time.time() < until):
             session.case()
             count += 1
-            if count % 20 == 0 or isinstance(first, Broken):
-                pulse.write_text(json.dumps(_figures(session)), "utf-8")
-        pulse.write_text(json.dumps(_figures(session)), "utf-8")
+            if count % 20 == 0:
+                pulse.write_text(json.dumps({**_figures(session), "spent": time.time() - until + share}), "utf-8")
+        pulse.write_text(json.dumps({**_figures(session), "spent": time.time() - until + share}), "utf-8")
         session.close()
+        if first:
+            os._exit(REFUSED)
 
 
 def _figures(session: Session) -> dict[str, object]:
@@ -46,7 +51,7 @@ def _figures(session: Session) -> dict[str, object]:
             "new": tally.grown, "broken": tally.broken_cases, "kinds": sorted(tally.broken)}  # fmt: skip
 
 
-def _watched(name: str, seed: int, cases: int, until: float, keep: Path) -> dict[str, object]:
+def _watched(name: str, seed: int, cases: int, share: float, keep: Path) -> dict[str, object]:
     """Run a reader in a process; begin again behind a case at which it hangs or dies."""
     total: dict[str, object] = {}
     for attempt in range(20):
@@ -54,10 +59,11 @@ def _watched(name: str, seed: int, cases: int, until: float, keep: Path) -> dict
         pulse.write_text("{}", "utf-8")
         now = keep / f"{name}.now"
         now.unlink(missing_ok=True)
+        left = cases - int(str(total.get("cases", 0)))
         pid = os.fork()
         if pid == 0:
             try:
-                _child(name, seed + 1000 * attempt, cases - int(str(total.get("cases", 0))), until, keep, pulse)
+                _child(name, seed + 1000 * attempt, left, share, keep, pulse)
             except BaseException as error:
                 import traceback
 
@@ -66,6 +72,7 @@ def _watched(name: str, seed: int, cases: int, until: float, keep: Path) -> dict
             os._exit(0)
         stuck = _wait(pid, now)
         figures = json.loads(pulse.read_text("utf-8"))
+        share -= figures.pop("spent", share if stuck else 0.0)
         total = _sum(total, figures)
         pulse.unlink()
         if not stuck:
@@ -73,6 +80,8 @@ def _watched(name: str, seed: int, cases: int, until: float, keep: Path) -> dict
             return total
         total["broken"] = int(str(total.get("broken", 0))) + 1
         total["kinds"] = [*list(total.get("kinds", [])), stuck]  # type: ignore[call-overload]
+        if stuck == "refused":
+            return total
         if now.exists():
             now.rename(keep / f"{name}-{stuck}-{seed + 1000 * attempt}.bin")
     return total
@@ -84,7 +93,7 @@ def _wait(pid: int, now: Path) -> str:
     while True:
         done, status = os.waitpid(pid, os.WNOHANG)
         if done:
-            return "" if status == 0 else f"died{status}"
+            return {0: "", REFUSED: "refused"}.get(os.waitstatus_to_exitcode(status), f"died{status}")
         if now.exists():
             last = max(last, now.stat().st_mtime)
         if time.time() - last > STUCK:
@@ -115,8 +124,8 @@ def main() -> int:
     end, broken = time.time() + 60.0 * given.minutes, 0
     for k, name in enumerate(names):
         begin = time.time()
-        until = begin + (end - begin) / (len(names) - k)
-        figures = _watched(name, given.seed, given.cases, until, given.keep)
+        share = max(end - begin, 0.0) / (len(names) - k)
+        figures = _watched(name, given.seed, given.cases, share, given.keep)
         broken += int(str(figures.get("broken", 0)))
         print(json.dumps({"reader": name, "seconds": round(time.time() - begin, 1), **figures}), flush=True)
     return int(broken > 0)

@@ -180,7 +180,7 @@ class Session:
         self.coverage = Coverage(guided)
 
     def begin(self) -> Broken | str:
-        """Read the seeds themselves."""
+        """Read the seeds themselves; "" if they are read. A reader that refuses them is not tested beyond that."""
         found = outcome(lambda: self.reader.read(self.folder), sum(map(len, self.seeds.values())), limits=False)
         return found
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 import random
 import re
@@ -39,8 +40,9 @@ def mutated(data: bytes, rng: random.Random, others: Sequence[bytes] = ()) -> by
     others : sequence of bytes
         Other files of the reader, parts of which are inserted.
     """
-    if data[:4] == b"PK\x03\x04" and rng.random() < 0.6:
-        inner = _inside(data, rng, others)
+    inside = {b"PK\x03\x04": _inside, b"\x1f\x8b\x08\x00": _unpacked}.get(data[:4])
+    if inside is not None and rng.random() < 0.6:
+        inner = inside(data, rng, others)
         if inner is not None:
             return inner
     for _ in range(rng.choice((1, 1, 1, 2, 3, 6))):
@@ -69,6 +71,15 @@ def _inside(data: bytes, rng: random.Random, others: Sequence[bytes]) -> bytes |
                 content = mutated(content, rng, others)
             archive.writestr(zipfile.ZipInfo(name[:60000]), content, how)
     return out.getvalue()
+
+
+def _unpacked(data: bytes, rng: random.Random, others: Sequence[bytes]) -> bytes | None:
+    """Gzip file with changed content; None if it is not readable."""
+    try:
+        content = gzip.decompress(data)
+    except Exception:
+        return None
+    return gzip.compress(mutated(content, rng, others), 1, mtime=0)
 
 
 def _at(data: bytes, rng: random.Random) -> int:

@@ -55,8 +55,10 @@ def _form(name: str) -> Any:
 # --- points and bundles -------------------------------------------------------------------------------
 
 
-def _exchange(name: str, paths: Sequence[str], makes: Iterable[Make], crs: str = "") -> Reader:
-    """Reader of a format of points or bundles, and of its frame model."""
+def _exchange(
+    name: str, paths: Sequence[str], makes: Iterable[Make], crs: str = "", sized: Sequence[str] = ()
+) -> Reader:  # fmt: skip
+    """Reader of a format of points or bundles, and of its frame model; ``sized``: images without a size."""
 
     def read(folder: Path) -> None:
         from fg_orient.formats.exchange.convert import read_survey
@@ -66,7 +68,8 @@ def _exchange(name: str, paths: Sequence[str], makes: Iterable[Make], crs: str =
         form = _form(name)
         files = tuple(folder / path for path in paths)
         image = "left.tif" if Holds.IMAGE in form.holds and Holds.IMAGES not in form.holds else ""
-        settings = Settings(crs=crs, image=image, incomplete=True)
+        sizes = dict.fromkeys(sized, (3000, 4000))
+        settings = Settings(crs=crs, image=image, image_sizes=sizes, incomplete=True)
         try:
             if form.read_model is not None:
                 form.read_model(files, settings)
@@ -130,9 +133,9 @@ def _points() -> list[Reader]:
     return [
         _exchange("asp-gcp", ["points.gcp"], [_page("asp-gcp")], "EPSG:4979"),
         _exchange("asp-match", ["run"], [_page("asp-match")]),
-        replace(_exchange("bal", ["plain.txt"], [_bal]), only="plain"),
-        replace(_exchange("bal", ["problem-49-7776-pre.txt.gz"], [_bal]), name="bal-packed", only="gz"),
-        _exchange("bundler", ["bundle.out", "list.txt"], [_page("bundler")]),
+        replace(_exchange("bal", ["plain.txt"], [_bal], sized="01"), only="plain"),
+        replace(_exchange("bal", ["problem-49-7776-pre.txt.gz"], [_bal], sized="01"), name="bal-packed", only="gz"),
+        _exchange("bundler", ["bundle.out", "list.txt"], [_page("bundler")], sized=["left.jpg", "right.jpg"]),
         _exchange("colmap-database", ["database.db"], [_page("colmap-database")]),
         _exchange("colmap-text", ["sparse/0"], [_page("colmap-text")]),
         _exchange("csv", ["points.csv", "observations.csv"], [_page("csv")], UTM),
@@ -242,14 +245,23 @@ def _dimap2(folder: Path) -> None:
     from tests.support.dimap2_files import write_dimap2
     from tests.support.small_metadata import pleiades
 
-    write_dimap2(folder / "DIM_PHR.XML", pleiades())
+    write_dimap2(folder / "DIM_PHR.XML", _wide(pleiades()))
+
+
+def _wide(metadata: Any) -> Any:
+    """Metadata with a field of view of 1.6e-4 rad: that of 24 real detectors is refused as too small."""
+    return replace(metadata, look=replace(metadata.look, tan_psi_y=np.array([-0.014222, 7.113e-6])))
 
 
 def _dimap6(folder: Path) -> None:
     from tests.support.dimap2_files import write_dimap2
     from tests.support.small_metadata import spot6
 
-    write_dimap2(folder / "DIM_SPOT6.XML", spot6())
+    metadata = _wide(spot6())
+    x = 0.01 * np.arange(-2.0, 3.0)  # the rays of small_metadata.spot6 do not meet the Earth: these look down
+    q = np.stack([0.5 + 0.1 * x, 0.5 - 0.1 * x, -0.5 + 0.2 * x, 0.5 + 0.2 * x], axis=1)
+    q /= np.linalg.norm(q, axis=1)[:, None]
+    write_dimap2(folder / "DIM_SPOT6.XML", replace(metadata, attitude=replace(metadata.attitude, quaternion=q)))
 
 
 def _pushbroom(folder: Path) -> None:
@@ -404,6 +416,7 @@ def _tables(folder: Path) -> None:
     for name, make in (("map", map_points), ("photos", photos_and_control), ("surface", surface_points)):
         (folder / name).mkdir()
         make(folder / name)
+    (folder / "model.csv").write_text(_MODEL, "utf-8")
     for path in folder.rglob("*.tif"):
         path.unlink()
     (folder / "navigation.csv").write_text(_NAVIGATION, "utf-8")
@@ -422,6 +435,7 @@ r,31.8,41.3,10,0.1,0.1,line
 r,31.81,41.31,11,0.1,0.1,line
 """
 _LINE_POINTS: Final = "image,feature,line,sample,sigma_line_px,sigma_sample_px\nleft,r,100,200,0.5,0.5\n"
+_MODEL: Final = "id,x,y,z\na,1.5,2.5,0.25\nb,3.5,-4.5,1e-3\nc,0,7,1\n"
 _MEASURED: Final = (
     "id,line,sample,lon_deg,lat_deg,height_m,role\n1,10,20,31.8,41.3,100,control\n2,30,40,31.9,41.4,50,check\n"
 )
@@ -453,7 +467,7 @@ def _read_tables(folder: Path) -> None:
         lambda: read_control(folder / "photos" / "control.csv"),
         lambda: read_image_points(folder / "photos" / "image.csv"),
         lambda: read_ground_points(folder / "photos" / "ground.csv"),
-        lambda: read_model_points(folder / "surface" / "points.csv"),
+        lambda: read_ground_points(folder / "surface" / "points.csv"), lambda: read_model_points(folder / "model.csv"),
         lambda: read_navigation(folder / "navigation.csv", UTM),
         lambda: read_features(folder / "features.csv", "EPSG:4979"),
         lambda: read_line_points(folder / "line_points.csv"), lambda: read_measured(folder / "measured.csv"),
@@ -466,6 +480,23 @@ def _closerange_toml(folder: Path) -> None:
     photos_and_control(folder)
     for name in ("image.csv", "control.csv", "ground.csv"):
         (folder / name).unlink()
+    (folder / "oriented.toml").write_text(_ORIENTED, "utf-8")
+
+
+_ORIENTED: Final = """schema = 1
+
+[[photos]]
+name = "left"
+focal = 60.0
+principal = [0.01, -0.02]
+rotation = [[1.0, 0.0, 0.0], [0.0, 0.6, -0.8], [0.0, 0.8, 0.6]]
+centre_m = [10.0, 20.0, 2.0]
+
+[[photos]]
+name = "right"
+matrix = [[60.0, 0.0, 0.0, 1.0], [0.0, 60.0, 0.0, -2.0], [0.0, 0.0, -1.0, 5.0]]
+origin_m = [10.0, 25.0, 2.0]
+"""
 
 
 def _read_closerange_toml(folder: Path) -> None:
@@ -473,8 +504,8 @@ def _read_closerange_toml(folder: Path) -> None:
     from fg_orient.formats.closerange import read_photos
     from fg_orient.formats.schema import read_constraints
 
-    path = folder / "cameras.toml"
-    _each(lambda: interiors(read_photos(path)), lambda: oriented_photos(read_photos(path)),
+    _each(lambda: interiors(read_photos(folder / "cameras.toml")),
+          lambda: oriented_photos(read_photos(folder / "oriented.toml")),
           lambda: read_constraints(folder / "constraints.toml"))  # fmt: skip
 
 
@@ -556,7 +587,7 @@ def _crs(folder: Path) -> None:
 
     compound = pyproj.CRS("EPSG:32636+5773")
     texts = {
-        "code": "EPSG:32636+EGM96", "utm": "WGS84 UTM 32N",
+        "code": "EPSG:32636+5773", "names": "EPSG:32636+EGM96", "utm": "WGS84 UTM 32N",
         "wkt1": compound.to_wkt("WKT1_GDAL"), "wkt2": compound.to_wkt(),
         "proj": "+proj=tmerc +lon_0=30 +k=1 +x_0=500000 +ellps=GRS80 +units=m +type=crs",
          "json": pyproj.CRS("EPSG:4979").to_json(),
@@ -566,27 +597,33 @@ def _crs(folder: Path) -> None:
         (folder / name).write_text(text, "utf-8")
 
 
+#: Files that name a CRS by its code, by names, or a vertical one; others define a CRS.
+_KINDS: Final = {"code": "code", "names": "names", "utm": "names", "vertical": "vertical"}
+
+
 @cache
-def _read_one_crs(text: str) -> None:
+def _read_one_crs(text: str, kind: str) -> None:
     """Read a CRS; once, because PROJ takes seconds to search for unknown words."""
     from fg_orient.geodesy import area_of_use, crs_kind, known_crs
     from fg_orient.geodesy.crs import epsg_code, vertical_code, with_codes, wkt
     from fg_orient.geodesy.heights import vertical_reference, with_vertical
 
-    _each(lambda: epsg_code(text), lambda: with_codes(text), lambda: vertical_code(text[:60]), lambda: crs_kind(text))
-    _each(lambda: known_crs(text))
-    if any(mark in text for mark in "[{+:"):
-        _each(
-            lambda: wkt(text),
-            lambda: area_of_use(text),
-            lambda: vertical_reference(text),
-            lambda: with_vertical(text, ""),
-        )
+    always = [lambda: epsg_code(text), lambda: with_codes(text)]
+    code = [lambda: crs_kind(text)]
+    vertical = [lambda: vertical_code(text[:60])]
+    whole = [lambda: known_crs(text), lambda: wkt(text), lambda: area_of_use(text), lambda: vertical_reference(text),
+             lambda: with_vertical(text, "")]  # fmt: skip
+    of_kind = {"code": code, "names": [], "vertical": vertical}.get(kind, whole)
+    for read in (*code, *vertical, *(whole if any(mark in text for mark in "[{+:") else ())):
+        if read not in of_kind:
+            _expected(read)
+    _each(*always, *of_kind)
 
 
 def _read_crs(folder: Path) -> None:
     for path in sorted(folder.iterdir()):
-        _read_one_crs(path.read_bytes().decode("utf-8", "surrogateescape"))
+        text = path.read_bytes().decode("utf-8", "surrogateescape")
+        _read_one_crs(text, _KINDS.get(path.name, "whole"))
 
 
 def _dem(folder: Path) -> None:
