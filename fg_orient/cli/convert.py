@@ -154,6 +154,8 @@ def _convert_image(
     require_free_files(*paths, overwrite=overwrite)
     read = sensors.read(files[0])
     sensor, correction = getattr(read, "sensor", read), getattr(read, "correction", None)
+    if bands > 1 and sensor.n_samples < NARROW * bands:
+        raise InputError.of("options.value", option="bands", value=bands, expected=f"1 .. {sensor.n_samples // NARROW}")
     assert form.write_image is not None  # a format that writes images
     with outputs(*paths, overwrite=overwrite):
         if bands == 1:
@@ -169,9 +171,6 @@ def _bands(
 ) -> dict[str, Any]:  # fmt: skip
     """Write bands of about the same number of columns; the record of each, and the differences of all."""
     ends = [round(k * sensor.n_samples / len(paths)) for k in range(len(paths) + 1)]
-    if sensor.n_samples < NARROW * len(paths):
-        raise InputError.of("options.value", option="bands", value=len(paths),
-                            expected=f"1 .. {sensor.n_samples // NARROW}")  # fmt: skip
     columns = list(itertools.pairwise(ends))
     records = [write(path, sensor, correction, own) for path, own in zip(paths, columns, strict=True)]
     return {
