@@ -14,10 +14,10 @@ Array = npt.NDArray[np.float64]
 class Record(ModuleType):
     """Names of the fields of a flat record, defined by one list.
 
-    ``RECORD.tau`` is the index of a field with one number, ``RECORD.mounting`` the slice of a longer field, and ``RECORD.size``
-    the size of the record. In arrays with stride n, observation i has a one-number field at
-    ``i + RECORD.tau * n``; a longer field begins at ``i + RECORD.mounting.start * n``. The class is derived
-    from ModuleType, because numba treats attributes of modules as compile-time constants.
+    ``RECORD.tau`` is the index of a field with one number, ``RECORD.mounting`` the slice of a longer field,
+    and ``RECORD.size`` the size of the record. In arrays with stride n, observation i has a one-number field
+    at ``i + RECORD.tau * n``; a longer field begins at ``i + RECORD.mounting.start * n``. The class is
+    derived from ModuleType, because numba treats attributes of modules as compile-time constants.
 
     Parameters
     ----------

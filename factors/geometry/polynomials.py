@@ -5,10 +5,11 @@ for samples. EOP corrections are ``c0 + c1 tau + c2 tau^2`` (T 2.34, T-Table 4.1
 for conditioning). The published per-line form ``q0 + q1 l + q2 l^2``, ``l = line - c``, follows by a diagonal
 transformation.
 
-Smooth curves over an image are uniform cubic B-splines with a prior on their third differences.
+Smooth curves over an image are uniform cubic B-splines with a prior on their third
+differences.
 
 A curve of tau in [-1, 1] is
-``B(tau) W x``: B are the ``k + 3`` cubic B-splines over ``k`` equal intervals, x the ``k`` unknowns, each N(0, 1). ``W``
+``B(tau) W x``. B are the ``k + 3`` cubic B-splines over ``k`` equal intervals, and x are the ``k`` unknowns, each N(0, 1). ``W``
 is the pseudo-inverse of the third differences D of the coefficients, so that x are these third differences.
 With independent x the coefficients are a random walk of third order, as in penalised splines (Eilers & Marx
 1996). The curves contain no quadratics, whose third differences are zero; the degree-2 coefficients represent

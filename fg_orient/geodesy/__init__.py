@@ -1,12 +1,12 @@
-"""Coordinate reference systems: checked access to PROJ (also used by rectification.projections).
+"""Transformations between coordinate reference systems by PROJ, with checks of operation and result.
 
-Inside the package a ground point is Earth-fixed Cartesian (ECEF, WGS84, EPSG:4978) in metres. Files may use any EPSG
-code. The silent behaviour of PROJ is prevented. The axis order is always easting or longitude first, results must be
-finite, and the network is off. A "ballpark" transformation, which returns heights unchanged if a geoid grid is missing,
-is never used. Grids are also searched for in the folders of PROJ_DATA, which the wheel of pyproj ignores. Heights are
-above the ellipsoid of the named CRS, unless a compound code such as ``EPSG:4326+5773`` names a vertical CRS
-(:mod:`fg_orient.geodesy.heights`). All points of a call use one operation, the best for their area; the record contains
-its name and accuracy.
+Inside the package a ground point is Earth-fixed Cartesian (ECEF, WGS84, EPSG:4978) in metres. Files may use
+any EPSG code. Four properties of PROJ that cause silent errors are avoided. The axis order is always easting
+or longitude first. Results must be finite. The network is off. A "ballpark" transformation, which returns
+heights unchanged if a geoid grid is missing, is never used. Grids are also searched for in the folders of
+PROJ_DATA, which the wheel of pyproj ignores. Heights are above the ellipsoid of the named CRS, unless a
+compound code such as ``EPSG:4326+5773`` names a vertical CRS (:mod:`fg_orient.geodesy.heights`). All points
+of a call use one operation, the best for their area; the record contains its name and accuracy.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ __all__ = ["ecef_to_geodetic", "enu_from_ecef", "from_geographic", "geodetic_to_
 Kind = Literal["geographic", "projected", "geocentric"]
 
 ECEF: Final = "EPSG:4978"
-#: Used instead of a code: Cartesian coordinates, m, in the axes of the body of the images, whatever body it is.
+#: Word used instead of an EPSG code for Cartesian coordinates, m, in the axes of the body that the images show.
 BODY_FIXED: Final = "body-fixed"
 #: WGS84 as defined by PROJ and EPSG.
 _A_M: Final = 6378137.0
@@ -146,8 +146,8 @@ def to_ecef_with_operation(
 ) -> tuple[Array, Operation]:
     """Return the ECEF coordinates as in :func:`to_ecef`, and the operation.
 
-    Messages contain the places ``labels`` of the points. The area of the points ``deciding`` (N,) selects the
-    operation; if ``deciding`` is absent or empty, the area of all points selects it.
+    Messages contain the places ``labels`` of the points. The operation is the best for the area of the points
+    ``deciding`` (N,), or of all points if there are none.
     """
     first, second, third = (np.atleast_1d(np.asarray(a, float)) for a in (east_or_lon, north_or_lat, height))
     source, kind = spatial_crs(crs), crs_kind(crs)
@@ -358,7 +358,7 @@ def horizontal_part(crs: CRS) -> CRS:
 
 
 def longitude_latitude(crs: str, source: CRS, kind: Kind, given: Array, labels: Sequence[str] | None) -> Array:
-    """Return longitude, latitude (N, 2) degrees on the CRS's own datum, accurate enough to choose an operation."""
+    """Return longitude, latitude (N, 2) degrees on the datum of the CRS itself, to choose an operation."""
     if kind == "geographic":
         return np.asarray(given[:, :2])
     if kind == "geocentric":
@@ -407,7 +407,7 @@ def operation_to_ecef(crs: str, source: CRS, lonlat: Array) -> tuple[Transformer
 
 
 def require_finite(crs: str, values: Array, given: Array, labels: Sequence[str] | None) -> None:
-    """Refuse points whose ``values`` are not finite; messages show ``given`` and ``labels``."""
+    """Raise InputError for points whose ``values`` are not finite; messages show ``given`` and ``labels``."""
     bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
     if len(bad):
         raise InputError(

@@ -1,4 +1,4 @@
-"""Bodies other than the Earth: coordinates, local axes and intersection of rays on a sphere or a triaxial ellipsoid.
+"""Bodies other than the Earth: coordinates, local axes, and rays that meet a sphere or triaxial ellipsoid.
 
 Ground points are body-fixed metres. Latitude and longitude are planetocentric and positive to the north and east;
 heights are radii minus the radius of the ellipsoid in the same direction. The axes East, North, Up of a point are those
@@ -84,7 +84,10 @@ class Body:
         return enu_from_ecef(lon, lat)
 
     def nearest(self, position_m: Array, direction: Array) -> Array:
-        """Return the points (n, 3) where rays meet the surface; a ray that misses it gives a point on the limb."""
+        """Return the points (n, 3) where rays meet the surface.
+
+        A ray that misses the body gives a point on its limb.
+        """
         out = self.intersect(position_m, direction, np.zeros(len(position_m)))
         foot = position_m - np.sum(position_m * direction, axis=1)[:, None] * direction
         limb = foot * (self.radius_m(foot) / np.linalg.norm(foot, axis=1))[:, None]
@@ -123,7 +126,7 @@ def spheroid(name: str, major_m: float, minor_m: float, *, file: object, place: 
 
 
 def coordinates_on(body: Body | None, xyz_m: Array) -> tuple[Array, Array, Array]:
-    """Longitude, latitude (degrees) and height (m) of points (n, 3) on a body, None for the Earth: each (n,)."""
+    """Return longitude, latitude (degrees) and height (m), each (n,), of points (n, 3) on a body; None is the Earth."""
     if body is None:
         return ecef_to_geodetic(xyz_m)
     lon, lat, height = body.coordinates(np.atleast_2d(xyz_m)).T
@@ -139,7 +142,7 @@ def ground_on(body: Body | None, lon_deg: Array, lat_deg: Array, height_m: Array
 
 @cache
 def known_bodies() -> dict[str, str]:
-    """Codes of the ocentric CRS of PROJ by the names of the bodies in lower case: ellipsoids, else spheres."""
+    """Return the codes of PROJ's ocentric CRS by body name in lower case: of ellipsoids, otherwise of spheres."""
     found = [(_OCENTRIC.fullmatch(name), code) for name, code in crs_names("IAU_2015")]
     known = sorted(((m, code) for m, code in found if m), key=lambda one: one[0]["sphere"] is None)
     return {match["name"].lower(): f"IAU_2015:{code}" for match, code in known}

@@ -1,4 +1,4 @@
-"""Names of coordinate reference systems in files, the order of their axes, and the transformation from ECEF.
+"""Identification of coordinate reference systems in files, order of their axes, and transformation from ECEF.
 
 Files of other programs name their CRS by WKT, PROJ string or words; this package uses EPSG codes. :func:`known_shifts`
 returns the differences between coordinates in other datums and the WGS84 coordinates of the same place.
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 #: WGS84 longitude, latitude, ellipsoidal height.
 WGS84: Final = "EPSG:4979"
-#: Smallest confidence, per cent, at which PROJ's EPSG code is used: everything but the names agrees.
+#: Smallest confidence, per cent, at which PROJ's EPSG code is used: everything except the names agrees.
 _CONFIDENCE: Final = 70
 #: Beginnings of names of an unspecified datum, as in a PROJ string that only has an ellipsoid.
 _NO_DATUM: Final = ("unknown", "unspecified", "not specified")
@@ -148,7 +148,8 @@ def _code_of(crs: CRS) -> int | None:
         return int(stated["code"])
     datum = crs.datum
     if datum is not None and datum.name.lower().startswith(_NO_DATUM):
-        return None  # PROJ equates all datums of this ellipsoid, even several hundred metres apart
+        # PROJ treats all datums of this ellipsoid as equal, although they differ by up to several hundred metres
+        return None
     number: int | None = crs.to_epsg(min_confidence=_CONFIDENCE)
     return number
 
@@ -207,8 +208,8 @@ DATUMS: Final = {
     "S-JTSK": "EPSG:4156", "Monte Mario": "EPSG:4265", "Indian 1975": "EPSG:4240", "Arc 1950": "EPSG:4209",
     "Cape": "EPSG:4222", "AGD66": "EPSG:4202", "Beijing 1954": "EPSG:4214",
 }  # fmt: skip
-#: Plate-fixed system with its area, the geocentric codes of ITRF and of the system, the epochs of ITRF, and the
-#: accuracy in m.
+#: Reference systems that move with a tectonic plate: area, geocentric codes of ITRF and of the system, epochs
+#: of ITRF, and accuracy in m.
 ETRS89: Final = ("EPSG:4258", "EPSG:7789", "EPSG:7930", (1995.0, 2000.0, 2005.0, 2010.0, 2015.0, 2020.0, 2025.0), 0.05)
 #: Assumed accuracy, m, of an operation that states none.
 UNSTATED_M: Final = 10.0

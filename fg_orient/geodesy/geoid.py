@@ -1,4 +1,4 @@
-"""Geoid files, and a coarse world geoid that reveals wrong files: wrong sign, wrong unit, or no geoid.
+"""Reading of geoid files. A coarse world geoid reveals wrong files: wrong sign, wrong unit, or no geoid.
 
 A geoid file is any raster that GDAL reads (GTX, GeoTIFF, ISG, BYN) with undulations: heights above the WGS84 ellipsoid.
 As in PROJ, values are interpolated bilinearly between the centres of cells.

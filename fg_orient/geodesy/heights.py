@@ -94,7 +94,7 @@ def undulation_m(crs: str, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
 
 
 def found_grid(error: InputError, folders: Iterable[Path] = ()) -> GeoidFile | None:
-    """Return a geoid file that replaces a missing grid of an operation: same geoid, other name or format.
+    """Return a file of the same geoid, with another name or format, that can replace a missing grid of an operation.
 
     PROJ's folders and ``folders`` are searched. None if ``error`` has another reason, or there is no such file.
     """

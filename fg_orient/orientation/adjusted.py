@@ -24,7 +24,7 @@ from fg_orient.quality.variance_components import VarianceComponents
 
 @dataclass(frozen=True, kw_only=True)
 class AdjustmentResult:
-    """Result of an adjustment: fit, cofactors and tests, as a round of a search for gross errors requires them.
+    """Fit, cofactors and tests of an adjustment, also of each round of a search for gross errors.
 
     Parameters
     ----------
@@ -75,10 +75,7 @@ class AdjustmentResult:
         return float(np.sqrt(self.chi2 / self.redundancy)) if self.redundancy > 0 else float("nan")
 
     def required_cofactors(self, *, unweighted: str = "") -> Cofactors:
-        """Return the cofactors.
-
-        Raise NoSolutionError without them, and with ``unweighted`` (a message's code) under a loss.
-        """
+        """Return the cofactors; raise NoSolutionError if there are none."""
         if self.cofactors is None:
             raise NoSolutionError.of("covariance.unavailable", value="; ".join(map(str, self.unavailable)))
         self._require_unweighted(unweighted)
@@ -140,7 +137,7 @@ class AdjustmentResult:
 
     @cached_property
     def unseen_shifts(self) -> Array:
-        """Shift (N, 3) m of points East, North, Up by an unseen error of one pixel; nan without such an error.
+        """Shift (N, 3), m, East, North, Up of points that an unseen error of one pixel causes; nan if there is none.
 
         See ``fg_orient.quality.reliability``.
         """

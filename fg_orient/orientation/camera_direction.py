@@ -1,10 +1,10 @@
 """Test whether the other direction of the distortion polynomial fits better with the same terms.
 
-Brown's polynomial converts measured to ideal coordinates or ideal to measured coordinates. The same terms do not
-describe the same lenses in both directions: the inverse of a polynomial has infinitely many terms. If sigma0 is larger
-than chance allows, the block is adjusted once more with the other direction. Vuong's test (1989) compares the two
-models, of which neither contains the other: is the mean of the differences of the squared residuals of the image points
-far from 0?
+Brown's polynomial converts measured to ideal coordinates or ideal to measured coordinates. The same terms do
+not describe the same lenses in both directions: the inverse of a polynomial has infinitely many terms. If
+sigma0 is larger than chance allows, the block is adjusted once more with the other direction. Neither model
+contains the other, so Vuong's test (1989) compares them. It tests whether the mean difference of the squared
+residuals of the image points is far from 0.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from fg_orient.sensors.frame_unknowns import FURTHER, NAMES
 
 #: Level of the tests.
 LEVEL: Final = 0.001
-#: Terms of the polynomial, with their powers of the unit of length of the coordinates.
+#: Terms of the polynomial, and for each term the power of the length unit of the coordinates.
 POWERS: Final = {"k1": 2, "k2": 4, "k3": 6, "p1": 1, "p2": 1}
 _WORDS: Final = {MEASURED_TO_IDEAL: "measured to ideal", IDEAL_TO_MEASURED: "ideal to measured"}
 
@@ -86,9 +86,9 @@ def _better_direction(solution: Solution, block: Block, run: Callable[[Block], S
 def is_better(one: Solution, other: Solution) -> bool:
     """Return whether the other of two solutions fits significantly better; both have equally many unknowns.
 
-    The likelihood must grow by more than one additional unknown without effect would cause, and by more than chance
-    allows for the image points (Vuong 1989). Residuals refer to measured coordinates, because residuals of corrected
-    coordinates have the scale of the correction.
+    The likelihood must increase by more than one useless additional unknown would cause, and by more than
+    chance explains (Vuong 1989). Residuals refer to measured coordinates. Residuals in corrected coordinates
+    would not be comparable, because the correction changes their scale.
     """
     squares, others = _squares(one), _squares(other)
     scale = float(others.sum()) / max(other.redundancy, 1)

@@ -31,15 +31,15 @@ from fg_orient.quality.variance_components import (
 )
 from fg_orient.quality.verdict import NO_INTERVAL, SolutionAssessment, decided
 
-#: Relative change of a variance at convergence: far below its standard deviation.
+#: Largest relative change of a variance at convergence. It is far below the standard deviation of the variance.
 CONVERGED: Final = 1e-5
 #: Maximum number of rounds.
 MAX_ROUNDS: Final = 100
-#: Number of rounds before components are assessed: given sigmas may be wrong by orders of magnitude.
+#: Components are assessed only after this number of rounds, because given sigmas may be wrong by orders of magnitude.
 FIRST_ROUNDS: Final = 2
 #: Number of rounds with a negative variance after which the component is refused.
 NEGATIVE_ROUNDS: Final = 8
-#: Smallest and largest factor of sigmas; outside this range a component diverges.
+#: Smallest and largest factor of sigmas. A component outside this range is regarded as divergent.
 RANGE: Final = (1e-3, 1e4)
 
 

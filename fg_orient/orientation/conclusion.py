@@ -1,4 +1,4 @@
-"""Statistics of a solution: cofactors, accuracy at check points, findings and status.
+"""Computation of the statistics of a solution: cofactors, accuracy at check points, findings and status.
 
 The coordinates of the check points are opened here, after the solution.
 """
@@ -38,7 +38,7 @@ def conclude(
     estimate: Estimate,
     structure_s: float,
 ) -> Solution:
-    """Return the statistics after convergence; only here the coordinates of check points are opened."""
+    """Return the statistics after convergence. Only this function opens the coordinates of check points."""
     start = working_clock()
     weighted = compiled if estimate.weights is None else weighted_problem(compiled, estimate.weights)
     cofactors, unavailable = cofactors_at(weighted, estimate)
@@ -52,7 +52,7 @@ def conclude(
     if isinstance(estimate.linear, SchurSystem | SummedSystem):
         choice = estimate.linear.choice if estimate.backend == "schur" else None
     if isinstance(estimate.linear, SchurSystem):
-        estimate.linear.release()  # the statistics need its memory
+        estimate.linear.release()  # its memory is freed for the statistics
     return_memory(len(compiled.observations))
     examined = doubts.Examined([])
     if assessment.status is not Status.NOT_CONVERGED:

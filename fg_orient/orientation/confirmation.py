@@ -1,8 +1,9 @@
-"""Confirming adjustment: the block without its most likely mistake is adjusted once.
+"""Confirmation of a likely cause: the block without the mistake is adjusted once.
 
-The named cause is kept if the weighted sums of squares of observations and check points decrease by as much as the test
-of the cause demands, and by more than half of what exceeds their expectation. Otherwise something else explains more,
-and the cause is withdrawn. The linearised test that found the cause is not used for this decision.
+Two conditions must be met by the decrease of the weighted sums of squares of observations and check points.
+It must reach the limit of the test of the cause. It must also be more than half of the excess of these sums
+over their expectation. Otherwise another cause explains more, and this cause is withdrawn. The linearised
+test that found the cause is not used for this decision.
 """
 
 from __future__ import annotations

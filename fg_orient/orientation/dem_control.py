@@ -1,9 +1,9 @@
-"""Elevation model as control: observations of heights of points, with a sigma.
+"""Elevation model as control: the heights of points above the model are observations.
 
-The height of a point above the model is an observation. The model is replaced by a plane at the last position of the
-point (``factors.conditions.control``). The planes are read again at the adjusted positions until the points no longer
-move. The observation fixes the height of a block with tie points on open ground and little control; on slopes it also
-fixes the position.
+Each observation has the value zero and a sigma. The model is replaced by a plane at the last position of the
+point (``factors.conditions.control``). The planes are read again at the adjusted positions until the points
+no longer move. These observations determine the height of a block that has few control points and tie points
+on open ground. On slopes they also determine the position.
 """
 
 from __future__ import annotations

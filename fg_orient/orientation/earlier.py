@@ -1,10 +1,11 @@
 """Earlier result as start values of an adjustment, and as prior with its full covariance.
 
-The prior is one linear observation of all common unknowns x, of images and ground points together. With the adjusted
-values x_1 and the joint cofactors Q = L L^T of the earlier result it has the information ``Q^-1 - P`` and the same
-gradient as the earlier adjustment. P is the information of the observations that this block makes again: priors of the
-images (x = 0) and control coordinates; with both, they would count twice. From the eigenvalues 1 - w and the
-eigenvectors V of ``L^T P L`` follows the whitened residual ::
+The prior is one linear observation of all common unknowns x, of images and ground points together. With the
+adjusted values x_1 and the joint cofactors Q = L L^T of the earlier result it has the information
+``Q^-1 - P`` and the same gradient as the earlier adjustment. P is the information of earlier observations
+that this block contains again: priors of the images (x = 0) and control coordinates. It is subtracted,
+because these observations would otherwise count twice. From the eigenvalues 1 - w and the eigenvectors V of
+``L^T P L`` follows the whitened residual ::
 
     W^T L^-1 (x - x_1) - c,    W = V sqrt(w),    c = V^T L^T P (x_1 - x_0) / sqrt(w)
 
@@ -38,8 +39,8 @@ from fg_orient.result.joint import LIMIT, JointCofactors, joint_cofactors_of, po
 from fg_orient.result.record import COVARIANCE_FILE, Result, read_result
 from fg_orient.sensors import initial
 
-#: Smallest share of the earlier observations in the information of a direction; below it the prior has no row for this
-#: direction.
+#: The prior has a row for a direction only if the share of the earlier observations in its information is at
+#: least this.
 LEAST_SHARE: Final = 1e-9
 _ARGUMENTS: Final = {"image": Argument("image", "prior sigma"), "point": Argument("point", "m", True)}
 
@@ -97,7 +98,7 @@ class EarlierResult:
 def continued(
     block: Block, given: Solution | Result | str | Path, *, with_prior: bool
 ) -> tuple[Block, Callable[[Problem], State]]:
-    """Return block with an earlier result, as prior if requested, and function that returns the start of its problem.
+    """Return the block that continues an earlier result, and a function that returns the start of its problem.
 
     Parameters
     ----------
@@ -157,10 +158,7 @@ def _faults(
 
 
 def _changed(block: Block, name: str, result: Result) -> bool:
-    """Return whether all metadata files of this name have other contents than in the earlier run.
-
-    The project may change.
-    """
+    """Return whether every metadata file of this name has another content than in the earlier run."""
     inputs = result.record["provenance"]["inputs"]
     before = {entry["sha256"] for entry in inputs[1:] if Path(entry["file"]).name == name}
     now = {source.sha256 for source in block.sources[1:] if Path(source.path).name == name}
@@ -180,7 +178,7 @@ def _start(problem: Problem, images: dict[str, dict[str, float]], ground: dict[s
     new[common] = False
     o = problem.observations
     rows, wanted = new[o.point], np.where(new[:, None], np.nan, np.zeros_like(place))
-    with contextlib.suppress(InputError):  # the intersections with the metadata orientation remain
+    with contextlib.suppress(InputError):  # points that do not intersect keep their position
         found = initial.ground_points(block.images, o.take(rows), block.points.ids, wanted, problem.corrections(state))
         place[new] = found[new] - problem.origin_m
     for j in common:
@@ -252,7 +250,7 @@ def _with_prior(
 
 
 def _with_starts(block: Block, points: list[int], ground: dict[str, Array]) -> Any:
-    """Return the ground points with start values of points with a single image point, which cannot be intersected."""
+    """Return the ground points, with start values for points with one image point, which cannot be intersected."""
     known = block.points.known
     ecef_m = known.ecef_m.copy()
     for j in points:
@@ -263,7 +261,7 @@ def _with_starts(block: Block, points: list[int], ground: dict[str, Array]) -> A
 def _observed_again(
     block: Block, joint: JointCofactors, index: Index, scale: Array, value: Array
 ) -> tuple[Array, Array]:
-    """Return the information P (n, n) of earlier observations that this block also has, and ``P (x_1 - x_0)`` (n,)."""
+    """Return the information P (n, n) of earlier observations that this block contains again, and ``P (x_1 - x_0)``."""
     information, offset = np.zeros((len(index), len(index))), np.zeros(len(index))
     if block.options.priors:
         weight = np.nan_to_num(scale / joint.prior_sigma[index]) ** 2

@@ -26,7 +26,7 @@ Points = Literal["eliminated", "explicit"]
 
 @dataclass(frozen=True)
 class Prepared:
-    """Compiled block, function that makes a solution from an estimate, and start that replaces the start of problem."""
+    """Compiled block, a function that makes a solution from an estimate, and optionally another start."""
 
     problem: Problem
     conclude: Callable[[Estimate], Solution]
@@ -106,9 +106,7 @@ class FactorGraph:
         return {key: name for name, key in self._names().items()}[key]
 
     def factors(self, name: str) -> list[Any]:
-        """Return the factors of an image, a shared id or a ground point.
-
-        For an eliminated point the factor with its rays.
+        """Return the factors of an image, shared id or ground point; for an eliminated point, the factor with its rays.
 
         Raises
         ------
@@ -156,7 +154,7 @@ class FactorGraph:
         )
 
     def gradient(self, values: gtsam.Values) -> float:
-        """Return whitened gradient ``sqrt(g^T N^-1 g)``: length of next Gauss-Newton step in standard deviations."""
+        """Return ``sqrt(g^T N^-1 g)``, the length of the next Gauss-Newton step in standard deviations."""
         return self._gradient(values)[0]
 
     def _gradient(self, values: gtsam.Values) -> tuple[float, float]:

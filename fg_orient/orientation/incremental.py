@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from fg_orient.sensors.base import ImageModel
 
 
-#: Maximum number of images of a group, unless more images see a single point. Large groups couple images that have no
-#: common point.
+#: Maximum number of images of a group, unless more images see a single point. In larger groups, images
+#: without a common point would be coupled.
 GROUP_IMAGES: Final = 6
 #: Maximum number of waiting images and ground points that an error names.
 WAITING_SHOWN: Final = 10
@@ -52,8 +52,8 @@ class Incremental:
     Parameters
     ----------
     block : Block
-        Initial block, which may have no images. Its options remain valid: unknowns, priors, datum "control" or
-        "priors". Robust losses and extra observations are not supported.
+        Initial block, which may have no images. Its options (unknowns, priors, datum "control" or "priors")
+        apply to all later changes. Robust losses and extra observations are not supported.
 
     Raises
     ------
@@ -306,7 +306,7 @@ class Incremental:
         self._waiting = waiting | reasons
 
     def _loose(self, block: Block, graph: IncrementalGraph, rows: Index, new: Mask) -> Mask:
-        """Return those of the new images (M,) with unknowns that image points do not determine without priors."""
+        """Return the new images (M,) whose image points do not determine all unknowns without priors."""
         from fg_orient.adjustment.optimisers import LocalGroup
 
         small, images, points = local_block(block, rows)

@@ -1,10 +1,11 @@
 """Rejection of image points as in ISIS jigsaw: by the median of the residuals, after each iteration.
 
-After each Gauss-Newton step the limit is the median of the residuals of the image points in use, plus a multiple of
-1.4826 times their median absolute deviation. A residual is the length of line and sample. A rejected image point comes
-back when it is below the limit. In each ground point the largest residual above the limit is rejected, if two image
-points or more remain. The rule has no level of significance, and its result depends on the start values: the search of
-``fg_orient.orientation.outlier_search`` has neither fault. It is here for comparison with jigsaw.
+After each Gauss-Newton step the limit is the median of the residuals of the image points in use, plus a
+multiple of 1.4826 times their median absolute deviation. A residual is the length of line and sample. A
+rejected image point is used again when its residual is below the limit. In each ground point the largest
+residual above the limit is rejected, if two image points or more remain. The rule has no level of
+significance, and its result depends on the start values. ``fg_orient.orientation.outlier_search`` avoids both
+disadvantages. The rule is provided for comparisons with jigsaw.
 """
 
 from __future__ import annotations
@@ -30,12 +31,12 @@ SIGMA0: Final = 1e-10
 
 
 def without_rejected(block: Block, multiplier: float) -> tuple[Block, tuple[str, ...]]:
-    """Block without the rejected image points, and their names.
+    """Return the block without the rejected image points, and their names.
 
     Raises
     ------
     NoSolutionError
-        The set of rejected image points does not come to rest within ``max_iterations``.
+        The set of rejected image points still changes after ``max_iterations``.
     """
     problem = compile_problem(block)
     out = _rejected(problem, multiplier)
@@ -82,7 +83,8 @@ def _rejected(problem: Problem, multiplier: float) -> Mask:
 def _along_sphere(problem: Problem, before: State, after: State) -> State:
     """Return the state after moving points by the same steps of longitude, latitude and radius, as jigsaw does.
 
-    On the Earth the points move along straight lines. The minimum is the same, but the rejection depends on the path.
+    In a normal adjustment the points move along straight lines. Both lead to the same minimum, but the
+    rejection depends on the path.
     """
     if problem.block.body is None:
         return after
@@ -111,6 +113,7 @@ def flagged(problem: Problem, residuals_px: Array, out: Mask, multiplier: float)
     left = np.bincount(point[~latest], minlength=len(problem.active))
     above = np.flatnonzero(~latest & (size > limit) & (left[point] > 2))
     worst = above[np.argsort(size[above], kind="stable")]
-    largest = dict(zip(point[worst].tolist(), worst.tolist(), strict=True))  # the last one of each point counts
+    # for each point the last assignment remains
+    largest = dict(zip(point[worst].tolist(), worst.tolist(), strict=True))
     latest[list(largest.values())] = True
     return latest

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 #: Function of a graph and start values that returns the values of a solution.
 Optimizer = Callable[["gtsam.NonlinearFactorGraph", "gtsam.Values"], "gtsam.Values"]
-# Observability of images and block.
+# Observability of the images, and of the whole block.
 View = tuple[tuple[ImageObservability, ...], BlockObservability]
 #: Function that is called at each stage of the work with its name and the number of image points.
 Stage = Callable[[str, int], None]
@@ -225,7 +225,7 @@ def adjust(
 def _compiled(
     block: Block, *, at_once: bool = True
 ) -> tuple[Problem, tuple[ImageObservability, ...], BlockObservability, float]:
-    """Return the compiled block with the datum of its options, observability of images and block, and seconds.
+    """Return the compiled block, the observability of images and block, and the seconds of both steps.
 
     ``at_once``: see :func:`fg_orient.quality.deficiency.compiled_problem`.
     """
@@ -329,7 +329,7 @@ class _Run:
         self._report("statistics", len(compiled.observations))
         solution = conclude(compiled, observability, block_view, estimate, structure)
         return_memory(len(compiled.observations))
-        if inner and not len(held_unknowns(compiled)):  # there is no datum defect
+        if inner and not len(held_unknowns(compiled)):  # without a datum defect the usual adjustment is sufficient
             code = "solution.no_inner_datum_nor_priors" if block.options.priors else "solution.no_inner_datum"
             findings = doubts.with_accepted([finding(code), *solution.findings], block.options.accept)
             solution = replace(solution, findings=tuple(findings))

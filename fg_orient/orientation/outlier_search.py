@@ -204,7 +204,7 @@ class _Rounds:
     ) -> dict[int, Misclosures]:
         """Test all excluded observations against the others; return misclosures of the tested ones, by their id."""
         components, full, test = solution.components, self._full, self._block.options.outlier_test
-        if components is not None:  # excluded observations have the present sigmas of their group
+        if components is not None:  # excluded observations get the current sigmas of their group
             full = compile_problem(rescaled(self._block, self._full, components))
         of_point, tested, excluded = _by_point(out), list[_Removal](), list[Excluded]()
         for removal in out:
@@ -212,7 +212,7 @@ class _Rounds:
             others = [r for r in of_point[j] if r is not removal]
             stay = self._staying(j, [removal, *others])
             back = [row for row in self._staying(j, others) if row not in stay]
-            if not back and not removal.control:  # its rivals are also excluded, so no observation remains to test it
+            if not back and not removal.control:  # its rivals are also excluded, so no other observation can test it
                 continue
             known = self._is_control(j, others) and self._full.observed[j] and not solution.problem.observed[j]
             part = removal.test.part
@@ -229,11 +229,11 @@ class _Rounds:
         return {id(removal): one for removal, one in zip(tested, of, strict=True) if one is not None}
 
     def _is_control(self, j: int, removals: Sequence[_Removal]) -> bool:
-        """Return whether a point keeps its coordinates when these of its observations are excluded."""
+        """Return whether a point keeps its control coordinates if these of its observations are excluded."""
         return self._block.points.roles[j] is Role.CONTROL and not any(r.control for r in removals)
 
     def _staying(self, j: int, removals: Sequence[_Removal]) -> list[int]:
-        """Return the remaining rows of the given block's image points of a point without these observations."""
+        """Return the rows of the image points of a point that remain without these observations."""
         gone = {row for removal in removals for row in removal.rows}
         rows = [row for row in self._order[self._first[j] : self._first[j + 1]].tolist() if row not in gone]
         alone = len(rows) == 1 and not self._is_control(j, removals)

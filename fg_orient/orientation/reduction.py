@@ -1,10 +1,11 @@
 """Stepwise reduction of a set of image unknowns, with criteria and cross-validation of each model.
 
-Backward: the least significant coefficient is dropped and the block adjusted again, as long as its probability is above
-the level. Forward: the search starts with the most significant coefficient alone. Then it adds the most significant
-further coefficient, as long as it is significant. A coefficient belongs to all images; an F test covers all images that
-have it (``fg_orient.quality.significance``). A step tests many coefficients at Sidak's level. With camera parameters or
-without priors, all models contain the poses of frame images.
+Backward: the least significant coefficient is removed and the block is adjusted again, as long as its
+probability is above the level. Forward: the search starts with the most significant coefficient alone. Then
+it adds the most significant further coefficient, as long as it is significant. A coefficient belongs to all
+images; an F test covers all images that have it (``fg_orient.quality.significance``). A step tests many
+coefficients at Sidak's level. With camera parameters or without priors, all models contain the poses of frame
+images.
 
 Criteria for n observations and k unknowns, including the unit weight::
 
@@ -63,12 +64,12 @@ class CrossValidation:
 
     @property
     def image_rms(self) -> float | None:
-        """RMS length of an error in the image, pixels."""
+        """Root mean square length of the prediction errors in the image, pixels."""
         return _rms_length(self.image_px)
 
     @property
     def ground_rms(self) -> float | None:
-        """RMS length of an error on the ground, m; None without points in two images."""
+        """Root mean square length of the prediction errors on the ground, m; None without points in two images."""
         return _rms_length(self.ground_m)
 
     def as_dict(self) -> dict[str, Any]:
@@ -128,7 +129,7 @@ def cross_validate(block: Block, folds: Parts, **options: Any) -> CrossValidatio
 
 
 def left_out(block: Block, fold: Sequence[int]) -> Block:
-    """Turn these control points into check points; single image points are removed."""
+    """Return the block in which these control points are check points. Points with one image point are removed."""
     points, o, known, chosen = block.points, block.observations, block.points.known, np.array(fold, np.intp)
     gone = np.isin(np.arange(len(points.ids)), chosen)
     sealed = Coordinates(known.ecef_m[chosen], known.sigma_enu_m[chosen], known.fixed[chosen])
@@ -143,7 +144,7 @@ def left_out(block: Block, fold: Sequence[int]) -> Block:
 
 
 def _without_check_points(block: Block, *, keep_rays: bool) -> Block:
-    """Turn check points into tie points, or remove their image points; their coordinates are not opened."""
+    """Return the block with tie points in place of check points, or without their image points."""
     points, check = block.points, block.points.where(Role.CHECK)
     roles = tuple(Role.TIE if role is Role.CHECK else role for role in points.roles)
     keep = ~np.isin(block.observations.point, check) | keep_rays
@@ -255,7 +256,7 @@ class Reduction:
 
 
 def closest_eop_set(unknowns: Iterable[str]) -> tuple[int, tuple[str, ...], tuple[str, ...]] | None:
-    """Return the EOP set with the fewest differences: number, further and missing coefficients; None without EOP."""
+    """Return the EOP set with the fewest differences: its number, additional and missing coefficients."""
     eop = [parameter_name(code) for code in range(N_EOP)]
     mine = set(unknowns) & set(eop)
     if not mine:
@@ -319,7 +320,7 @@ def reduce_unknowns(
 
 
 def _poses(names: Iterable[str]) -> tuple[str, ...]:
-    """Select the unknowns of the poses of frame images from these names."""
+    """Return the names that are rotations or projection centres of frame images."""
     return tuple(name for name in names if name in UNKNOWNS and name not in INTERIOR)
 
 

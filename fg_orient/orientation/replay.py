@@ -170,7 +170,7 @@ def replay(
 
 
 def _read(folder: Path) -> tuple[Record, Record]:
-    """Record of a result, and its entry for the repetition."""
+    """Return the record of a result, and its entry for the repetition."""
     record = read_record(folder)
     try:
         kept = record["provenance"]
@@ -262,7 +262,7 @@ def compare_records(then: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[in
     differences = [
         {"key": key, "then": one.get(key), "now": other.get(key)}
         for key in keys
-        # by repr 0.0 differs from -0.0, and 1 from 1.0
+        # repr distinguishes 0.0 from -0.0, and 1 from 1.0
         if key not in one or key not in other or repr(one[key]) != repr(other[key])
     ]
     return len(keys), tuple(differences)
@@ -287,9 +287,9 @@ def compare_tables(then: Path, now: Path) -> dict[str, bool]:
 
 
 def _content(path: Path) -> object:
-    """Return the bytes of a text.
+    """Return the bytes of a text table.
 
-    For other tables names and values, because their bytes depend on the version of pyarrow.
+    Return names and values of other tables, because their bytes depend on pyarrow's version.
     """
     if not path.is_file():
         return None

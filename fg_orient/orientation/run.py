@@ -1,6 +1,7 @@
-"""Runs: from a project to a result folder with its provenance.
+"""Complete run: read a project, adjust it, and write a result folder with its provenance.
 
-The folder is written under a hidden name and renamed at the end. So failed and interrupted runs leave no folder.
+The folder is written under a hidden name and renamed at the end. Therefore failed and interrupted runs leave
+no folder.
 """
 
 from __future__ import annotations

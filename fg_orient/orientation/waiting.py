@@ -16,7 +16,8 @@ from fg_orient.sensors import initial
 
 #: Relative eigenvalue of a scaled normal matrix below which a direction is undetermined.
 UNDETERMINED: Final = 1e-11
-#: Smallest component of an unknown in such directions, of unit length, that is more than rounding.
+#: An unknown is undetermined if its component in such directions, of unit length, exceeds this; smaller
+#: components are rounding errors.
 COMPONENT: Final = 1e-4
 
 ONE_RAY: Final = (

@@ -220,8 +220,7 @@ class PointDifferences:
         return out | self._ninety_percent() if len(self) > 1 else out
 
     def _ninety_percent(self) -> dict[str, float]:
-        """Return radii (CE) and half-lengths (LE) that contain 90 and 95 % of the errors: quantiles, and from
-        the RMSE."""
+        """Return radii (CE) and half-lengths (LE) that contain 90 and 95 % of the errors: observed, and by the RMSE."""
         east, north, up = np.sqrt(np.mean(self.enu_m**2, axis=0)).tolist()
         out = {
             "ce90_m": float(np.quantile(np.hypot(self.enu_m[:, 0], self.enu_m[:, 1]), 0.9)),

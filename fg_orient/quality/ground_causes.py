@@ -127,9 +127,7 @@ class GroundErrors:
         return weighted.T @ self.k - e[:m].T @ self.v, e[:m].T @ self.free @ e[:m] + weighted.T @ seen
 
     def _fitted(self, error_m: Array) -> tuple[float, int, Array, Array]:
-        """Estimate free parameters; return T, p, estimates and standard deviations. p = 0 if they cannot be
-        estimated.
-        """
+        """Estimate free parameters; return T, p, estimates and standard deviations. p is 0 if this is impossible."""
         g, normal = self.normal(error_m)
         whitened = np.einsum("aij,ajp->aip", self.whitening, error_m)
         length = np.maximum(np.sqrt(np.einsum("aip,aip->p", whitened, whitened)), np.finfo(float).tiny)

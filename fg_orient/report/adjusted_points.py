@@ -1,9 +1,9 @@
 """Adjusted points of a result as a point cloud with covariances: LAZ, LAS, PLY, CSV or GeoPackage.
 
-They are the tie and check points of an adjustment: a check of the orientation, no dense surface model. Coordinates are
-in the CRS and above the zero level of the project's point table; without one, in UTM (WGS 84) with ellipsoidal heights.
-Standard deviations and covariances are the same as in the tables of the result: East, North, Up in the tangent plane of
-the point, in the scale that the column ``sigma_scale`` names.
+These are the tie and check points of an adjustment. They check the orientation; they are not a dense surface
+model. Coordinates are in the CRS and above the zero level of the project's point table; without one, in UTM
+(WGS 84) with ellipsoidal heights. Standard deviations and covariances are the same as in the tables of the
+result: East, North, Up in the tangent plane of the point, in the scale that the column ``sigma_scale`` names.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from fg_orient.result.record import Result, read_result, require_earth
 
 SUFFIXES: Final = (".laz", ".las", ".ply", ".csv", ".gpkg")
 PURPOSE: Final = "points of an adjustment, a check of the orientation, no dense surface model"
-#: Number of each role in point clouds, which have no texts.
+#: Number of each role in point clouds, because point clouds cannot contain texts.
 ROLES: Final = {Role.TIE: 0, Role.CHECK: 1, Role.CONTROL: 2}
 _SIGMAS: Final = ("sigma_east_m", "sigma_north_m", "sigma_up_m")
 _PAIRS: Final = ("east_north", "east_up", "north_up")
@@ -43,18 +43,19 @@ _PAIRS: Final = ("east_north", "east_up", "north_up")
 
 @dataclass(frozen=True)
 class Selection:
-    """Which points are written.
+    """Choice of the points that are written.
 
     Parameters
     ----------
     control : bool
-        Control points, too.
+        Write control points, too.
     rejected : bool
-        Points of which the search for gross errors left out an observation, too.
+        Also write points of which the search for gross errors left out an observation.
     min_rays : int
-        Least number of image points.
+        Smallest number of image points of a written point.
     max_sigma_height_m : float, optional
-        Largest standard deviation of the height; points without one are then left out.
+        Largest standard deviation of the height. If it is given, points without a standard deviation are left
+        out.
     """
 
     control: bool = False
@@ -63,7 +64,7 @@ class Selection:
     max_sigma_height_m: float | None = None
 
     def rows(self, result: Result) -> tuple[npt.NDArray[np.intp], dict[str, int]]:
-        """Rows of the points in the table, and how many each reason leaves out, the first one that applies."""
+        """Return the rows of the selected points in the table, and the number of omitted points by reason."""
         table = result.points
         roles, sigma = np.array(table.words["role"], dtype=str), table.figures["sigma_up_m"]
         kept = np.ones(len(table), bool)
@@ -104,9 +105,10 @@ def export_points(
     out : path
         File; its suffix chooses the format.
     crs : str
-        CRS in place of that of the project: ``EPSG:n`` (ellipsoidal heights), or ``EPSG:n+m`` or ``EPSG:n+NAME``.
+        CRS that replaces the CRS of the project:
+        ``EPSG:n`` (ellipsoidal heights), or ``EPSG:n+m`` or ``EPSG:n+NAME``.
     geoid : path, optional
-        Geoid file above whose zero level the heights are, in place of that of the project.
+        Geoid file that defines the zero level of the heights, instead of the project's.
     selection : Selection, optional
     overwrite : bool
         Replace an existing file.
@@ -158,12 +160,12 @@ def _export(
 
 
 def in_words(left_out: dict[str, int]) -> str:
-    """Numbers of points that are left out, with the reason."""
+    """Return the numbers of omitted points with the reasons, as a text."""
     return ", ".join(f"{n} {reason.replace('_', ' ')}" for reason, n in left_out.items() if n)
 
 
 def describe(record: dict[str, Any]) -> str:
-    """Purpose, CRS, heights and scale of the standard deviations in one line."""
+    """Return purpose, CRS, heights and scale of the standard deviations in one line."""
     heights = f", heights {record['heights']}" if record["heights"] else ""
     scale = f"; standard deviations: {record['sigma_scale']} scale" if record["sigma_scale"] else ""
     return f"{record['purpose']}; {record['crs'] or 'local coordinates'}{heights}{scale}"
@@ -179,7 +181,7 @@ def _findings(result: Result, folder: str | Path) -> list[Finding]:
 def _system(
     result: Result, folder: Path, crs: str, geoid: str | Path | None, rows: npt.NDArray[np.intp]
 ) -> GroundSystem:
-    """Return CRS and zero level of the file: the given values, else the project's, else UTM and the ellipsoid."""
+    """Return CRS and zero level of the file: as given, or those of the project, or UTM and the ellipsoid."""
     place = result.points.numbers("lon_deg", "lat_deg", rows=rows)
     if crs or geoid:
         require_earth(result, folder, option="crs")
@@ -230,6 +232,6 @@ def _write(path: Path, result: Result, rows: npt.NDArray[np.intp], coordinates: 
 
 
 def _covariances(result: Result, rows: npt.NDArray[np.intp]) -> dict[str, Array]:
-    """Covariances East-North, East-Up, North-Up; nan in results of earlier versions."""
+    """Return the covariances East-North, East-Up, North-Up; nan in results of earlier versions."""
     known = result.arrays.get("point_covariance_m2", np.full((len(result.points), 3), np.nan))
     return dict(of_axes("covariance_{}_m2", _PAIRS, np.asarray(known, float)[rows]))

@@ -27,13 +27,13 @@ class Ink(NamedTuple):
     Parameters
     ----------
     colour : str
-        On paper.
+        Colour on paper.
     marker : str
         ``^`` triangle, ``o`` circle, ``s`` square, ``D`` diamond.
     radius : float
-        Of the marker, drawing units of a page.
+        Radius of the marker, drawing units of a page.
     filled : bool
-        Marker or area is filled.
+        True if marker or area is filled.
     line : str
         Line style of matplotlib.
     width : float
@@ -68,29 +68,29 @@ INKS: Final = {
         ("sigma", "#e69f00"), ("side", "#c9b400"), ("fitted", "#b79bd0"), ("differs", ORANGE),
         ("not_reproducible", GREY))},
 }  # fmt: skip
-#: Number of kinds of marks for series.
+#: Number of different marks for series of data.
 SERIES: Final = 6
-#: Distances of ticks that read well, times a power of ten.
+#: Distances between ticks that are easy to read, times a power of ten.
 _STEPS: Final = (1.0, 2.0, 5.0, 10.0)
-#: Most powers of ten that a logarithmic axis names.
+#: Maximum number of powers of ten with a label on a logarithmic axis.
 _POWERS: Final = 7
-#: Steps of the colours of correlations on each side of 0.
+#: Number of colours for positive, and for negative, correlations.
 HEAT: Final = 5
 
 
 def round_down(value: float) -> float:
-    """Largest of 1, 2, 5 times a power of ten that is not above the value."""
+    """Return the largest number of the form 1, 2 or 5 times a power of ten that is not above the value."""
     power = 10.0 ** math.floor(math.log10(value))
     return max(step * power for step in _STEPS[:3] if step * power <= value * (1 + 1e-12))
 
 
 def thousands(value: float) -> str:
-    """Text of an enlargement, two significant digits."""
+    """Return the text of an enlargement with two significant digits."""
     return f"{float(f'{value:.2g}'):,.0f}"
 
 
 def ticks(low: float, high: float, about: int = 5) -> list[float]:
-    """Round values between two limits; ``about``: wanted number."""
+    """Return round values between two limits; ``about`` is their approximate number."""
     if not high > low:
         return [low]
     raw = (high - low) / about
@@ -101,7 +101,7 @@ def ticks(low: float, high: float, about: int = 5) -> list[float]:
 
 
 def log_ticks(low: float, high: float) -> list[float]:
-    """Round values between two positive limits: powers of ten; with 2 and 5 times these where there are few."""
+    """Return round values between two positive limits: powers of ten, and 2 and 5 times these if there are few."""
     ends = math.log10(low) - 1e-9, math.log10(high) + 1e-9
     whole = [10.0**k for k in range(math.ceil(ends[0]), math.floor(ends[1]) + 1)]
     if len(whole) >= 3:
@@ -112,30 +112,30 @@ def log_ticks(low: float, high: float) -> list[float]:
 
 
 def decades(values: npt.ArrayLike) -> tuple[float, float]:
-    """Powers of ten around the positive values."""
+    """Return the powers of ten below and above the positive values."""
     exponents = np.log10([v for v in np.asarray(values, float) if math.isfinite(v) and v > 0.0] or [1.0])
     return 10.0 ** math.floor(exponents.min() - 0.05), 10.0 ** math.ceil(exponents.max() + 0.05)
 
 
 def limits_of(values: npt.ArrayLike) -> tuple[float, float]:
-    """Limits around the positive values, with a margin of 9 % of the decades, at least 0.05."""
+    """Return limits of the positive values, with a margin of 9 % of the decades, at least 0.05."""
     exponents = np.log10([v for v in np.asarray(values, float) if math.isfinite(v) and v > 0.0] or [1.0])
     margin = max(0.09 * float(np.ptp(exponents)), 0.05)
     return 10.0 ** (float(exponents.min()) - margin), 10.0 ** (float(exponents.max()) + margin)
 
 
 def plain(value: float) -> str:
-    """Text of a tick, with a minus sign."""
+    """Return the text of a tick, with a typographic minus sign."""
     return plain_exponent(f"{value:.6g}").replace("-", "−")
 
 
 def plain_power(value: float) -> str:
-    """Text of a tick of a logarithmic axis; with an exponent below 0.01 and from 10 000 on."""
+    """Return the text of a tick of a logarithmic axis, with an exponent below 0.01 and from 10 000."""
     return f"{value:.6g}" if 1e-2 <= value < 1e4 else plain_exponent(f"{value:.0e}")
 
 
 def short(value: float) -> str:
-    """Number in at most four characters; a dash if it is not finite."""
+    """Return a number in at most four characters; a dash if it is not finite."""
     if value == 0.0 or not math.isfinite(value):
         return "0" if value == 0.0 else "–"
     exponent = math.floor(math.log10(abs(value)))
@@ -145,12 +145,12 @@ def short(value: float) -> str:
 
 
 def plain_exponent(text: str) -> str:
-    """Text with "1e5" for "1e+05" and with minus signs."""
+    """Return the text with "1e5" instead of "1e+05" and with typographic minus signs."""
     return text.replace("e+0", "e").replace("e+", "e").replace("e-0", "e−").replace("e-", "e−")
 
 
 def cut(name: str, length: int = 24) -> str:
-    """Name shortened for a title; control characters are replaced."""
+    """Return a name shortened for a title; control characters are replaced."""
     text = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in name)
     return text if len(text) <= length else text[: length - 1] + "…"
 
@@ -164,19 +164,19 @@ class Axis:
     words : str
         Quantity and unit.
     limits : (low, high)
-        In units of the data, of logarithmic axes too.
+        Limits in units of the data, also for logarithmic axes.
     log, down : bool
-        Logarithmic; growing downwards, as lines of an image do.
+        Logarithmic axis; values increase downwards, as the lines of an image do.
     about : int
-        Wanted number of ticks; 0: none.
+        Approximate number of ticks; 0: no ticks.
     whole : bool
-        Ticks at whole numbers only.
+        True for ticks at whole numbers only.
     names : sequence of str
-        In place of numbers, at 0, 1, 2 ...
+        Texts that replace the numbers, at 0, 1, 2 ...
     beside : sequence of str
-        Values that paper shows at the other end of the names; a page has them in a table.
+        Values that a paper shows opposite to the names; a page shows them in a table.
     write : callable, optional
-        Text of a tick.
+        Function that returns the text of a tick.
     """
 
     words: str = ""
@@ -190,7 +190,7 @@ class Axis:
     write: Callable[[float], str] | None = None
 
     def ticks(self) -> list[tuple[float, str]]:
-        """Values and texts."""
+        """Return the values and texts of the ticks."""
         if self.names:
             return [(float(k), name) for k, name in enumerate(self.names)]
         if not self.about:
@@ -200,7 +200,7 @@ class Axis:
         return [(v, write(v)) for v in values if not self.whole or v == round(v)]
 
     def share(self, values: npt.ArrayLike) -> Array:
-        """Places from 0 at the lower to 1 at the upper limit."""
+        """Return positions: 0 at the lower limit, 1 at the upper limit."""
         low, high = (math.log10(v) for v in self.limits) if self.log else self.limits
         given = np.log10(np.asarray(values, float)) if self.log else np.asarray(values, float)
         return np.asarray((given - low) / ((high - low) or 1.0))
@@ -217,18 +217,18 @@ class Mark:
     kind : str
         Key of :data:`INKS` and class of the style sheet.
     x, y : (n,) arrays
-        Of bars edges (n + 1) and counts (n); of cells nothing and a matrix of correlations; of blocks edges (n, 2). A
-        line is interrupted at nan.
+        Coordinates. Bars: edges (n + 1) and counts (n). Cells: y is a matrix of correlations. Blocks: edges
+        (n, 2). A line is interrupted at nan.
     label : str
-        In the legend; "": no entry.
+        Text in the legend; "": no entry.
     tips : sequence of str
-        Text of each dot for the pointer, or the names themselves.
+        Text that the pointer shows for each dot, or the names themselves.
     vectors : (n, 2) array, optional
-        From each dot, in units of :attr:`Chart.per_width`; nan for none.
+        Vector that starts at each dot, in units of :attr:`Chart.per_width`; nan: no vector.
     thick : bool
-        Vectors are bars.
+        True if vectors are drawn as bars.
     sizes : (n,) array, optional
-        Radii in place of that of the kind.
+        Radii that replace the radius of the kind.
     """
 
     shape: str
@@ -244,7 +244,7 @@ class Mark:
 
 @dataclass(frozen=True)
 class Picture:
-    """Picture below the marks: address with its content; x and y of its left and right, upper and lower border."""
+    """Picture below the marks: its content as an address, and the coordinates of its borders."""
 
     href: str
     x: tuple[float, float]
@@ -258,22 +258,22 @@ class Chart:
     Parameters
     ----------
     words : str
-        Content, for screen readers.
+        Description of the content for screen readers.
     x, y : Axis
     title : str
-        On paper; a page has headings.
+        Title on paper; a page has headings instead.
     width, height : float
-        Drawing units, margins included.
+        Size in drawing units, including margins.
     left, right, top, bottom : float
         Margins.
     framed : bool
-        A page shows axes; otherwise bars of lengths, as on maps.
+        True: a page shows axes. False: it shows scale bars, as on maps.
     aspect : float, optional
-        Length of one unit of y over one of x; None where they have no common scale.
+        Length of one unit of y divided by one unit of x; None if they have no common scale.
     per_width : float
-        Vector that would be as long as the frame is wide.
+        Length of a vector that would be as long as the width of the frame.
     bars : list of (float, str)
-        Lengths as shares of the width, with words: scales of the ground and of the vectors.
+        Scale bars of the ground and of the vectors: length as a share of the width, and text.
     note : str
         Remark below a map.
     legend : str
@@ -318,31 +318,31 @@ class Chart:
 
     @property
     def inner(self) -> tuple[float, float]:
-        """Width and height inside the frame."""
+        """Return width and height inside the frame."""
         return self.width - self.left - self.right, self.height - self.top - self.bottom
 
     def place(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
-        """Drawing units (n, 2), y downwards."""
+        """Return positions in drawing units (n, 2), y downwards."""
         up = self.y.share(y)
         wide, tall = self.inner
         return np.stack([self.left + wide * self.x.share(x), self.top + tall * (up if self.y.down else 1.0 - up)], -1)
 
 
 def broad(words: str, x: Axis, y: Axis, height: float = 240.0, **more: object) -> Chart:
-    """Chart of the width of a page."""
+    """Return a chart as wide as a page."""
     return Chart(words, x, y, width=560.0, height=height, css="panel broad", **more)  # type: ignore[arg-type]
 
 
 def mapped(words: str, places: Array, shrink: float = 1.0, tallest: float = 720.0, **more: object) -> Chart:
-    """Map with one scale along both axes.
+    """Return a map with the same scale along both axes.
 
     Parameters
     ----------
     words : str
     places : (n, 2) array
-        Everything that must be seen.
+        Points that must be visible.
     shrink : float
-        Length of one unit of x over one of y, as of degrees of longitude.
+        Length of one unit of x divided by one unit of y, for degrees of longitude and latitude.
     tallest : float
         Largest height of the drawing, drawing units.
     **more
@@ -362,12 +362,12 @@ def mapped(words: str, places: Array, shrink: float = 1.0, tallest: float = 720.
 
 
 def large(vectors: Array) -> float:
-    """90 % quantile of the lengths of vectors (n, 2); 0 without vectors."""
+    """Return the 90 % quantile of the lengths of vectors (n, 2); 0 without vectors."""
     lengths = np.linalg.norm(vectors[np.isfinite(vectors).all(axis=1)], axis=1)
     lengths = lengths[lengths > 0.0]
     return float(np.quantile(lengths, 0.9)) if len(lengths) else 0.0
 
 
 def hundredths(rho: float) -> str:
-    """Text of a correlation in hundredths; 0.999 is not rounded to 1."""
+    """Return a correlation in hundredths as text; 0.999 is not rounded to 1."""
     return f"{'−' if rho < 0.0 else ''}.{min(99, math.floor(abs(rho) * 100.0)):02d}"

@@ -19,7 +19,7 @@ from fg_orient.result.record import Result, read_result
 
 __all__ = ["write_figures"]
 
-#: Charts of a figure; None stands for a chart without data, which is not drawn.
+#: Charts of a figure. A chart without data is None and is not drawn.
 Charts = Sequence[Chart | None]
 FORMATS: Final = ("svg", "pdf")
 CAPTIONS_FILE: Final = "captions.md"
@@ -29,12 +29,12 @@ FIGURES: Final = Contents(CAPTIONS_FILE, (CAPTIONS_FILE, "*.svg", "*.pdf"))
 FOLDER: Final = "figures"
 #: Maximum number of images with figures; the tables contain all.
 MAX_IMAGES: Final = 12
-#: Points of a map, vectors of an image and quantiles of a curve that a paper shows.
+#: Maximum numbers on paper: points of a map, vectors of an image, quantiles of a curve.
 MANY: Final = {"map": 5000, "vectors": 2000, "quantiles": 2000}
 
 
 def _residuals(kind: Callable[..., Chart | None], **more: int) -> Callable[[Result, list[str]], Charts]:
-    """Charts of the normalised residuals of each image."""
+    """Return the charts of the normalised residuals of each image."""
 
     def charts(result: Result, images: list[str]) -> Charts:
         ratio, tested = result.normalised
@@ -66,8 +66,9 @@ def _redundancy(result: Result, images: list[str]) -> Charts:
     ]
 
 
-#: Kinds of figures: number of images that share one figure (0: one figure of the whole block), and the charts of a
-#: result and of some images. Captions, and reasons why a result may have no such figure: ``captions.md.j2``.
+#: Kinds of figures: number of images that share a figure (0: one figure of the whole block), and a function
+#: that returns the charts of some images of a result. Captions, and reasons why a result may have no such
+#: figure: ``captions.md.j2``.
 PLOTS: Final[dict[str, tuple[int, Callable[[Result, list[str]], Charts]]]] = {
     "map": (0, _map),
     "map_up": (0, partial(_map, up=True)),
@@ -85,7 +86,7 @@ PLOTS: Final[dict[str, tuple[int, Callable[[Result, list[str]], Charts]]]] = {
 
 
 def planned(result: Result) -> list[tuple[str, str, list[str]]]:
-    """File name, kind and ids of the images of every figure that is tried."""
+    """Return file name, kind and image ids of each figure that may be drawn."""
     chosen, out = result.images[:MAX_IMAGES], []
     for kind, (step, _) in PLOTS.items():
         groups = [chosen[k : k + step] for k in range(0, len(chosen), step)] if step else [chosen]
@@ -205,5 +206,5 @@ def captions(result: Result, drawn: Sequence[tuple[str, str, list[str]]]) -> str
 
 
 def _markdown(text: object) -> str:
-    """Text without control characters, with the marks of Markdown and HTML escaped."""
+    """Return the text without control characters, with the markup of Markdown and HTML escaped."""
     return "".join(f"\\{c}" if c in "\\`*_[]<>#|" else c for c in printable(text))

@@ -93,7 +93,7 @@ def export(
 
 
 def geojson(layers: tuple[Layer, ...]) -> str:
-    """One FeatureCollection of all layers; property ``layer``: name of the layer."""
+    """Return one FeatureCollection of all layers; the property ``layer`` contains the name of the layer."""
     features = [
         {"type": "Feature", "geometry": {"type": geometry["type"], "coordinates": _rounded(geometry["coordinates"])},
          "properties": plain({"layer": layer.name, **dict(zip(layer.columns, row, strict=True))})}
@@ -148,7 +148,7 @@ def _write_layer(path: Path, layer: Layer) -> None:
 
 
 def _write_styles(path: Path, layers: tuple[Layer, ...], made: str) -> None:
-    """Table ``layer_styles``: the default style of each layer in the words of QGIS."""
+    """Write the table ``layer_styles``: the default style of each layer in the format of QGIS."""
     from pyogrio.raw import write
 
     n, templates = len(layers), resources.files("fg_orient.report").joinpath("styles")
@@ -213,7 +213,7 @@ class Layer:
 
 
 def points(table: Table) -> Layer:
-    """Points with geographic coordinates, and their fields in the table."""
+    """Return the layer of points with geographic coordinates and their fields in the table."""
     place = table.numbers("lon_deg", "lat_deg")
     rows = np.flatnonzero(np.isfinite(place).all(axis=1)).tolist()
     geometries = [{"type": "Point", "coordinates": lon_lat} for lon_lat in place[rows].tolist()]
@@ -222,7 +222,7 @@ def points(table: Table) -> Layer:
 
 
 def error_vectors(table: Table, scale: float | None) -> Layer:
-    """Horizontal differences adjusted minus measured, enlarged, from the adjusted point on.
+    """Return the layer of horizontal differences adjusted minus measured, enlarged, starting at the adjusted point.
 
     The end of a vector is in the tangent plane of the point, projected onto the ellipsoid: the azimuth is the azimuth
     of the difference, and the relative error of the length is 1e-5 up to 30 km. Default scale: a large error is well
@@ -236,7 +236,8 @@ def error_vectors(table: Table, scale: float | None) -> Layer:
     start = geodetic_to_ecef(place[:, 0], place[:, 1], np.zeros(len(rows)))
     ends = start + np.einsum("nij,ni->nj", enu_from_ecef(place[:, 0], place[:, 1]), flat)
     lon, lat, _ = ecef_to_geodetic(ends)
-    lon = place[:, 0] + (lon - place[:, 0] + 180.0) % 360.0 - 180.0  # near its point, over the 180th meridian too
+    # keep the end of the vector near its point, also at the 180th meridian
+    lon = place[:, 0] + (lon - place[:, 0] + 180.0) % 360.0 - 180.0
     lines = np.stack([place, np.stack([lon, lat], axis=1)], axis=1).tolist()
     return Layer.typed("error_vectors", "LineString", [{"type": "LineString", "coordinates": line} for line in lines], {
         **{name: [table.words[name][k] for k in rows.tolist()] for name in ("id", "role")},
@@ -248,7 +249,7 @@ def error_vectors(table: Table, scale: float | None) -> Layer:
 
 
 def _default_scale(place: Array, enu: Array) -> float:
-    """Round enlargement of differences (k, 3) on a map of points (n, 2); 1 without errors."""
+    """Return a round enlargement of differences (k, 3) on a map of points (n, 2); 1 without differences."""
     lengths = np.hypot(enu[:, 0], enu[:, 1])
     lengths, lon = lengths[lengths > 0.0], np.unwrap(place[:, 0], period=360.0)
     width = float(np.ptp(lon)) * shrink_at(float(place[:, 1].mean()))
@@ -259,7 +260,7 @@ def _default_scale(place: Array, enu: Array) -> float:
 
 
 def footprints(result: Result) -> Layer:
-    """Footprints of the images by their metadata, at height 0 or the mean height of an RPC; corners joined."""
+    """Return the layer of footprints by the metadata, at height 0 or the mean height of an RPC."""
     images = [i for i in result.record["images"] if len(i["footprint_lon_lat_deg"])]
     summaries = {row["image"]: row for row in result.residual_summary()}
     rings = [np.array(i["footprint_lon_lat_deg"], float) for i in images]

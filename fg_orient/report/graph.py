@@ -1,4 +1,4 @@
-"""Drawings of the factor graph of a block: the graph, the graph of images, elimination trees, normal matrices."""
+"""Drawings of the factor graph of a block, of its elimination trees and of its normal matrix."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ from fg_orient.report.words import printable
 RECORD_FILE: Final = "graph.json"
 #: Content of a folder of drawings.
 GRAPH: Final = Contents(RECORD_FILE, (RECORD_FILE, CAPTIONS_FILE, "*.svg", "*.pdf"))
-#: Images and ground points of the drawn part; image vectors of the drawn graph of images.
+#: Maximum numbers of images and ground points of the drawn part, and of image vectors in the graph of images.
 IMAGES, POINTS, VECTORS = 6, 24, 40
-#: Cliques of a tree, and groups of points, up to which each has a name.
+#: Maximum number of cliques of a tree, and of groups of points, that are labelled.
 NAMED: Final = 12
 #: Order of elimination of the graph of images, as in an adjustment.
 REDUCED_ORDERING: Final = "COLAMD"
@@ -57,7 +57,7 @@ CAPTIONS: Final = {
 
 @dataclass(frozen=True)
 class Drawn:
-    """Structures of a block: of the drawn part with explicit points, and of the images alone.
+    """Structures of a block: the drawn part with explicit points, the whole block, and the images alone.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def write_graph(
 
 
 def structures(problem: Problem) -> Drawn:
-    """Structures of a block: the part that is drawn, the whole, and the graph of images."""
+    """Return the structures of the drawn part, of the whole block and of the graph of images."""
     few = len(problem.observations) <= EXPLICIT_LIMIT
     images, points = thinned(problem)
     return Drawn(
@@ -130,7 +130,7 @@ def structures(problem: Problem) -> Drawn:
 
 
 def thinned(problem: Problem) -> tuple[Index, Index]:
-    """Images and ground points of the drawn part: the first images, and every k-th point of most rays in them."""
+    """Return images and points of the drawn part: the first images, every k-th of their points with most rays."""
     images = np.arange(min(problem.n_images, IMAGES))
     o = problem.observations
     rays = np.bincount(o.point[o.image < len(images)], minlength=len(problem.active))
@@ -146,7 +146,7 @@ def thinned(problem: Problem) -> tuple[Index, Index]:
 
 
 def counts(drawn: Drawn) -> dict[str, Any]:
-    """Numbers of variables and factors, fill and largest clique."""
+    """Return the numbers of variables and factors, the fill and the largest clique."""
     whole = drawn.whole or drawn.part
     reduced = drawn.reduced
     return {
@@ -160,7 +160,7 @@ def counts(drawn: Drawn) -> dict[str, Any]:
 
 
 def _captions(name: str, drawn: Drawn, shown: Collection[str]) -> str:
-    """Captions as Markdown, and the reason of a missing drawing."""
+    """Return the captions as Markdown, with the reason for a missing drawing."""
     lines = [f"# Factor graph of {printable(name)}", ""]
     own = drawn.part.counts
     thinned = drawn.whole is None or own["variables"] != drawn.whole.counts["variables"]
@@ -202,7 +202,7 @@ def _variables(chart: Chart, structure: Structure, at: Array, shown: Index) -> N
 
 
 def _factors(chart: Chart, structure: Structure, at: Array, outwards: Array) -> None:
-    """Add the factors with their edges; a factor of one variable is drawn outwards (n, 2) of it."""
+    """Add the factors with their edges. A factor of one variable is drawn outside it, in the direction (n, 2)."""
     places, begin, end = [], [], []
     for own in structure.factors:
         place = at[list(own)].mean(axis=0) if len(own) > 1 else at[own[0]] + outwards[own[0]]
@@ -217,7 +217,7 @@ def _factors(chart: Chart, structure: Structure, at: Array, outwards: Array) -> 
 
 
 def graph_chart(structure: Structure) -> Chart:
-    """Images above, ground points below, factors as dots on their edges."""
+    """Return the chart of the factor graph: images above, ground points below, factors as dots on the edges."""
     images, points = np.flatnonzero(~structure.is_point), np.flatnonzero(structure.is_point)
     at = np.zeros((len(structure.names), 2))
     at[images] = np.stack([(np.arange(len(images)) + 0.5) / max(len(images), 1), np.ones(len(images))], -1)
@@ -230,7 +230,7 @@ def graph_chart(structure: Structure) -> Chart:
 
 
 def reduced_chart(structure: Structure) -> Chart:
-    """Image vectors on a ring, factors between them."""
+    """Return the chart of the graph of images: image vectors on a ring, factors between them."""
     shown = np.arange(min(len(structure.names), VECTORS))
     kept = [k for k, own in enumerate(structure.factors) if all(v < len(shown) for v in own)]
     part = Structure(
@@ -283,7 +283,7 @@ def tree_chart(tree: EliminationTree, title: str) -> Chart:
 
 
 def _clique(tree: EliminationTree, k: int) -> str:
-    """Names of the variables that a clique eliminates."""
+    """Return the names of the variables that a clique eliminates."""
     names = [tree.structure.names[v].partition(":")[2] for v in tree.cliques[k][0]]
     return cut(", ".join(names), 22) if len(names) <= 4 else f"{len(names)} variables"
 
@@ -297,7 +297,7 @@ def _trees(drawn: Drawn) -> list[Chart]:
 
 
 def matrix_chart(tree: EliminationTree, title: str) -> Chart:
-    """Blocks of the lower triangle of the normal matrix and of its factor, in the order of elimination."""
+    """Return the chart of the blocks of the normal matrix and of its factor, in the order of elimination."""
     sizes = tree.structure.sizes[list(tree.order)]
     ends = np.concatenate([[0], np.cumsum(sizes)])
     place = {v: k for k, v in enumerate(tree.order)}

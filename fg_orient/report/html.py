@@ -1,7 +1,7 @@
 """The report of an adjustment: one HTML file of sections that needs no other file.
 
-A section is declared once: its id, its heading and its template, which calls the functions of charts and tables. Order
-of declaration is order on the page.
+A section is declared once, with its id, heading and template. The template calls the functions of charts and
+tables. The sections have the order of their declaration.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from fg_orient.result.record import Result
 Values = Mapping[str, Any]
 Supply = Callable[[Result], Values | None]
 
-#: Maximum numbers of table rows, images and drawn images of the page; the files contain all.
+#: Maximum numbers of table rows, of images in tables and of drawn images on the page. The files contain all data.
 MANY: Final = {"rows": 100, "images": tables.MAX_IMAGES, "terms": tables.MAX_TERMS, "panels": plots.MAX_PANELS}
 #: Maximum number of suspicious observations in the verdict.
 SUSPECTS: Final = 3
@@ -42,11 +42,13 @@ class Section:
     ----------
     id, title : str
     template : str
-        Its text; empty: the file ``templates/ID.html.j2``. It has ``result`` and its record ``r``; ``many``, lengths of
-        tables; ``payload``, the data of the live drawings; ``pictures``, the pixels; the modules ``plots``, ``maps``
-        and ``tables``; and the macros and filters of all pages.
+        Text of the template; empty: the file
+        ``templates/ID.html.j2``. It can use ``result`` and its record ``r``; ``many``,
+        lengths of tables; ``payload``, the data of the live drawings; ``pictures``, the
+        pixels; the modules ``plots``, ``maps`` and ``tables``;
+        and the macros and filters of all pages.
     values : callable
-        Gives further values for a result; None if the page does not have this section.
+        Function that returns further values for a result, or None if the page does not have this section.
     """
 
     id: str
@@ -76,7 +78,7 @@ def section(id: str, title: str, template: str = "", before: str = "") -> Callab
     template : str
         Text of the template; empty: the file ``templates/ID.html.j2``.
     before : str
-        Id of the section that follows; before the provenance where empty.
+        Id of the section that follows; empty: the provenance.
     """
 
     def add(values: Supply) -> Supply:
@@ -88,7 +90,7 @@ def section(id: str, title: str, template: str = "", before: str = "") -> Callab
 
 
 def render(result: Result, comparison: dict[str, Any] | None = None, folder: Path | None = None) -> str:
-    """HTML text of a result, with the comparison with a truth if there is one, and the pixels seen from a folder."""
+    """Return the page of a result as HTML. A comparison with a truth, and pixels from a folder, are optional."""
     if not result.adjusted:
         return _render_deficient(result)
     record = result.record
@@ -121,12 +123,12 @@ def _page(
 
 
 def _is_first(found: Finding) -> bool:
-    """Whether a finding is on the first screen: doubts and their likely cause."""
+    """Return whether a finding is shown on the first screen: doubts and their likely causes."""
     return found.severity in DECISIVE or found.code == "verdict.cause"
 
 
 def _problems(record: dict[str, Any]) -> list[str]:
-    """Findings that did not decide on the verdict, after the observations that a test names."""
+    """Return the problems: suspicious observations, then findings that did not determine the verdict."""
     texts = [str(found) for found in findings_of(record) if not _is_first(found)]
     suspects = record.get("suspicious_observations") or []
     named = [f"look at {suspect['sentence']}" for suspect in suspects[:SUSPECTS]]
@@ -136,12 +138,13 @@ def _problems(record: dict[str, Any]) -> list[str]:
 
 # --- a block with undetermined unknowns -----------------------------------------------------
 
-#: Directions of one cause that the page shows at once, and that it lists; result.json has all.
+#: Number of directions of one cause that are shown at once, and maximum number that the page lists.
+#: result.json contains all.
 FEW: Final = 6
 
 
 def _render_deficient(result: Result) -> str:
-    """HTML text of a result with the status ``rank_deficient``."""
+    """Return the page of a result with the status ``rank_deficient`` as HTML."""
     record, points = result.record, result.points
     groups: dict[tuple[str, str], list[str]] = {}
     for e in record["errors"]:
@@ -159,7 +162,7 @@ def _render_deficient(result: Result) -> str:
 
 
 def _nothing(record: dict[str, Any], remedies: list[str]) -> Values:
-    """Verdict: there is no result, how much is missing, and the remedies."""
+    """Return the verdict for a block without result: the number of undetermined directions, and the remedies."""
     n = len(record["errors"])
     what = "one of the unknowns, or a combination of them," if n == 1 else f"{n} unknowns or combinations of them"
     text = [
@@ -171,7 +174,7 @@ def _nothing(record: dict[str, Any], remedies: list[str]) -> Values:
 
 
 def _spectra(result: Result) -> Values:
-    """Singular values of the block and of the images, and of each the number of undetermined directions."""
+    """Return the singular values of the block and of each image, with the numbers of undetermined directions."""
     block = result.record["block_observability"]
     spectra = [*result.record["observability"]]
     if block and block["singular_values"]:

@@ -1,6 +1,7 @@
 """Map of an adjustment, for page and paper, and its first view.
 
-The first view shows everything, or only the points where the footprints are so large that these would be a dot.
+The first view shows everything. If the footprints are so large that the points would look like a dot, it
+shows only the points.
 """
 
 from __future__ import annotations
@@ -21,9 +22,9 @@ from fg_orient.result.record import Result
 MAX_POINTS: Final = 1500
 #: Length of a large vector (90 % quantile) as a share of the width.
 SHARE: Final = 0.07
-#: Points that fill less than this share of the map of all footprints get their own view.
+#: If the points fill less than this share of the map of all footprints, the first view shows only the points.
 FILLED: Final = 0.4
-#: Border around them, a share of the larger side of their extent.
+#: Width of the border around the points, as a share of the larger side of their extent.
 BORDER: Final = 0.12
 #: Minimum extent of a view, km.
 LEAST_KM: Final = 0.1
@@ -31,18 +32,18 @@ KM_PER_DEGREE: Final = 111.2
 
 
 def km_per_degree(record: Mapping[str, Any]) -> float:
-    """Kilometres of a degree of latitude on the body of a result."""
+    """Return the kilometres per degree of latitude on the body of a result."""
     body = record.get("body")
     return KM_PER_DEGREE if body is None else math.radians(1e-3 * sum(body["radii_m"]) / 3.0)
 
 
 def shrink_at(lat_deg: float) -> float:
-    """Length of a degree of longitude as a share of one of latitude."""
+    """Return the length of a degree of longitude divided by a degree of latitude."""
     return max(math.cos(math.radians(lat_deg)), 0.01)
 
 
 def first_view(points_deg: Array, footprints_deg: Sequence[Array], of_degree: float = KM_PER_DEGREE) -> Array | None:
-    """Corners of the first view, if it does not show everything.
+    """Return the corners of the first view, or None if it shows everything.
 
     Parameters
     ----------
@@ -56,8 +57,8 @@ def first_view(points_deg: Array, footprints_deg: Sequence[Array], of_degree: fl
     Returns
     -------
     (2, 2) array or None
-        Lowest and highest longitude and latitude, degrees, border included; None where all is shown: there are no
-        points, or they fill enough of the whole.
+        Lowest and highest longitude and latitude, degrees, including the border. None if there are no points,
+        or if they fill enough of the whole map.
     """
     located = points_deg[np.isfinite(points_deg).all(axis=1)]
     if not len(located):
@@ -73,20 +74,20 @@ def first_view(points_deg: Array, footprints_deg: Sequence[Array], of_degree: fl
 
 
 def view_of(result: Result) -> Array | None:
-    """First view of the points of a result; see :func:`first_view`."""
+    """Return the first view of the points of a result; see :func:`first_view`."""
     return first_view(
         result.points.numbers("lon_deg", "lat_deg"), footprints(result.record), km_per_degree(result.record)
     )
 
 
 def footprints(record: dict[str, Any]) -> list[Array]:
-    """Corners (k, 2) of each image with a footprint: longitude and latitude in degrees."""
+    """Return the corners (k, 2) of each image with a footprint: longitude and latitude in degrees."""
     corners_of = (np.array(image["footprint_lon_lat_deg"], float).reshape(-1, 2) for image in record["images"])
     return [corners for corners in corners_of if len(corners)]
 
 
 def point_map(result: Result, *, up: bool = False, most: int | None = None) -> Chart | None:
-    """Map of footprints and points with horizontal error vectors, or with bars of the errors in height.
+    """Return a map of footprints and points with horizontal error vectors, or with bars for errors in height.
 
     Parameters
     ----------
@@ -94,7 +95,7 @@ def point_map(result: Result, *, up: bool = False, most: int | None = None) -> C
     up : bool
         Draw differences in height instead of horizontal ones.
     most : int, optional
-        Number of points from which on tie points are thinned; default :data:`MAX_POINTS`.
+        If there are more points than this, some tie points are omitted; default :data:`MAX_POINTS`.
     """
     table = result.points
     place = table.numbers("lon_deg", "lat_deg")
@@ -117,7 +118,7 @@ def point_map(result: Result, *, up: bool = False, most: int | None = None) -> C
     for role in ("tie", "control", "check"):
         mine = rows[roles[rows] == role]
         if len(mine):
-            # a tip for each of some of many points would take more of the page than they do
+            # with many points, the texts for the pointer would need more space in the page than the points
             every = len(rows) == len(located)
             tips = [_tip(role, table.words["id"][k], enu[k]) for k in mine.tolist()] if every else []
             label = f"{role} ({int((roles[located] == role).sum())})"
@@ -147,7 +148,7 @@ def _tip(role: str, name: str, enu_m: Array) -> str:
 
 
 def _thinned(rows: Index, tie: Mask, most: int) -> Index:
-    """Rows, at most ``most``: control and check points before tie points."""
+    """Return at most ``most`` rows: control and check points before tie points."""
     if len(rows) <= most:
         return rows
     first, ties = rows[~tie], rows[tie]

@@ -1,4 +1,4 @@
-"""The shell of every HTML report: environment of the templates, the one script and its hash.
+"""Common parts of all HTML reports: environment of the templates, and the only script with its hash.
 
 A page is one file that needs no other file: the content security policy of
 ``templates/base.html.j2`` forbids every source but inline styles, pictures inside the page, and the script whose hash
@@ -30,7 +30,7 @@ SHELL: Final = "fg_orient.report"
 
 @cache
 def script() -> str:
-    """Text of the script between its tags.
+    """Return the text of the script without its tags.
 
     Raises
     ------
@@ -45,7 +45,7 @@ def script() -> str:
 
 @cache
 def script_hash() -> str:
-    """Source expression of the script for a content security policy: ``'sha256-...'``."""
+    """Return the source expression of the script for a content security policy: ``'sha256-...'``."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(script().encode()).digest()).decode()}'"
 
 
@@ -66,7 +66,10 @@ def environment(package: str = SHELL) -> jinja2.Environment:
     import jinja2
 
     class Cache(jinja2.FileSystemBytecodeCache):
-        """Compiled templates beside the compiled kernels; a folder that cannot be written is not an error."""
+        """Cache of compiled templates, next to the compiled kernels.
+
+        A folder that cannot be written is not an error.
+        """
 
         def dump_bytecode(self, bucket: Any) -> None:
             with suppress(OSError):
@@ -88,6 +91,6 @@ def environment(package: str = SHELL) -> jinja2.Environment:
 
 
 def headings(content: Markup) -> list[tuple[str, Markup]]:
-    """Ids and headings of the sections of a page, for its links."""
+    """Return ids and headings of the sections of a page, for its links."""
     found = re.findall(r'<section id="([^"]+)"><h2>(.*?)</h2>', content)
     return [(name, Markup(words)) for name, words in found]

@@ -1,4 +1,7 @@
-"""Drawing of charts by matplotlib (extra "report") for papers: SVG and PDF files that repeat to the last byte."""
+"""Drawing of charts by matplotlib (extra "report") for papers, as SVG and PDF files.
+
+The same chart gives the same bytes.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Paper; pages that take a figure in replace it and the ink by their own, for dark ones.
+#: Colours of paper and ink. A page that contains a figure replaces them by its own colours, for example on a dark page.
 PAPER: Final = "#fefefe"
 #: Widths of one and of two columns, inches (88 and 180 mm).
 ONE_COLUMN: Final = 3.46
@@ -39,31 +42,31 @@ _METADATA: Final = {
 _ABOVE: Final[dict[str, Any]] = {
     "loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "ncols": 4, "handletextpad": 0.2, "columnspacing": 1.0,
 }  # fmt: skip
-#: Unknowns up to which correlations are written into the cells.
+#: Maximum number of unknowns for which correlations are written into the cells.
 WRITTEN: Final = 12
 
 
 def available() -> bool:
-    """Whether matplotlib is installed."""
+    """Return whether matplotlib is installed."""
     return find_spec("matplotlib") is not None
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Empty figure of a size in inches whose parts do not overlap."""
+    """Return an empty figure of a size in inches, in which parts do not overlap."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")
 
 
 def file_of(figure: Figure, kind: str) -> bytes:
-    """Bytes of a figure as ``svg`` or ``pdf``; the same figure gives the same bytes."""
+    """Return the bytes of a figure as ``svg`` or ``pdf``; the same figure gives the same bytes."""
     stream = io.BytesIO()
     figure.savefig(stream, format=kind, metadata=_METADATA[kind])
     return stream.getvalue()
 
 
 def figure_of(charts: Sequence[Chart]) -> Figure:
-    """Draw charts two in a row in one figure, of one or two columns of a journal."""
+    """Draw charts in one figure, two per row, as wide as one or two columns of a journal."""
     columns = min(2, len(charts))
     width = ONE_COLUMN if columns == 1 else TWO_COLUMNS
     wide = width / columns - 0.6
@@ -73,7 +76,10 @@ def figure_of(charts: Sequence[Chart]) -> Figure:
 def _grid(
     charts: Sequence[Chart], columns: int, width: float, height: float, more: float = 0.0
 ) -> tuple[Figure, list[Axes]]:
-    """Draw charts in rows of a height, inches, with some ``more`` for all; the figure and the axes in use."""
+    """Draw charts in rows of a given height, inches, plus ``more`` for the figure.
+
+    Return the figure and the used axes.
+    """
     lines = -(-len(charts) // columns)
     figure = new_figure(width, height * lines + more)
     panels = list(figure.subplots(lines, columns, squeeze=False).ravel())
@@ -85,7 +91,7 @@ def _grid(
 
 
 def panels_of(charts: Sequence[Chart], width: float, height: float) -> Figure:
-    """Draw charts as panels of a size in inches, five in a row, with one legend above all."""
+    """Draw charts as panels of a size in inches, five per row, with one common legend above."""
     columns = min(5, len(charts))
     figure, panels = _grid(charts, columns, max(width * columns, 5.0), height, 0.9 if len(charts) > 1 else 0.0)
     for k, axes in enumerate(panels):
@@ -102,7 +108,7 @@ def panels_of(charts: Sequence[Chart], width: float, height: float) -> Figure:
 
 
 def _shape(chart: Chart) -> float:
-    """Height of the frame over its width."""
+    """Return the height of the frame divided by its width."""
     if chart.y.names and not chart.x.names:
         return max(0.35, 0.06 * len(chart.y.names))
     return float(np.clip(chart.inner[1] / chart.inner[0], 0.62, 1.5))
@@ -137,7 +143,7 @@ def draw(axes: Axes, chart: Chart) -> None:
 
 
 def _scale(axes: Axes, axis: Axis, name: Literal["x", "y"]) -> None:
-    """Limits, ticks and words of one axis."""
+    """Set limits, ticks and texts of one axis."""
     low, high = axis.limits
     of = getattr(axes, f"{name}axis")
     if axis.log:
@@ -191,7 +197,7 @@ def _names(axes: Axes, mark: Mark, chart: Chart) -> None:
 
 
 def _cells(axes: Axes, mark: Mark, chart: Chart) -> None:
-    """Draw the lower triangle of a matrix with a bar of its colours."""
+    """Draw the lower triangle of a matrix with a colour bar."""
     from matplotlib.colors import LinearSegmentedColormap
 
     colours = LinearSegmentedColormap.from_list("signed", [BLUE, "#f7f7f7", ORANGE])

@@ -1,8 +1,9 @@
 """Data of the live drawings of a page.
 
-Columns are numbers of 1 to 4 bytes in base64, little endian; a column that is one value everywhere is that value.
-Places are whole steps of 3 bytes, as fine as Float32, numbers of points their differences. Residuals and standard
-deviations are Float32, or, where not all image points fit, Float16, with three digits. Words are JSON.
+Columns are numbers of 1 to 4 bytes in base64, little endian. A column with the same value everywhere contains
+this value once. Positions are whole steps in 3 bytes, as fine as Float32. Numbers of points are stored as
+differences. Residuals and standard deviations are Float32. If not all image points fit, they are Float16,
+with three digits. Texts are JSON.
 """
 
 from __future__ import annotations
@@ -20,24 +21,25 @@ from factors.arrays import Array, Index, Mask
 from fg_orient.report.maps import footprints, km_per_degree, shrink_at, view_of
 from fg_orient.result.record import Result
 
-#: Maximum number of image points in the page; of more the page contains a sample.
+#: Maximum number of image points in the page. If there are more, the page contains a sample.
 LIMIT: Final = 200_000
-#: Bytes of all points in the page, which with its other parts stays below 8 MB.
+#: Maximum number of bytes of all points in the page, so that the whole page stays below 8 MB.
 BUDGET: Final = 6_500_000
-#: Control and check points in the page at most; of more it contains those with the largest differences and a sample.
+#: Maximum number of control and check points in the page. If there are more, it contains those with the
+#: largest differences and a sample.
 MOST_KNOWN: Final = 12_000
-#: Steps of a place from the least to the largest one.
+#: Number of steps from the smallest to the largest coordinate.
 STEPS: Final = 2**24 - 1
 #: Seed of that sample.
 SEED: Final = 1
-#: Limit of flagged residuals, in their own sigmas.
+#: A residual is flagged if it exceeds this number of its own sigmas.
 FLAG: Final = 3.0
-#: Order of the points in the page, and of the roles' numbers.
+#: Order of the roles: the points in the page are sorted by role, and roles are numbered in this order.
 ROLES: Final = ("control", "check", "tie")
 
 
 class Width(NamedTuple):
-    """Bytes of an image point and of a point in the page, without its id; ``kind`` of residuals and sigmas."""
+    """Bytes of an image point and of a ground point (without its id) in the page, and number format of residuals."""
 
     ray: int
     point: int
@@ -53,21 +55,21 @@ COARSE: Final = Width(21, 16, "f2")
 
 @dataclass(frozen=True)
 class Payload:
-    """Data of the drawings of the script.
+    """Data that the script of the page draws.
 
     Parameters
     ----------
     data : dict
         JSON, arrays packed.
     words : str
-        Sentence on omitted image points; empty if there are none.
+        Sentence on omitted image points; empty if all are included.
     """
 
     data: dict[str, Any]
     words: str
 
     def json(self) -> Markup:
-        """Text of the data element; no character in it ends the element."""
+        """Text of the data element; it contains no character that could end the element."""
         text = json.dumps(self.data, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
         for sign in "<>&":
             text = text.replace(sign, f"\\u{ord(sign):04x}")
@@ -75,7 +77,7 @@ class Payload:
 
 
 def pack(values: npt.ArrayLike, kind: str = "f4") -> dict[str, Any]:
-    """Pack a column as base64 of a little-endian typed array, or as its one value.
+    """Pack a column as base64 of a little-endian typed array, or as a single value if all are equal.
 
     Parameters
     ----------
@@ -87,7 +89,7 @@ def pack(values: npt.ArrayLike, kind: str = "f4") -> dict[str, Any]:
         return _pack_steps(np.asarray(values, float))
     if kind == "d":
         return _pack_differences(np.asarray(values, np.int64))
-    with np.errstate(over="ignore"):  # larger numbers than Float16 has are infinite
+    with np.errstate(over="ignore"):  # numbers beyond the range of Float16 become infinite
         column = np.ascontiguousarray(values, dtype=f"<{kind}")
     if len(column) > 1 and np.isfinite(column[0]) and (column == column[0]).all():
         return {"one": float(column[0]), "n": len(column)}
@@ -164,7 +166,7 @@ def payload(result: Result, used: int = 0) -> Payload | None:
 
 
 def points_of_rays(result: Result) -> Index:
-    """Row of the point of each image point (n,)."""
+    """Return the row of the ground point of each image point (n,)."""
     place = {name: k for k, name in enumerate(result.points.words["id"])}
     return np.fromiter(map(place.__getitem__, result.residuals.words["id"]), np.intp, len(result.residuals))
 
@@ -194,13 +196,13 @@ def chosen_rays(result: Result, points: Mask, of_ray: Index, used: int = 0) -> t
 
 
 def _point_bytes(result: Result, width: Width) -> float:
-    """Bytes of a point in the page, with its id."""
+    """Return the bytes of a point in the page, including its id."""
     names = result.points.words["id"]
     return width.point + 3.0 + sum(map(len, names)) / max(len(names), 1)
 
 
 def chosen_points(result: Result) -> tuple[Mask, str]:
-    """Points (N,) that may be in the page, and a sentence on control and check points that are not."""
+    """Return the points (N,) that may be in the page, and a sentence on omitted control and check points."""
     known, axes = np.flatnonzero(_role_numbers(result) < 2), ("east", "north", "up")
     out, most = (
         np.ones(len(result.points), bool),
@@ -223,13 +225,13 @@ def chosen_points(result: Result) -> tuple[Mask, str]:
 
 
 def _role_numbers(result: Result) -> Index:
-    """Position in :data:`ROLES` of the role of each point (N,)."""
+    """Return the position in :data:`ROLES` of the role of each point (N,)."""
     number = {word: k for k, word in enumerate(ROLES)}
     return np.array([number.get(word, 2) for word in result.points.words["role"]], np.intp)
 
 
 def _flagged_first(flagged: Mask, ratio: Array, most: int, room: int, order: Index) -> tuple[Index, int]:
-    """Rows, and how many are flagged: the largest flagged ones (at most ``most``), then others up to ``room``."""
+    """Return rows, at most ``room``: the largest flagged (at most ``most``), then others; and the number of flagged."""
     worst, others = np.flatnonzero(flagged), np.flatnonzero(~flagged)
     worst = worst[np.argsort(-ratio[worst], kind="stable")][:most]
     sample = others[np.argsort(order[others], kind="stable")][: max(room - len(worst), 0)]
@@ -243,12 +245,12 @@ def _share(kept: int, flagged: Mask) -> str:
 
 
 def _kilometres(lon_lat_deg: Array, centre: Array, record: dict[str, Any]) -> Array:
-    """Kilometres East and North of the centre, equirectangular."""
+    """Return kilometres East and North of the centre, in an equirectangular projection."""
     return np.asarray((lon_lat_deg - centre) * km_per_degree(record) * np.array([shrink_at(float(centre[1])), 1.0]))
 
 
 def _point_columns(result: Result, rows: Index, role: Index, centre: Array, kind: str) -> dict[str, Any]:
-    """Columns of the points; differences of control and check points only, which come first."""
+    """Return the columns of the points. Differences exist only for control and check points, which come first."""
     table = result.points
     km = _kilometres(table.numbers("lon_deg", "lat_deg", rows=rows), centre, result.record)
     known = int(np.searchsorted(role, 2))

@@ -1,10 +1,9 @@
 """Pixels in the report: pictures of the images under the residual vectors, and chips about the largest residuals.
 
-Image points that the search for gross errors removed have no residual in the result: the estimated error of their test,
-with the opposite sign, takes its place. They come before all others, which passed the tests.
-
-A record contains the names of the rasters relative to the result folder. A raster that is not there or cannot be read
-is a sentence of the page, never an error; without rasterio the page has no pictures.
+Image points that the search for gross errors removed have no residual in the result. The estimated error of
+their test, with the opposite sign, replaces it. These points come before all others, which passed the tests.
+A record contains the names of the rasters relative to the result folder. If a raster is missing or cannot be
+read, a sentence on the page states this; it is never an error. Without rasterio the page has no pictures.
 """
 
 from __future__ import annotations
@@ -31,16 +30,16 @@ from fg_orient.result.record import Result
 if TYPE_CHECKING:
     from fg_orient.model.block import Image
 
-#: Longer side of the picture of an image and side of a chip, pixels.
+#: Longer side of the picture of an image, and side of a chip, pixels.
 SIDE_PX: Final = 240
 CHIP_PX: Final = 64
 #: Number of chips.
 CHIPS: Final = 10
-#: Images that a sentence names.
+#: Maximum number of images that a sentence names.
 NAMED: Final = 5
-#: Bytes of all pictures in the page, which with its other parts stays below 8 MB.
+#: Maximum number of bytes of all pictures, so that the whole page stays below 8 MB.
 BUDGET: Final = 600_000
-#: Pixels that GDAL may decode for the pictures of all images; rasters with overviews need few.
+#: Maximum number of pixels that GDAL decodes for the pictures of all images. Rasters with overviews need few.
 DECODED: Final = 200_000_000
 #: Reasons why an image has no picture.
 ABSENT: Final = "the raster is not where result.json says"
@@ -50,13 +49,13 @@ OTHER: Final = (
 )
 LARGE: Final = "the rasters are large and have no overviews, which gdaladdo makes"
 FULL: Final = "the pictures of a page have 0.6 MB at most"
-#: Quantiles of the grey values that are black and white; grey value of empty pixels.
+#: Quantiles of the grey values that become black and white, and the grey value of empty pixels.
 STRETCH: Final = (2.0, 98.0)
 EMPTY: Final = 128
 
 
 class Measured(NamedTuple):
-    """Image point with its residual v, and v in standard deviations; of a removed one the round of its removal."""
+    """Image point with its residual v, in pixels and in standard deviations, and the round of its removal."""
 
     image: str
     id: str
@@ -70,7 +69,7 @@ class Measured(NamedTuple):
 
 @dataclass(frozen=True)
 class Chip:
-    """Pixels about an image point; ``x``, ``y`` of it in pixels of the chip."""
+    """Picture of the pixels around an image point; ``x``, ``y`` is the point in pixels of the chip."""
 
     href: str
     point: Measured
@@ -79,7 +78,7 @@ class Chip:
 
     @property
     def arrow(self) -> str:
-        """Path of the residual, in the scale of the pixels."""
+        """SVG path of the residual vector, at the scale of the pixels."""
         v = np.array([self.point.v_sample_px, self.point.v_line_px])
         length = float(np.hypot(*v))
         if not length > 0.0:
@@ -97,13 +96,13 @@ class Pictures:
     Parameters
     ----------
     images : dict
-        By image.
+        Pictures by image.
     chips : list of Chip
-        Those of removed image points first, then the largest residual first.
+        Chips of removed image points, then those of the largest residuals.
     missing : dict
-        Images without a picture, by the reason.
+        Images without a picture, by reason.
     used : int
-        Bytes of all of them in the page.
+        Bytes of all pictures in the page.
     """
 
     images: dict[str, Picture] = field(default_factory=dict)
@@ -113,23 +112,23 @@ class Pictures:
 
     @property
     def notes(self) -> list[str]:
-        """Sentences on images without a picture."""
+        """Return sentences on images without a picture."""
         return [f"No picture of image {', '.join(images[:NAMED])}{' and others' * (len(images) > NAMED)}: {reason}"
                 for reason, images in self.missing.items()]  # fmt: skip
 
     def lacks(self, image: str, reason: str) -> None:
-        """Note why an image has no picture."""
+        """Record the reason why an image has no picture."""
         self.missing.setdefault(reason, []).append(image)
 
     def fits(self, href: str) -> bool:
-        """Whether the page has room for a picture; it is then counted."""
+        """Return whether the page has room for a picture; if so, count its bytes."""
         room = self.used + len(href) <= BUDGET
         self.used += len(href) if room else 0
         return room
 
 
 def rasters_of(result: Result, images: Sequence[Image], folder: Path) -> dict[str, Any]:
-    """Entry ``pixels`` of the record, if the images of the page have rasters; files relative to the result folder."""
+    """Return the entry ``pixels`` of the record if images have rasters; files are relative to the result folder."""
     shown, base = set(_shown(result)), folder.resolve()
     out: dict[str, Any] = {}
     for image in (image for image in images if image.id in shown):
@@ -142,7 +141,7 @@ def rasters_of(result: Result, images: Sequence[Image], folder: Path) -> dict[st
 
 
 def pictures_of(result: Result, folder: Path | None) -> Pictures:
-    """Read the pictures of a result in a folder; none without a folder or without rasterio."""
+    """Read the pictures of a result in a folder. There are none without a folder or without rasterio."""
     out = Pictures()
     if folder is None or not result.adjusted or not result.record.get("pixels"):
         return out
@@ -157,13 +156,13 @@ def pictures_of(result: Result, folder: Path | None) -> Pictures:
 
 
 def _shown(result: Result) -> Iterator[str]:
-    """Images with a drawing of their vectors, then those with the largest residuals."""
+    """Return images whose vectors are drawn, then images with the largest residuals."""
     yield from worst_images(result.residual_summary())
     yield from (point.image for point in worst_points(result))
 
 
 def worst_points(result: Result) -> list[Measured]:
-    """Image points of the chips: removed ones, the largest estimated error first, then the largest residuals."""
+    """Return the image points of the chips: removed ones, then those with the largest residuals."""
     removed = list[Measured]()
     gone = result.tables.get("outliers")
     if gone is not None:
@@ -183,7 +182,7 @@ def worst_points(result: Result) -> list[Measured]:
 
 
 def _places(result: Result, folder: Path, out: Pictures) -> Iterator[tuple[str, Place]]:
-    """Rasters that can be opened and contain the image points, by image."""
+    """Return, by image, the rasters that can be opened and contain the image points."""
     for image, entry in result.record["pixels"].items():
         path, origin = folder / entry["file"], entry["origin"]
         if not path.is_file():
@@ -202,7 +201,7 @@ def _places(result: Result, folder: Path, out: Pictures) -> Iterator[tuple[str, 
 
 
 def _add_chips(result: Result, places: dict[str, Place], out: Pictures, error: type[Exception]) -> None:
-    """Add the chips, each read by its own window."""
+    """Add the chips; the window of each is read separately."""
     for point in worst_points(result):
         if point.image not in places:
             continue
@@ -222,7 +221,7 @@ def _add_chips(result: Result, places: dict[str, Place], out: Pictures, error: t
 
 
 def _add_images(result: Result, places: dict[str, Place], out: Pictures, error: type[Exception]) -> None:
-    """Add the pictures of the images, the largest residuals first, as far as bytes and decoded pixels allow."""
+    """Add pictures of images, the largest residuals first, within the limits of bytes and decoded pixels."""
     decoded = 0.0
     for image in worst_images(result.residual_summary()):
         if image not in places:
@@ -249,7 +248,7 @@ def _add_images(result: Result, places: dict[str, Place], out: Pictures, error: 
 
 
 def _address(grey: npt.NDArray[np.float32], driver: str) -> str:
-    """Picture as address; its grey values are stretched between quantiles, empty pixels are grey."""
+    """Return a picture as a data address. Grey values are stretched between quantiles; empty pixels are grey."""
     valid = np.isfinite(grey)
     low, high = np.percentile(grey[valid], STRETCH) if valid.any() else (0.0, 1.0)
     scaled = (np.where(valid, grey, low) - low) * (255.0 / ((high - low) or 1.0))

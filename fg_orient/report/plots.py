@@ -1,4 +1,4 @@
-"""Charts of an adjustment for page and paper; None if the result has no data for a chart."""
+"""Charts of an adjustment for page and paper. A function returns None if the result has no data for its chart."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ MAX_PANELS: Final = 16
 MAX_IMAGES: Final = 40
 #: Length of a large vector (90 % quantile) as a share of the width of an image.
 IMAGE_SHARE: Final = 0.09
-#: Vectors of an image above which they are drawn shorter.
+#: If an image has more vectors than this, they are drawn shorter.
 _FEW: Final = 100
-#: Ends of the axis of normalised residuals; values beyond are counted in words.
+#: Limit of the axis of normalised residuals. A sentence gives the number of values beyond it.
 ENDS: Final = 5.0
 #: Smallest singular value of the axis.
 FLOOR: Final = 1e-8
-#: Biases that differ by more than this factor have a logarithmic axis.
+#: If biases differ by more than this factor, their axis is logarithmic.
 WIDE: Final = 8.0
-#: Choices of kappa closer than this share of the frame have one number.
+#: Choices of kappa that are closer than this share of the frame get one common number.
 NEAR: Final = 0.03
 #: Norms of the L-curve of an adjustment.
 NORMS: Final = ("norm of the residuals |Ax − l|, σ", "norm of the solution |x|, prior σ and m")
 LINE_SAMPLE: Final = ("line", "sample")
-#: Normalised residuals: over the standard deviations of the observations, over their own.
+#: Texts for residuals divided by the standard deviations of the observations, and by their own standard deviations.
 _NORMALISED: Final = ("residual v/σ", "w = v/(σ√r)")
 _DEGREE: Final = {"": "", "constant": "", "linear": " · τ", "quadratic": " · τ²"}
 
@@ -46,7 +46,7 @@ _DEGREE: Final = {"": "", "constant": "", "linear": " · τ", "quadratic": " · 
 
 
 def residual_vectors(result: Result, image: str, most: int | None = None) -> Chart | None:
-    """Residual vectors in an image, lines downwards."""
+    """Return the chart of the residual vectors in an image, with lines downwards."""
     rows = result.rows[image]
     if not len(rows):
         return None
@@ -66,22 +66,22 @@ def vectors(
     words: str, place: Array, v: Array, limits: Array, axes: tuple[str, str], *, reference: Array, unit: str = "",
     down: bool = True,
 ) -> Chart:  # fmt: skip
-    """Vectors (n, 2) at places (n, 2) of an image with the length of one of them above.
+    """Return a chart of vectors (n, 2) at places (n, 2) of an image, with a scale vector above.
 
     Parameters
     ----------
     words : str
     place, v : (n, 2) arrays
-        Across and along y.
+        Positions and vectors: x, then y.
     limits : (2, 2) array
-        Of x, of y.
+        Limits of x and of y.
     axes : (str, str)
     reference : (m, 2) array
-        Vectors; the large ones determine the scale.
+        Vectors that determine the scale by their large lengths.
     unit : str
-        Of the vectors, with a space before.
+        Unit of the vectors, with a leading space.
     down : bool
-        y grows downwards.
+        True if y increases downwards.
     """
     (x, y) = (Axis(name, (float(low), float(high)), about=k) for name, (low, high), k in zip(
         axes, limits.tolist(), (3, 4), strict=True))  # fmt: skip
@@ -96,7 +96,7 @@ def vectors(
 
 
 def thinned(rows: Index, v: Array, most: int) -> Index:
-    """Rows that are drawn: the largest tenth, of the others each k-th."""
+    """Return the rows that are drawn: the largest tenth, and every k-th of the others."""
     if len(rows) <= most:
         return rows
     first = np.zeros(len(rows), bool)
@@ -107,7 +107,7 @@ def thinned(rows: Index, v: Array, most: int) -> Index:
 
 
 def histogram(ratio: Array, name: str, tested: bool, axes: tuple[str, str] = LINE_SAMPLE) -> Chart | None:
-    """Histograms of normalised residuals (n, 2) of two coordinates, with the normal curve."""
+    """Return the histograms of normalised residuals (n, 2) of two coordinates, with the normal curve."""
     values = ratio[np.isfinite(ratio)]
     n = len(values)
     if not n:
@@ -134,7 +134,7 @@ def histogram(ratio: Array, name: str, tested: bool, axes: tuple[str, str] = LIN
 def quantiles(
     ratio: Array, name: str, tested: bool, axes: tuple[str, str] = LINE_SAMPLE, most: int = MAX_QUANTILES
 ) -> Chart | None:
-    """Ordered normalised residuals (n, 2) over normal quantiles, with the 95 % band of each value."""
+    """Return the chart of ordered normalised residuals (n, 2) over normal quantiles, with a 95 % band."""
     ordered = [np.sort(column[np.isfinite(column)]) for column in ratio.T]
     n = max(map(len, ordered))
     if not n:
@@ -159,7 +159,7 @@ def quantiles(
 
 
 def _spread_ranks(n: int, most: int) -> Index:
-    """Ranks at even distances of the normal quantile, the extremes among them."""
+    """Return ranks at equal distances of the normal quantile, including the extremes."""
     if n <= most:
         return np.arange(n)
     end = float(normal_quantile(0.5 / n))
@@ -168,30 +168,31 @@ def _spread_ranks(n: int, most: int) -> Index:
 
 
 def normal_band(n: int, rank: Index) -> tuple[Array, Array, Array]:
-    """Lower bound of 95 %, median and upper bound of ordered independent standard normal values.
+    """Return lower bound of 95 %, median and upper bound of ordered independent standard normal values.
 
-    The k-th of n ordered uniform values is Beta(k, n + 1 - k) (David and Nagaraja 2003, 2.1). Each value lies inside
-    with 95 %, all of them together less often; residuals are correlated.
+    The k-th of n ordered uniform values is Beta(k, n + 1 - k) (David and Nagaraja 2003, 2.1). Each single
+    value lies inside its bounds with 95 %. All of them together lie inside less often, and residuals are
+    correlated.
 
     Parameters
     ----------
     n : int
     rank : (k,) int array
-        From 0.
+        Ranks, counted from 0.
     """
     low, middle, high = (normal_quantile(beta_quantile(rank + 1.0, n - rank, p)) for p in (0.025, 0.5, 0.975))
     return low, middle, high
 
 
 def worst_images(summaries: list[dict[str, Any]]) -> list[str]:
-    """Images whose vectors a page shows, the largest residual first."""
+    """Return the images whose vectors a page shows, the largest residual first."""
     return [row["image"] for row in sorted(summaries, key=lambda row: -row["max_ratio"])[:MAX_PANELS]]
 
 
 def residual_panels(
     result: Result, summaries: list[dict[str, Any]], pictures: Mapping[str, Picture] | None = None
 ) -> list[dict[str, Any]]:
-    """Charts of the images with the largest residuals, in the order of the images.
+    """Return the charts of the images with the largest residuals, in the order of the images.
 
     Parameters
     ----------
@@ -223,7 +224,7 @@ def residual_panels(
 
 
 def correction_chart(image: str, rows: Sequence[dict[str, Any]]) -> Chart | None:
-    """Corrections of an image with bars of one standard deviation, in prior sigmas; without priors in their own.
+    """Return the chart of an image's corrections with bars of one standard deviation, in prior sigmas.
 
     Parameters
     ----------
@@ -255,7 +256,7 @@ def correction_chart(image: str, rows: Sequence[dict[str, Any]]) -> Chart | None
 
 
 def _value(row: dict[str, Any]) -> str:
-    """Value and sigma with their significant digits."""
+    """Return value and sigma with their significant digits."""
     if row["value"] is None:
         return "–"
     if not row["sigma"]:
@@ -265,7 +266,7 @@ def _value(row: dict[str, Any]) -> str:
 
 
 def heat_map(of: str, names: Sequence[str], rho: Array) -> Chart:
-    """Lower triangle of correlations (n, n): hue is the sign, strength the size; numbers from 0.9 on."""
+    """Return the chart of correlations (n, n): hue shows the sign, strength the size. Values from 0.9 are printed."""
     n, limits = len(names), (-0.5, len(names) - 0.5)
     x = Axis(limits=limits, names=names)
     chart = Chart(
@@ -278,7 +279,7 @@ def heat_map(of: str, names: Sequence[str], rho: Array) -> Chart:
 
 
 def singular_values(images: Sequence[dict[str, Any]]) -> Chart | None:
-    """Singular values of each image with the limits of weak and dead directions."""
+    """Return the chart of the singular values of each image, with the limits of weak and unobservable directions."""
     images = [image for image in images if any(v and v > 0.0 for v in image["singular_values"])][:MAX_IMAGES]
     if not images:
         return None
@@ -299,7 +300,7 @@ def singular_values(images: Sequence[dict[str, Any]]) -> Chart | None:
 
 
 def redundancy_chart(values: Array, names: tuple[str, str] = LINE_SAMPLE) -> Chart | None:
-    """Histograms of redundancy numbers (n, 2) of two coordinates."""
+    """Return the histograms of redundancy numbers (n, 2) of two coordinates."""
     if not np.isfinite(values).any():
         return None
     edges = np.linspace(0.0, 1.0, 21)
@@ -332,7 +333,7 @@ def detectable_chart(values: Array, record: dict[str, Any]) -> Chart | None:
 
 
 def iteration_charts(log: Sequence[dict[str, Any]], units: str = "prior σ or m") -> list[Chart]:
-    """Weighted sum of squares and largest step (``units``) over the iterations; empty without a log."""
+    """Return charts of the weighted sum of squares and of the largest step (``units``) by iteration."""
     if not any(i["accepted"] for i in log):
         return []
     start = {"iteration": 0, "accepted": True, "after": next(i["chi2"] for i in log), "step": None}
@@ -342,7 +343,7 @@ def iteration_charts(log: Sequence[dict[str, Any]], units: str = "prior σ or m"
 
 
 def _history(log: Sequence[dict[str, Any]], key: str, words: str) -> Chart | None:
-    """One quantity by iteration; rejected steps are open squares."""
+    """Return the chart of one quantity by iteration; rejected steps are open squares."""
     given = [i for i in log if i[key] is not None and math.isfinite(i[key]) and i[key] > 0.0]
     if not any(i["accepted"] for i in given):
         return None
@@ -365,7 +366,7 @@ def _history(log: Sequence[dict[str, Any]], key: str, words: str) -> Chart | Non
 
 
 def ranked(section: dict[str, Any]) -> list[dict[str, Any]]:
-    """Rules in the order of their kappas, the largest first, with their ``number`` and ``chosen``; failures last.
+    """Return the kappa rules by descending kappa, with their ``number`` and ``chosen``; rules that failed come last.
 
     Parameters
     ----------
@@ -384,12 +385,12 @@ def l_curve(section: dict[str, Any] | None, norms: tuple[str, str] = NORMS) -> C
     section : dict or None
         ``regularisation`` of a record.
     norms : (str, str)
-        Words of both norms with their units.
+        Texts of both norms with their units.
     """
     if section is None:
         return None
     curve = np.array([section["curve"][name] for name in _NORMS], float).T
-    curve = curve[(curve > 0.0).all(axis=1)]  # kappa 0 of a singular system has no place on the curve
+    curve = curve[(curve > 0.0).all(axis=1)]  # kappa = 0 of a singular system is not on the curve
     if len(curve) < 2:
         return None
     choices = [choice for choice in ranked(section) if all(choice[name] and choice[name] > 0.0 for name in _NORMS)]
@@ -414,7 +415,7 @@ _NORMS: Final = ("residual_norm", "solution_norm")
 
 
 def neighbours(places: Array, near: float) -> list[list[int]]:
-    """Group rows of places along a curve; places nearer than ``near`` to the previous place are in one list."""
+    """Group places along a curve: a place nearer than ``near`` to the previous place is in the same list."""
     out: list[list[int]] = []
     for k, place in enumerate(places):
         if out and np.linalg.norm(place - places[k - 1]) < near:

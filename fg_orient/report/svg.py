@@ -16,11 +16,12 @@ from fg_orient.report.words import signed
 
 Box = tuple[float, float, float, float]
 
-#: Marks that are drawn as points of a line.
+#: Markers that are drawn as the points of a line, because this needs less text.
 TINY: Final = "dot-foot"
 #: Width of a digit of the ticks.
 _DIGIT: Final = 7.5
-#: Places of a name about its point: across, down, anchor; the first free one is taken. Then width of a letter.
+#: Possible places of a name relative to its point: across, down, anchor. The first free place is used. The
+#: last number is the width of a letter.
 _PLACES: Final[dict[str, tuple[list[tuple[float, float, str]], float]]] = {
     "name": ([(7, -5, "start"), (-7, -5, "end"), (7, 15, "start"), (-7, 15, "end")], 8.0),
     "label": ([(0, -10, "middle"), (0, 20, "middle"), *((0, 34 + 18 * k, "middle") for k in range(8))], 9.2),
@@ -34,7 +35,7 @@ def svg(chart: Chart | None) -> Markup:
 
 
 class _Drawing:
-    """SVG text of one chart; everything written into it is escaped."""
+    """SVG text of one chart; all texts are escaped."""
 
     def __init__(self, chart: Chart) -> None:
         self.chart = chart
@@ -73,7 +74,7 @@ class _Drawing:
                 self.parts.append(f'<text class="small" {turned}>{escape(words)}</text>')
                 continue
             self._path("grid", f"M{at:.1f} {y0}V{y0 + tall:.1f}")
-            half = 0.5 * _DIGIT * len(words)  # a long number at the end of the axis would be cut by the border
+            half = 0.5 * _DIGIT * len(words)  # otherwise the border would cut off a long number at the end of the axis
             self._write(min(max(at, half), chart.width - half), y0 + tall + 16, words, "middle")
         for value, words in chart.y.ticks():
             at = float(chart.place(chart.x.limits[0], value)[1])
@@ -109,7 +110,8 @@ class _Drawing:
     def _dots(self, mark: Mark) -> None:
         ink, at = INKS[mark.kind], self._at(mark)
         sizes = [ink.radius] * len(at) if mark.sizes is None else mark.sizes.tolist()
-        tiny = mark.sizes is None and mark.kind == TINY  # a point of a line with round ends: a quarter of the text
+        # a point of a line with round ends needs a quarter of the text of a circle
+        tiny = mark.sizes is None and mark.kind == TINY
         symbols = [f"M{x:.1f} {y:.1f}h0" if tiny else symbol(ink.marker, x, y, r)
                    for (x, y), r in zip(at, sizes, strict=True)]  # fmt: skip
         if ink.radius >= 4.0:
@@ -132,7 +134,7 @@ class _Drawing:
             self.parts.append(f'<g><title>{escape(tip)}</title>{stroke}<path class="{mark.kind}" d="{shape}"/></g>')
 
     def _bars(self, mark: Mark) -> None:
-        """Draw columns; columns of several marks share the width of a bin."""
+        """Draw bars; the bars of several marks share the width of a bin."""
         several = [other for other in self.chart.marks if other.shape == "bars"]
         number = next(k for k, other in enumerate(several) if other is mark)
         zero = self.chart.place(mark.x[0], 0.0)[1]
@@ -145,7 +147,7 @@ class _Drawing:
                 self._path(f"column {mark.kind}", path)
 
     def _cells(self, mark: Mark) -> None:
-        """Draw the lower triangle of a matrix: the class gives sign and size; numbers from 0.9 on."""
+        """Draw the lower triangle of a matrix. The class gives sign and size; values from 0.9 are printed."""
         side = self.chart.inner[0] / len(mark.y)
         for (i, j), rho in np.ndenumerate(mark.y):
             x, y = self.chart.left + j * side, self.chart.top + i * side
@@ -207,7 +209,7 @@ class _Drawing:
             self._write(x - 6, 14, words, "end")
 
     def _foot(self) -> float:
-        """Draw the legend and the bars of lengths below a map; height of the whole."""
+        """Draw the legend and the scale bars below a map; return the total height."""
         chart, x = self.chart, 18.0
         y = chart.height + 18.0
         shown: set[str] = set()
@@ -227,7 +229,7 @@ class _Drawing:
 
 
 def symbol(marker: str, x: float, y: float, r: float) -> str:
-    """Path of a marker about a place."""
+    """Return the path of a marker at a place."""
     if marker == "^":
         return f"M{x:.1f} {y - r:.1f}l{0.88 * r:.1f} {1.5 * r:.1f}h{-1.76 * r:.1f}z"
     if marker == "s":

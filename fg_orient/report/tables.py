@@ -17,19 +17,20 @@ from fg_orient.model.parameters import N_EOP, parameter_name
 from fg_orient.result.plain import Table, read_table
 from fg_orient.result.record import Result, require_earth
 
-#: Images, and rows of a table of directions or of coefficients, that the page shows.
+#: Maximum numbers of images, and of rows of tables of directions or coefficients, on the page.
 MAX_IMAGES: Final = 40
 MAX_TERMS: Final = 1500
-#: Units that people read more easily: name and factor.
+#: Units that are easier to read: name and factor.
 _READABLE: Final = {"rad": ("µrad", 1e6), "m/s": ("mm/s", 1e3), "m": ("m", 1.0)}
 _DEGREES: Final = ("constant", "linear", "quadratic")
-#: Terms that the truth of an image contains; others (look polynomial, linear terms of an RPC) are zero unless named.
+#: Terms that the truth of an image always contains. Other terms (look polynomial, linear terms of an RPC) are
+#: zero if they are missing.
 _NAMED: Final = {parameter_name(code) for code in range(N_EOP)} | {"line_0", "sample_0"}
 _SIGNS: Final = "⁰¹²³⁴⁵⁶⁷⁸⁹"
 
 
 def _component(name: str) -> str:
-    """Name a component in words."""
+    """Return the name of a component as words."""
     if name.startswith("psi_"):
         return f"look angle ψ{name[-1]}"
     kind = {"x": "position", "vx": "velocity"}.get(name.replace("y", "x").replace("z", "x"))
@@ -39,7 +40,7 @@ def _component(name: str) -> str:
 
 
 def _degree(degree: float, parameter: str) -> str:
-    """Name the power of an unknown; "" if it has no power, as for a frame camera."""
+    """Return the power of an unknown as words; "" if it has none, as the unknowns of a frame camera."""
     if math.isnan(degree):
         return ""
     ending, power = parameter.rpartition("_")[2], int(degree)  # of a polynomial of samples: s and its degree
@@ -47,7 +48,7 @@ def _degree(degree: float, parameter: str) -> str:
 
 
 def corrections(result: Result) -> list[dict[str, Any]]:
-    """Orientation corrections per image in readable units: value, sigma, share of the prior sigma."""
+    """Return the orientation corrections of each image in readable units: value, sigma, share of the prior sigma."""
     images: dict[str, list[dict[str, Any]]] = {}
     words = (result.eop.words[name] for name in ("image", "component", "parameter", "unit"))
     numbers = result.eop.numbers("degree", "value_per_tau", "sigma", "prior_sigma").tolist()
@@ -62,13 +63,13 @@ def corrections(result: Result) -> list[dict[str, Any]]:
 
 
 def short_names(result: Result) -> dict[str, list[str]]:
-    """Unknowns by image as axes of a drawing: component and degree, ``X τ²``."""
+    """Return the short names of unknowns by image for the axes of a drawing: component and degree, ``X τ²``."""
     words, degrees = result.eop.words, result.eop.figures["degree"]
     out: dict[str, list[str]] = {}
     for image, component, parameter, degree in zip(
         words["image"], words["component"], words["parameter"], degrees.tolist(), strict=True
     ):
-        if math.isnan(degree):  # unknowns of frame cameras are no polynomials
+        if math.isnan(degree):  # unknowns of frame cameras are not coefficients of polynomials
             out.setdefault(image, []).append(component.replace("_", " "))
             continue
         power, kind = int(degree), parameter.rpartition("_")[2][:1]
@@ -81,32 +82,32 @@ def short_names(result: Result) -> dict[str, list[str]]:
 
 
 def unknowns_in_words(result: Result) -> dict[str, str]:
-    """Unknowns of the record, ``right.y_0``, as the drawings name them: ``right Y``."""
+    """Return unknowns of the record, such as ``right.y_0``, with the names of the drawings: ``right Y``."""
     left = {image: iter(names) for image, names in short_names(result).items()}
     rows = zip(result.eop.words["image"], result.eop.words["parameter"], strict=True)
     return {f"{image}.{parameter}": f"{image} {next(left[image])}" for image, parameter in rows}
 
 
 def correlations(cofactors: Array) -> Array:
-    """Correlation matrix (k, k) of a cofactor matrix; nan where a variance is not positive."""
+    """Return the correlation matrix (k, k) of a cofactor matrix; nan if a variance is not positive."""
     sigma = np.sqrt(np.where(np.diag(cofactors) > 0.0, np.diag(cofactors), np.nan))
     return np.asarray(np.clip(cofactors / np.outer(sigma, sigma), -1.0, 1.0))
 
 
 def image_correlations(result: Result) -> dict[str, Array]:
-    """Correlations (k, k) of the unknowns of each image with two or more, in the order of ``eop.csv``.
+    """Return the correlations (k, k) of the unknowns of each image that has two or more, in the order of ``eop.csv``.
 
-    Empty without covariances.
+    The result is empty without covariances.
     """
     matrices = {image: correlations(q) for image, q in result.cofactors.items() if len(q) > 1}
     return {image: rho for image, rho in matrices.items() if np.isfinite(rho).any()}
 
 
 def largest_rows(result: Result, count: int) -> Index:
-    """Rows of the image points with the largest normalised residuals, largest first."""
+    """Return the rows of the image points with the largest normalised residuals, largest first."""
     worst = np.nan_to_num(np.abs(result.normalised[0]), nan=0.0).max(axis=1)
     least = np.partition(worst, -count)[-count] if len(worst) > count else 0.0
-    among = np.flatnonzero(worst >= least)  # few of very many rows
+    among = np.flatnonzero(worst >= least)  # a partial sort is faster for few of very many rows
     return among[np.argsort(-worst[among], kind="stable")[:count]]
 
 
@@ -199,7 +200,7 @@ def _truth_group(name: str, ratio: Array) -> dict[str, Any]:
 
 
 def _prior_scale(result: Result, table: Table) -> Array:
-    """Factors that turn the standard deviations of a table into prior scale."""
+    """Return the factors that convert the standard deviations of a table to prior scale."""
     sigma0 = result.record["sigma0"] or np.nan
     return np.array([1.0 / sigma0 if scale == "posterior" else 1.0 for scale in table.words["sigma_scale"]])
 

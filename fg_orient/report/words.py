@@ -1,4 +1,4 @@
-"""Sentences of the reports: verdict, warnings, kinds of unknowns; numbers as text."""
+"""Sentences of the reports (verdict, accuracy, kinds of unknowns), and numbers as text."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from fg_orient.model.errors import findings_of
 
 
 def orientation_words(record: dict[str, Any]) -> str:
-    """Unknowns of the images in words, by kind of image: EOP set, RPC compensation."""
+    """Return a text on the unknowns of the images: EOP set, RPC compensation."""
     kinds = {image.get("model", "pushbroom") for image in record["images"]}
     words = []
     if record.get("image_unknowns"):
@@ -25,21 +25,21 @@ def orientation_words(record: dict[str, Any]) -> str:
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """Write a number with a fixed count of decimals; a dash if there is no number."""
+    """Return a number with a fixed count of decimals as text; a dash if there is no number."""
     if value is None or not math.isfinite(value):
         return "–"
-    rounded = round(value, digits) + 0.0  # no minus before a zero
+    rounded = round(value, digits) + 0.0  # a zero has no minus sign
     return f"{rounded:.{digits}f}".replace("-", "−")
 
 
 def signed(value: float) -> str:
-    """Write a number with its sign and three decimals; zero after rounding has no sign."""
+    """Return a number with its sign and three decimals; a number rounded to zero has no sign."""
     text = f"{abs(value):.3f}"
     return text if float(text) == 0.0 else ("−" if value < 0.0 else "+") + text
 
 
 def scientific(value: float | None, digits: int = 2) -> str:
-    """Write a number with an exponent, or plainly where that is short."""
+    """Return a number with an exponent, or without it if this is short."""
     if value is None or not math.isfinite(value):
         return "–"
     text = f"{value:.{digits + 1}g}" if value == 0.0 or 1e-3 <= abs(value) < 1e5 else f"{value:.{digits}e}"
@@ -47,12 +47,12 @@ def scientific(value: float | None, digits: int = 2) -> str:
 
 
 def printable(text: object) -> str:
-    """Replace control characters, which HTML does not allow."""
+    """Return the text with replaced control characters, which HTML does not allow."""
     return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in str(text))
 
 
 def regularised_words(record: dict[str, Any]) -> str:
-    """Method and kappa of a regularised result, to follow its status; "" for another result."""
+    """Return method and kappa of a regularised result, for use after its status; "" for other results."""
     section = record.get("regularisation")
     if not section or section["solver"] is None:
         return ""
@@ -61,13 +61,13 @@ def regularised_words(record: dict[str, Any]) -> str:
 
 
 def verdict(record: dict[str, Any]) -> dict[str, str]:
-    """Verdict on a result in words: ``kind`` (good, warn, bad), ``title`` and ``text``."""
+    """Return the verdict on a result: ``kind`` (good, warn, bad), ``title`` and ``text``."""
     words = _verdict(record)
     return {**words, "title": words["title"] + regularised_words(record)}
 
 
 def _verdict(record: dict[str, Any]) -> dict[str, str]:
-    """Verdict without the regularisation."""
+    """Return the verdict without the text on a regularisation."""
     status, sigma0, (low, _) = record["status"], record["sigma0"], record["sigma0_interval_99_9"]
     if status == "not_converged":
         return {"kind": "bad", "title": "No solution", "text": record["reason"]}
@@ -76,11 +76,12 @@ def _verdict(record: dict[str, Any]) -> dict[str, str]:
     if sigma0 is None:
         return {"kind": "warn", "title": "Converged, unchecked", "text": "Without redundancy nothing was checked."}
     fit = "The observations fit the model within their standard deviations."
-    robust = record.get("robust")  # results of earlier versions do not have it
+    robust = record.get("robust")  # results of earlier versions do not contain it
     if robust is not None:
         down, n = robust["n_image_points_below_half"], record["n_image_points"]
         fit = f"The loss {record['loss']} has down-weighted {down} of {n} image points; the rest is untested."
-        if record["loss"] == "lad":  # weights of lad do not reject: a weight below 0.5 means 2 sigmas
+        # least absolute values do not reject observations: a weight below 0.5 means a residual above 2 sigmas
+        if record["loss"] == "lad":
             fit = f"{down} of {n} image points exceed 2 sigmas; under least absolute values the fit is untested."
     elif record.get("variance_components") is not None:
         fit = "The standard deviations were estimated from these residuals, so the fit does not test the model."
@@ -90,7 +91,7 @@ def _verdict(record: dict[str, Any]) -> dict[str, str]:
 
 
 def accuracy_words(record: dict[str, Any]) -> list[str]:
-    """Sentences on the accuracy at check points; empty without a solution."""
+    """Return sentences on the accuracy at check points; empty without a solution."""
     if record["status"] == "not_converged":
         return []
     check = record["accuracy"]["check"]
@@ -101,6 +102,6 @@ def accuracy_words(record: dict[str, Any]) -> list[str]:
 
 
 def check_point_words(n: int, axes: str) -> str:
-    """Sentence on the error at ``n`` check points; ``axes``: root mean square error along each axis, in words."""
+    """Return a sentence on the error at ``n`` check points; ``axes`` is the text of the errors along the axes."""
     points = "one check point" if n == 1 else f"{n} check points"
     return f"At {points}, whose coordinates were not used, the root mean square error is {axes}."

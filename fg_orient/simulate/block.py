@@ -1,10 +1,10 @@
 """Synthetic block of SPOT-5-like scenes of any size, for cost and accuracy studies.
 
-Ground centres lie on a grid of rows x columns around the centre of the Zonguldak block. Each scene has its own pass.
-The scenes are rolled to both sides in turn, like the fields of a checkerboard. So the rays of neighbouring scenes (60
-km wide, by default 28 km apart) intersect at 24 degrees. Ground points are uniform over the block; a point is kept if
-it is in two scenes or more. A ground point has about 2.7 (2 x 2 scenes) to 4 (10 x 10) image points. The geometry is
-that of the real ellipsoid.
+Ground centres lie on a grid of rows x columns around the centre of the Zonguldak block. Each scene has its
+own pass. The scenes look to the left and to the right in turn, like the fields of a checkerboard. So the rays
+of neighbouring scenes (60 km wide, by default 28 km apart) intersect at 24 degrees. Ground points are uniform
+over the block; a point is kept if it is in two scenes or more. A ground point has about 2.7 (2 x 2 scenes) to
+4 (10 x 10) image points. All computations use the ellipsoid, not a plane.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ FIRST_DAY = np.datetime64("2004-07-05")
 HALF_MINUTES = 1041
 #: Distance from the image border, px, within which points are not measured: with noise they could leave the image.
 MARGIN_PX = 200.0
-#: Distance from that limit below which the exact projection decides.
+#: For points closer to that limit than this, the exact projection decides.
 DOUBT_PX = 1.0
 #: Distance of the border of the box of points from the outer ground centres.
 BORDER_M = 25e3

@@ -1,9 +1,10 @@
 """Mixed block over one window of 5 km: rigorous SPOT-5 images, RPC images of 0.7 m, frame images of 0.2 m.
 
-Two SPOT-5 HRG images from both sides; two images of one pass of a Pléiades-like satellite, forward and backward, with
-RPC fitted to their rigorous model; four frames of a large-format camera from 4 km above the ground. The same tie points
-and a few control points are measured in all images. The errors of all orientations are drawn from the prior sigmas of
-the adjustment; truth is exact in the model of each sensor (:mod:`fg_orient.simulate.simulation`).
+The block contains two SPOT-5 HRG images from both sides, two images of one pass of a Pléiades-like satellite,
+and four frame images of a large-format camera from 4 km above the ground. The Pléiades-like images look
+forward and backward; their RPC are fitted to the rigorous model. The same tie points and a few control points
+are measured in all images. The errors of all orientations are drawn from the prior sigmas of the adjustment;
+truth is exact in the model of each sensor (:mod:`fg_orient.simulate.simulation`).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Options of synthetic blocks; each field is the only declaration of its option (``fg_orient.model.options``).
 
-The types are read when the program runs, so annotations are not postponed here.
+The types are read at run time, so this module does not import ``annotations`` from ``__future__``.
 """
 
 import math
@@ -117,7 +117,7 @@ class MixedOptions:
 
 
 def require(holds: bool, option: str, value: object, expected: str) -> None:
-    """Refuse the value of an option.
+    """Raise InputError for the value of an option unless a condition is true.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """Simulated SPOT-5 HRG scene: circular pass over a ground point, camera, metadata with errors.
 
 The orbit is a circle in a fixed plane in inertial space. The inertial axes coincide with the Earth-fixed axes at the
-time of the scene centre, so no sidereal time is needed; ``w`` is the Earth's rotation rate::
+time of the scene centre, so no sidereal time is needed. With the Earth's rotation rate ``w``::
 
     p(t) = r(t) (cos u, cos i sin u, sin i sin u) turned by the node,   u(t) = u_c + n t
     r(t) = r_0 + v_r t,   n = sqrt(GM / r_0^3)

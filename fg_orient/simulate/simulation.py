@@ -41,7 +41,7 @@ from fg_orient.sensors.projection import STEP_PX, conditions, pixel_derivative
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.simulate.scene import Scene, as_read
 
-#: Number of nodes of the fit along line and sample, and in height; largest sum of the powers of East and North.
+#: Numbers of nodes of the fit along line, sample and height, and largest sum of the powers of East and North.
 NODES = 9
 HEIGHTS = 3
 DEGREE = 5
@@ -86,7 +86,7 @@ class QuickProjection:
         difference = np.abs(terms @ self._coefficients - wanted).max(axis=0)
         self.error_px = float(difference[:2].max())
         slopes = np.abs(wanted[:, 2:]).max()
-        # share of the distance that remains after a step with these derivatives
+        # after a step with these derivatives, this share of the distance remains
         self._rest = max(float(difference[2:].max() / slopes), 1e-7)
 
     def _east_north(self, ground_m: Array) -> Array:

@@ -1,1 +1,1 @@
-"""Tie points from pixels: search along epipolar curves of the sensor models, least-squares matching, tables, report."""
+"""Measurement of tie points in the pixels of images: search along epipolar curves, and least-squares matching."""

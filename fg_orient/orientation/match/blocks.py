@@ -1,7 +1,8 @@
-"""Matching of one block of an image with all images that see it: features, candidates, least-squares matching.
+"""Matching of one block of an image with all other images that show it.
 
-A block is a window of the first image. It contains one or more cells of the grid that distributes the points. Each
-block is a separate task: it reads its windows, and its result depends on nothing else.
+A block is a window of the first image. It contains one or more cells of the grid that distributes the points.
+Features are detected, candidates are selected and refined by least-squares matching. Each block is a separate
+task: its result depends only on the windows that it reads.
 """
 
 from __future__ import annotations
@@ -26,21 +27,23 @@ ITERATIONS: Final = 15
 REACH_PX: Final = 3.0
 #: Forward and backward matching must agree within this, px.
 BACKWARD_PX: Final = 0.5
-#: Width of the second window of a match. An error that grows with the square of the width is twice as large in it. So
-#: the difference of both results is the error of the first.
+#: Width of the second window of a match, relative to the first. An error that grows with the square of the
+#: width is twice as large in the second window. Then the difference of both results equals the error in the
+#: first window.
 WIDER: Final = 2.0**0.5
 #: Relief between neighbours along the curve, px.
 RELIEF_PX: Final = 2.0
-#: Number of features of a that are compared for each feature that may be matched by least squares.
+#: Number of features of image a that are compared, per feature that can be matched by least squares.
 SPARE: Final = 3
-#: Smallest ratio of the response of a feature of b to the weakest response of a; below it both are different features.
+#: Smallest response of a feature of b, relative to the weakest response in a. Weaker features of b cannot be
+#: the same feature.
 WEAKEST: Final = 0.3
 #: Border of windows, px: features near a border have no descriptor.
 BORDER: Final = 16
 
 
 class Expected(NamedTuple):
-    """Prediction of the coarse level for a pair in a block.
+    """Search range for a pair in a block, predicted by the coarse level.
 
     Parameters
     ----------
@@ -227,7 +230,7 @@ def spread(pixel: Array, strength: Array, distance_px: float, most: int) -> Inde
 
 
 def _apart(pixel: Array, order: Index, distance_px: float, most: int) -> Index:
-    """Return the first ``most`` rows in an order that are ``distance_px`` from each other."""
+    """Return at most ``most`` rows, taken in a given order, whose pixels are ``distance_px`` apart."""
     if not distance_px > 0.0:
         return order[:most]
     taken: dict[tuple[int, int], list[tuple[float, float]]] = {}
@@ -366,7 +369,7 @@ def _start(place: Array, matrix: Array) -> Array:
 
 
 class Ways(NamedTuple):
-    """Two windows with their splines, for least-squares matching in both directions."""
+    """Two windows with their splines, so that least-squares matching is possible in both directions."""
 
     grey: Grey
     grey_spline: Grey

@@ -1,9 +1,9 @@
 """Control points measured by chips: small georeferenced rasters about points of known position.
 
-The chip of a point is a raster with map coordinates, such as a part of an orthoimage, named by the point's id. It is
-compared (normalised cross correlation) with the image at all positions that the prior sigmas allow. For this the sensor
-model resamples the image to the pixels of the chip. Least-squares matching with an affine map refines the best
-position.
+The chip of a point is a raster with map coordinates, such as a part of an orthoimage, named by the point's
+id. It is compared (normalised cross correlation) with the image at all positions that the prior sigmas allow.
+For the comparison, the image is resampled to the pixels of the chip by the sensor model. Least-squares
+matching with an affine map refines the best position.
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ from fg_orient.orientation.match.epipolar import prior_covariance
 from fg_orient.orientation.match.features import cv2_of
 from fg_orient.orientation.match.options import MatchOptions
 
-#: Largest half width of the wider window of a chip, and least half width, chip pixels.
+#: Largest half width of the wider window of a chip, and smallest half width of a window, chip pixels.
 HALF: Final = 14
 LEAST_HALF: Final = 7
-#: Prior standard deviations of the search, and its largest radius, px.
+#: Radius of the search in prior standard deviations, and its maximum, px.
 PRIOR_SIGMAS: Final = 3.0
 REACH_PX: Final = 300.0
-#: Smallest correlation of the search; largest correlation of another position relative to it, and distance of this
-#: position, chip pixels.
+#: Smallest accepted correlation. Largest correlation of another position, relative to the best one, and its
+#: smallest distance from it, chip pixels.
 CORRELATION: Final = 0.5
 SECOND: Final = 0.9
 SECOND_PX: Final = 4
 #: Largest ratio of the pixel sizes of chip and image.
 SCALE: Final = 2.5
-#: Limit in robust standard deviations: displacements that differ more from their median in an image are wrong. Second:
-#: least robust standard deviation, px.
+#: A displacement is wrong if it differs from the median of its image by more than this number of robust
+#: standard deviations. The second number is the smallest standard deviation used, px.
 LIMIT: Final = 4.0
 LEAST_PX: Final = 1.0
 #: Minimum number of control points of an image for which the scatter of displacements is used.
@@ -273,7 +273,7 @@ def _measured(
 
 
 def _chip(path: Path, lon: float, lat: float) -> tuple[Grey, Array, Any]:
-    """Return chip, the point's row and column in it, and a function from rows and columns to longitude and latitude."""
+    """Return the chip, the point's row and column, and a function that converts pixels to longitude and latitude."""
     rasterio = rasterio_of(path, "match.no_rasterio")
     try:
         with opened(rasterio, path) as source:

@@ -23,7 +23,7 @@ from fg_orient.orientation.match.options import MatchOptions
 SIZE: Final = 1000
 #: Relief between neighbours, reduced pixels.
 RELIEF_PX: Final = 3.0
-#: Largest ratio of the pixels of two images: least-squares matching compares grey values of the same resolution.
+#: Largest ratio of the pixel sizes of two images, because least-squares matching needs nearly the same resolution.
 SCALE: Final = 2.5
 #: Limit of the ratio test without a narrow band.
 RATIO: Final = 0.8
@@ -57,7 +57,7 @@ class Coarse:
         return max(WIDTH_PX, 4.0 * self.trend.scatter_px)
 
     def t_range(self, low: Array, high: Array) -> tuple[float, float]:
-        """Return the range of t for a block of a between two pixels, from matches in and around it, with a margin."""
+        """Return the range of t for a block of image a, from matches in and around it, with a margin."""
         size = high - low
         near = np.all((self.pixel >= low - 0.5 * size) & (self.pixel <= high + 0.5 * size), axis=1)
         near = np.asarray(near)

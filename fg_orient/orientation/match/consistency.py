@@ -1,8 +1,8 @@
-"""Consistency of matches with their neighbours and with the orientation: local heights, y-parallaxes, and sigmas.
+"""Tests of matches: agreement with the heights of neighbours and with the y-parallax of the orientation.
 
-A wrong match has a y-parallax that is uniformly distributed in the band, and a height that differs from its neighbours.
-The shift and the slow change of the y-parallax over an image (the error of the orientation) form a polynomial, which is
-estimated robustly.
+The y-parallaxes of wrong matches are uniformly distributed in the band, and their heights differ from those
+of neighbours. The shift and the slow change of the y-parallax over an image (the error of the orientation)
+form a polynomial, which is estimated robustly.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def fits_neighbours(pixel: Array, along_px: Array, floor_px: float) -> Mask:
     around = along_px[nearest[:, 1:]]
     middle = np.median(around, axis=1)
     spread = MAD * np.median(np.abs(around - middle[:, None]), axis=1)
-    # on steadily rising ground the deviations of neighbours grow with their distance
+    # on a slope the deviations of neighbours grow with their distance
     return np.asarray(np.abs(along_px - middle) <= LOCAL_LIMIT * np.hypot(spread, floor_px))
 
 

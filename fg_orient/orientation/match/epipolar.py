@@ -21,8 +21,8 @@ from fg_orient.sensors.rpc_sensor import RpcSensor
 BELOW_M, ABOVE_M = 1000.0, 3000.0
 #: Distance of pixels for numerical derivatives.
 STEP_PX: Final = 8.0
-#: Smallest length of a curve with a defined direction, pixels: on shorter curves the images see the ground from the
-#: same side.
+#: Smallest length of a curve with a defined direction, pixels. If curves are shorter, both images see the
+#: ground from nearly the same direction.
 LEAST_CURVE_PX: Final = 1e-3
 
 
@@ -236,7 +236,7 @@ def dem_range(dem: Any, pair: Pair, line: Array, sample: Array, sigma_m: float) 
 
 
 def inside(points: Array, place: Any, border: float = 0.0) -> Mask:
-    """Return a test of which pixels of a sensor are inside a raster.
+    """Return which pixels of an image are inside its raster.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Features of a window of an image, and candidates for the same feature in another window.
+"""Detection of features in a window of an image, and selection of candidate matches in another window.
 
 Features are those of SIFT (Lowe 2004), by OpenCV. Descriptors are upright: the sensor models give the rotation between
 the images. A candidate lies in the band of the epipolar curve and has about the same size. It is used if both features
@@ -21,7 +21,7 @@ from fg_orient.orientation.match.epipolar import Curves
 CONTRAST: Final = 0.01
 #: Percentiles of the grey values of a window that are stretched to the 8 bits of the detector.
 STRETCH: Final = (0.5, 99.5)
-#: Distance, px, below which features count as one; a second best candidate must be farther away.
+#: Features closer than this, px, count as one. A second best candidate must be farther away from the best one.
 SAME_PX: Final = 0.5
 SECOND_PX: Final = 3.0
 #: Largest difference of the sizes of two features, octaves.
@@ -125,7 +125,7 @@ def _places(points: Sequence[Any]) -> tuple[Array, Array]:
 
 
 def _distinct(points: list[Any]) -> list[Any]:
-    """Keep one feature at each position (SIFT repeats a position for each orientation), the strongest ``MOST``."""
+    """Return one feature per position, at most the strongest ``MOST`` (SIFT repeats a position per orientation)."""
     kept: dict[tuple[int, int], Any] = {}
     for point in sorted(points, key=lambda p: (-p.response, p.pt)):
         kept.setdefault((round(point.pt[0] / SAME_PX), round(point.pt[1] / SAME_PX)), point)
@@ -133,7 +133,7 @@ def _distinct(points: list[Any]) -> list[Any]:
 
 
 def _unit(descriptors: Any) -> Any:
-    """Return the roots of the parts of a descriptor: its length is 1 (Arandjelovic & Zisserman 2012)."""
+    """Return descriptors of length 1: the roots of the normalised values (Arandjelovic & Zisserman 2012)."""
     return np.asarray(np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-6)), np.float32)
 
 
@@ -208,5 +208,5 @@ def candidates(
     return Candidates(rows, index[rows], t, parallax)
 
 
-#: Squared distance of two descriptors above which they belong to different features, if there is no second best.
+#: If a candidate has no second best, the squared distance of its descriptors must be below this.
 WORST: Final = 0.6

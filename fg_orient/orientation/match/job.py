@@ -107,7 +107,7 @@ def match_project(
         places = _places(path, read)
         known = None if control is None else read_control(Path(control))
         if known is not None:
-            _coordinates(known, read, path)  # its errors before the work
+            _coordinates(known, read, path)  # its errors are reported before the work begins
         surface = None if dem is None else RasterDem(dem, vertical_crs=vertical_crs, warn=warn)
         low, high = _heights(read, chosen, surface)
         setup = Setup(str(path), places, low, high, chosen, "" if dem is None else str(dem), vertical_crs)
@@ -173,7 +173,7 @@ def _coordinates(known: Control, read: ProjectImages, path: Path) -> Array:
 def _control_rows(
     known: Control, setup: Setup, path: Path, read: ProjectImages, results: list[PairResult]
 ) -> tuple[ControlRows, list[Finding]]:
-    """Measure control points; their noise has the median factor of the pairs, because they have no y-parallax."""
+    """Measure control points. Their noise has the median factor of the pairs, because they have no y-parallax."""
     work = work_of(setup)
     marks, findings = measure(known, work.images, work.rasters, work.options, setup.options)
     factor = float(np.median([r.record["sigma_factor"] for r in results]))

@@ -1,6 +1,6 @@
 """Options of tie point matching; each field is the only declaration of its option (``fg_orient.model.options``).
 
-The types are read when the program runs, so annotations are not postponed here.
+The types are read at run time, so this module does not import ``annotations`` from ``__future__``.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Tie points in the tables of a project, and these tables in its project file; other content of the files is kept."""
+"""Functions that add tie points to the tables of a project; other content of the files is kept."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Matches of all blocks and pairs together: tests of pairs, sigmas, even distribution, points with all their rays."""
+"""Tests of the matches of each pair, sigmas, even distribution, and joining of matches to tie points."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fg_orient.orientation.match.options import MatchOptions
 
 #: Limit of a y-parallax, in its calibrated standard deviations.
 LIMIT: Final = 4.0
-#: Smallest standard deviation of an image coordinate, px: no measurement in images is more accurate.
+#: Smallest standard deviation of an image coordinate, px, because no measurement in images is more accurate.
 LEAST_SIGMA_PX: Final = 0.01
 #: Relief between neighbours after least-squares matching, px along the curve.
 RELIEF_PX: Final = 1.0
