@@ -8,12 +8,13 @@ transformation.
 Smooth curves over an image are uniform cubic B-splines with a prior on their third
 differences.
 
-A curve of tau in [-1, 1] is
-``B(tau) W x``. B are the ``k + 3`` cubic B-splines over ``k`` equal intervals, and x are the ``k`` unknowns, each N(0, 1). ``W``
-is the pseudo-inverse of the third differences D of the coefficients, so that x are these third differences.
-With independent x the coefficients are a random walk of third order, as in penalised splines (Eilers & Marx
-1996). The curves contain no quadratics, whose third differences are zero; the degree-2 coefficients represent
-them. W is scaled so that the prior standard deviation of a curve is 1 in the mean square over the image.
+A curve of tau in [-1, 1] is ``B(tau) W x``. B are the ``k + 3`` cubic B-splines over ``k``
+equal intervals, and x are the ``k`` unknowns, each N(0, 1). ``W`` is the pseudo-inverse of
+the third differences D of the coefficients, so that x are these third differences. With
+independent x the coefficients are a random walk of third order, as in penalised splines
+(Eilers & Marx 1996). The curves contain no quadratics, whose third differences are zero; the
+degree-2 coefficients represent them. W is scaled so that the prior standard deviation of a
+curve is 1 in the mean square over the image.
 """
 
 from __future__ import annotations

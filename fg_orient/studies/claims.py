@@ -1,10 +1,11 @@
-"""Claims that a faithful reproduction must satisfy, each assessed on synthetic blocks of several seeds.
+"""Statements that a correct reproduction of the publications must satisfy, tested on synthetic blocks of several seeds.
 
-A claim is a function ``study -> Outcome``, which states whether the claim holds and gives its figures. :class:`Study`
-is one seed and computes each result once. :func:`run_claims` runs the claims over seeds and returns pass rates with
-Wilson's interval; a rate of 90 % or more meets the claim. No published value is used here. The bounds are those stated
-in docs/reproduce.md; a claim that fails is reported, and its bound is not changed. This module contains the claims on
-solvers, C8 to C16 and C22.
+A claim is a function ``study -> Outcome``. The outcome states whether the claim is true for
+this seed, and gives its figures. :class:`Study` is one seed and computes each result once.
+:func:`run_claims` runs the claims over seeds and returns pass rates with Wilson's interval; a
+rate of 90 % or more meets the claim. No published value is used here. The bounds are those
+stated in docs/reproduce.md; a claim that fails is reported, and its bound is not changed.
+This module contains the claims on solvers, C8 to C16 and C22.
 """
 
 from __future__ import annotations
@@ -41,8 +42,9 @@ ILL_CONDITIONED = (5, 13, 15, 17, 19, 20)
 #: EOP sets that include the velocity: least squares gives very large errors.
 WITH_VELOCITY = (5, 13, 17, 19, 20)
 TARGET_M = 5.0
-#: Solvers of N x = b without threshold or regularisation. Cramer's rule is left out: in raw units the minors of a
-#: matrix lose more digits than any elimination (claims C8 and C11 give its figures).
+#: Solvers of N x = b without threshold or regularisation. Cramer's rule is omitted, because
+#: in raw units the minors of a matrix lose more digits than any elimination (claims C8 and
+#: C11 give its figures).
 EXACT = ("pivot_inverse", "gauss_inverse", "cholesky_inverse", "gauss_elimination", "gauss_partial_pivot_elimination",
          "cholesky_elimination")  # fmt: skip
 
@@ -148,7 +150,7 @@ def outcome(checks: dict[str, bool], **figures: float) -> Outcome:
 
 
 def or_inf(value: float) -> float:
-    """Return the value of a figure; inf if there is no result, so that it meets no upper bound."""
+    """Return the value of a figure, or inf if there is no result. A missing result then exceeds every upper bound."""
     return float(value) if math.isfinite(value) else math.inf
 
 
@@ -238,9 +240,9 @@ CRAMER = "cramer_inverse"
 OD, HKB, LW = "tikhonov_od", "tikhonov_hkb", "tikhonov_lw"
 HARMLESS = (1, 2, 3, 4, 6, 7, 8, 9, 10, 11, 12)
 WILD_M = 100.0
-#: Smallest change of a check point that matters, m.
+#: Changes of a check point below this, m, are ignored.
 SAME_ICP_M = 0.5
-#: Smallest singular value of the column-scaled Jacobian whose direction has an effect on the conditions.
+#: A direction has an effect on the conditions if its singular value of the column-scaled Jacobian is above this.
 DEAD = 1e-9
 #: Number of directions that have an effect, by EOP set.
 LIVING = {5: 5, 13: 14, 17: 11, 19: 8, 20: 20}
@@ -287,10 +289,7 @@ def _spread(values: dict[str, Array], columns: Index) -> float:
 
 @claim("C8", "step 2 solves for rounding noise: sets 1, 15 alike by exact solvers but Cramer, velocities arbitrary")
 def _c8(study: Study) -> Outcome:
-    """Assess C8.
-
-    Cramer's rule only gives a figure, because in raw units its minors lose the digits that set 15 needs.
-    """
+    """Assess C8. Cramer's rule is only reported, because in raw units its minors lose the digits that set 15 needs."""
     step = study.pre_adjust(0, 1, PIVOT)
     _, observed = step.system.require_design("C8")
     w_rms, dp = float(np.sqrt(np.mean(observed**2))), float(np.abs(step.dP).max())

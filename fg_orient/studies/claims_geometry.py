@@ -1,4 +1,4 @@
-"""Claims about equations: C1-C7 sensor geometry, step 1 and check points; C17-C21 the sensor-independent RFM.
+"""Claims C1-C7 on sensor geometry, step 1 and check points, and claims C17-C21 on the sensor-independent RFM.
 
 The RFM claims use 99 control points of the left synthetic image, with heights 0-1000 m and 0.5 px of image noise, both
 raw and normalised.

@@ -5,12 +5,14 @@ Each image point has two conditions ``F = 0`` with derivatives ``A`` (EOP coeffi
 line** of the image line x. The kernel (``factors.cameras.pushbroom``) is the kernel of the graph with other constants:
 tau is the line number, the whitening is the identity, prior sigmas are one.
 
-Some switches of the authors' program (:mod:`fg_orient.studies.switches`) change the equations. x counts from the
-scene-centre line. The EOPs of the records are degree-2 polynomials, or interpolated at the line. The across-track axis
-``V/|V| x Z`` is not normalised, and the attitude is a small-angle matrix; both matrices are inverted by transposing.
-The length of the short axis follows the corrections, or stays as in the metadata. A change of this length has only
-cos(V, Z) = 1e-3 of the effect of a change of direction. But it is the only effect of a velocity along the radius: if V
-is unknown, it determines ranks and solutions.
+Some switches of the authors' program (:mod:`fg_orient.studies.switches`) change the
+equations. x counts from the scene-centre line. The EOPs of the records are degree-2
+polynomials, or interpolated at the line. The across-track axis ``V/|V| x Z`` is not
+normalised, and the attitude is a small-angle matrix; both matrices are inverted by
+transposing. The length of the short axis follows the corrections, or stays as in the
+metadata. A change of this length has only cos(V, Z) = 1e-3 of the effect of a change of
+direction. But a velocity along the radius has no other effect. Therefore it determines ranks
+and solutions if V is unknown.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Experiments on synthetic blocks: one run per seed, names used in the tables, all seeds; Topan & Maktav (2010).
+"""Experiments on synthetic blocks, one run per seed, and the tables of Topan & Maktav (2010).
 
 The points of the publications are unpublished. Therefore each seed defines its own synthetic block: points, roles,
 metadata errors, and noise of image and ground (Terlemezoğlu 2019, sect. 4.2; Topan & Maktav 2010). :func:`compute`

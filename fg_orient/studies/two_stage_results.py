@@ -1,4 +1,4 @@
-"""Results of the two-stage procedure: its steps, errors per ECEF axis as published, intersection of two rays."""
+"""Results of the two-stage procedure, errors per ECEF axis as published, and intersection of two rays."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Dense against sparse on any block: EOP sets, solvers and backends side by side."""
+"""Comparison of dense and sparse solutions on any block, with all EOP sets, solvers and backends."""

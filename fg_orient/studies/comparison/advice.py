@@ -1,17 +1,20 @@
-"""Recommendation of a comparison: EOP set, regularisation, engine and the reasons.
+"""Recommendation of an EOP set, a regularisation and an engine, with reasons.
 
-Set. With check points, sets whose mean square error at these points exceeds the least one by at most its standard error
-are not distinguishable (one-standard-error rule: Breiman et al. 1984); of these the set with the least AICc is taken
-(``fg_orient.orientation.reduction``). The standard error of a mean square s is ``s sqrt(2 / h)``, h as in
-``set_results``: errors of
-the orientation are common to all check points, which are fewer independent errors than coordinates. Without check
-points the least AICc decides. Sets with directions that nothing but a prior determines come last. The choice uses the
-check points: they are then no longer an independent test of the chosen set, whose errors look slightly too small.
+EOP set: two sets are not distinguishable if the mean square error at the check points exceeds
+the least one by at most its standard error (one-standard-error rule: Breiman et al. 1984). Of
+these sets, the set with the least AICc is recommended (``fg_orient.orientation.reduction``).
+The standard error of a mean square s is ``s sqrt(2 / h)``, h as in ``set_results``: errors of
+the orientation are common to all check points, so there are fewer independent errors than
+coordinates. Without check points the least AICc decides. Sets with directions that only a
+prior determines come last. If check points have selected a set, they no longer test it
+independently: its errors appear slightly too small.
 
-Regularisation. A regularised estimate is biased: its standard deviations are no accuracy, and its likelihood has no
-AICc. It is compared by the errors at check points, which contain the bias. Where an estimate without regularisation is
-not distinguishable from the best one, it is taken. Without check points a regularised estimate is recommended only if
-no other has a solution; of several the one with the fewest effective unknowns, the trace of the resolution.
+Regularisation: a regularised estimate is biased. Its standard deviations are not an accuracy,
+and its likelihood has no AICc. Estimates are compared by the errors at check points, which
+contain the bias. An estimate without regularisation is recommended if it is not
+distinguishable from the best one. Without check points a regularised estimate is recommended
+only if no other estimate has a solution. Of several regularised estimates, the one with the
+fewest effective unknowns (trace of the resolution) is recommended.
 """
 
 from __future__ import annotations
@@ -25,11 +28,12 @@ from fg_orient.studies.comparison.model import LOOP_SOLVER, OWN_CHOICE, Key, Row
 from fg_orient.studies.comparison.selections import options_of
 from fg_orient.studies.comparison.set_results import SetResult
 
-#: Check points from which on they decide between sets.
+#: Number of check points that is sufficient to decide between sets.
 ENOUGH: Final = 3
-#: Differences up to which two engines have the same solution: prior sigmas, m.
+#: Two engines have the same solution if the differences are at most these: prior sigmas, m.
 SAME_SIGMAS, SAME_M = 1e-4, 1e-4
-#: The default engine is recommended up to this processor time, and up to this multiple of the fastest engine.
+#: The default engine is recommended if its processor time is at most this, or at most this
+#: multiple of the fastest engine's.
 NEGLIGIBLE_S: Final = 0.5
 SLOWER: Final = 1.5
 
@@ -45,9 +49,9 @@ class Advice:
     backend, solver, optimizer, regularisation : str
         Columns of the recommended row; "" without one.
     set_reason, solver_reason : tuple of str
-        Sentences.
+        Reasons, as sentences.
     options : dict
-        Options of the project file that make this adjustment.
+        Options of the project file that select this adjustment.
     """
 
     eop_set: int | None = None
@@ -61,7 +65,7 @@ class Advice:
 
     @property
     def key(self) -> Key:
-        """Engine of the recommended row."""
+        """Engine of the recommended row, as a key."""
         return Key(self.backend, None, self.solver, self.optimizer, self.regularisation)
 
     @property
@@ -82,7 +86,7 @@ def advise(
     labels : dict
         Solver name to its label.
     priors : bool
-        Whether the block was adjusted with priors; without them the options say so.
+        True if the block was adjusted with priors. Otherwise the options contain this, too.
     """
     best, why = best_set(sets)
     if best is None:
@@ -106,7 +110,7 @@ def advise(
 
 
 def best_set(sets: Sequence[SetResult]) -> tuple[SetResult | None, tuple[str, ...]]:
-    """Recommended set with its regularisation, and the reasons."""
+    """Return the recommended set with its regularisation, and the reasons."""
     usable = [s for s in sets if s.is_usable]
     if not usable:
         first = next((s.failure or s.reason for s in sets), "")
@@ -142,14 +146,14 @@ def _noun(sets: Sequence[SetResult]) -> str:
 
 
 def _sets(count: int, sets: Sequence[SetResult]) -> str:
-    """Count sets, or pairs of set and regularisation."""
+    """Return the number of sets, or of pairs of set and regularisation, as words."""
     if any(s.is_regularised for s in sets):
         return f"{count} pair of set and regularisation" if count == 1 else f"{count} pairs of set and regularisation"
     return f"{count} set" if count == 1 else f"{count} sets"
 
 
 def _of_bias(best: SetResult) -> tuple[str, ...]:
-    """Warning on a regularised estimate; nothing for another one."""
+    """Return a warning on a regularised estimate; nothing for other estimates."""
     if not best.is_regularised:
         return ()
     text = "the estimate is regularised and therefore biased: its standard deviations do not describe its accuracy"
@@ -159,12 +163,12 @@ def _of_bias(best: SetResult) -> tuple[str, ...]:
 
 
 def _indistinguishable(one: SetResult, closest: SetResult) -> bool:
-    """Whether the mean square at the check points exceeds the least one by at most its standard error."""
+    """Return whether the mean square at the check points exceeds the least one by at most its standard error."""
     return one.check_rmse_3d_m**2 <= closest.check_rmse_3d_m**2 * (1.0 + math.sqrt(2.0 / closest.check_freedom))
 
 
 def _least(sets: Sequence[SetResult]) -> tuple[SetResult, str]:
-    """Set without a regularisation and with the least AICc, without it BIC, then fewest unknowns; and the reason."""
+    """Return a set and the reason: not regularised, then least AICc (or BIC), then fewest unknowns."""
     plain = [s for s in sets if not s.is_regularised]
     if not plain:
         best = min(sets, key=lambda s: (_or_inf(s.effective_unknowns), s.image_unknowns, s.eop_set))
@@ -184,7 +188,7 @@ def _or_inf(value: float) -> float:
 
 
 def _criterion(name: str, best: SetResult, sets: Sequence[SetResult]) -> str:
-    """Words on the criterion, and whether BIC agrees."""
+    """Return a text on the criterion, and on the agreement of BIC."""
     if name == "image_unknowns":
         return "it has the fewest unknowns (there is no AICc of all of them)"
     text = f"it has the least {'AICc' if name == 'aicc' else 'BIC'}"
@@ -197,7 +201,7 @@ def _criterion(name: str, best: SetResult, sets: Sequence[SetResult]) -> str:
 def best_engine(
     best: SetResult, rows: Sequence[Row], labels: dict[str, str]
 ) -> tuple[Row | None, tuple[str, ...]]:  # fmt: skip
-    """Recommended row among those of the set, which options can select, and the reasons."""
+    """Return the recommended engine for a set, of those that options can select, and the reasons."""
     solved = [r for r in rows if not r.failure]
     same = [r for r in solved if not (r.difference_sigmas > SAME_SIGMAS or r.difference_m > SAME_M)]
     eliminated = any(r.backend == "graph" and not r.left_out for r in rows)
@@ -219,7 +223,7 @@ def best_engine(
 
 
 def _agreement(rows: Sequence[Row], solved: Sequence[Row], same: Sequence[Row]) -> str:
-    """Sentence on the engines with the same solution, another one, and none."""
+    """Return a sentence on the engines with the same solution, with another solution, and without solution."""
     left = sum(r.left_out for r in rows)
     text = f"{len(same)} of {len(rows)} engines give the same solution"
     apart = [max((getattr(r, name) for r in same if math.isfinite(getattr(r, name))), default=math.nan)
@@ -234,7 +238,7 @@ def _agreement(rows: Sequence[Row], solved: Sequence[Row], same: Sequence[Row]) 
 
 
 def _is_default(best: SetResult, row: Row) -> bool:
-    """Whether the program adjusts the block in this way by default."""
+    """Return whether this row is the default way in which the program adjusts the block."""
     if row.optimizer != best.optimizer:
         return False
     if row.backend == "dense":

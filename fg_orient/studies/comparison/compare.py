@@ -1,4 +1,4 @@
-"""Comparison of every EOP set with every regularisation, engine and solver, set by set."""
+"""Execution of a comparison: adjustments of a block with all selected sets, regularisations, engines and solvers."""
 
 from __future__ import annotations
 
@@ -65,21 +65,22 @@ def compare(
         each method for the reduced system), "explicit" (GTSAM, a factor for each image point) and "graph" (GTSAM,
         points eliminated in the factors).
     types : str or iterable
-        Pre-adjustments of the published procedure: 1 look angles, 2 look angles and EOPs.
+        Pre-adjustments of the published procedure: 1 for look angles, 2 for look angles and EOPs.
     regularisations : str or iterable, optional
-        Regularisations of the image unknowns, of all engines but "faithful": "none", "METHOD", "METHOD:RULE" or
-        "METHOD:NUMBER" such as "tikhonov:gcv", "truncated:0.1" (kappa) or "minimum_norm:1e-5" (cut of the rank), or
-        "all"; default: that of the block. What a word leaves out is an option of the block.
+        Regularisations of the image unknowns, of all engines but "faithful": "none",
+        "METHOD", "METHOD:RULE" or "METHOD:NUMBER" such as "tikhonov:gcv", "truncated:0.1"
+        (kappa) or "minimum_norm:1e-5" (cut of the rank), or "all"; default: that of the
+        block. Values that a word does not state are options of the block.
     as_run : bool
-        The published procedure as the authors' program works.
+        True: run the published procedure as the authors' program does.
     look_polynomial : int, optional
         Degree of the look-angle polynomial of all engines but "faithful"; default: that of the block.
     target_m : float, optional
         RMSE to reach; default: the 95 % limit of the RMSE that the adjustment with the recommended set predicts at the
         check points, without it the ground sampling distance, see :func:`ground_sampling_m`.
     time_limit_s : float
-        Predicted processor seconds above which an adjustment is not tried. The limit of the memory is an option of the
-        block.
+        An adjustment is not run if its predicted processor time exceeds this, s. The limit of
+        the memory is an option of the block.
     workers : int
         Processes on this machine that share the EOP sets; 0 or 1: this process.
     cluster : str or dask.distributed.Client, optional
@@ -149,7 +150,7 @@ def compare(
 
 
 def _key(plan: Comparison) -> str:
-    """Digest of the inputs of the rows of a set."""
+    """Return the digest of all inputs that determine the rows of a set."""
     block, selections = plan.block, (
         plan.solvers, plan.backends, plan.types, plan.regularisations, plan.as_run, plan.time_limit_s,
     )  # fmt: skip
@@ -164,7 +165,7 @@ def _key(plan: Comparison) -> str:
 
 
 def _one_set(plan: Comparison, report: Callable[[Row], None] | None, number: int) -> dict[str, Any]:
-    """Rows, spectra, directions, curves and error vectors of one set, as plain values for a study."""
+    """Return rows, spectra, directions, curves and error vectors of one set, as plain values for a study."""
     rows: list[Row] = []
 
     def add(row: Row) -> None:
@@ -195,20 +196,20 @@ def _one_set(plan: Comparison, report: Callable[[Row], None] | None, number: int
                     add(one.run(engine))
                 known = {(s.system, s.scaling) for s in parts["spectra"]}
                 parts["spectra"] += [s for s in one.spectra if (s.system, s.scaling) not in known]
-                parts["directions"] += [] if parts["sets"] else one.directions  # of the observations alone
+                parts["directions"] += [] if parts["sets"] else one.directions  # without priors and penalty
                 parts["sets"].append(one.result)
     return {name: [asdict(one) for one in part] for name, part in parts.items()}
 
 
 def _rows_of(backend: str, types: int, solvers: int) -> int:
-    """Number of rows of a backend with one set."""
+    """Return the number of rows of a backend with one set."""
     n = len(model.OPTIMIZERS)
     reduced = n + len(model.REDUCED_LABELS) - 1
     return {"faithful": types * solvers, "dense": solvers, "schur": reduced, "explicit": n + 1}.get(backend, n)
 
 
 def _distinct(block: Block, numbers: tuple[int, ...]) -> tuple[tuple[int, ...], dict[int, int]]:
-    """Sets that differ in an unknown of an image, and the other ones with the set that they repeat.
+    """Return the sets with different image unknowns, and the other sets with the set whose unknowns they repeat.
 
     Images without such unknowns (RPC, frames) have the same unknowns with all sets, as have named single unknowns.
     """
@@ -223,7 +224,7 @@ def _distinct(block: Block, numbers: tuple[int, ...]) -> tuple[tuple[int, ...], 
 
 
 def _target(block: Block, given: float | None, best: SetResult | None) -> tuple[float, str]:
-    """RMSE to reach, m, and its source: "given", "predicted" or "pixel"."""
+    """Return the RMSE to reach, m, and its source: "given", "predicted" or "pixel"."""
     if given is not None:
         return given, "given"
     if best is not None and math.isfinite(best.limit_m):
@@ -232,13 +233,13 @@ def _target(block: Block, given: float | None, best: SetResult | None) -> tuple[
 
 
 def reached(row: Row, target_m: float) -> bool:
-    """True if control and check points are at the target; a role without points does not count."""
+    """Return whether control and check points reach the target; a role without points is ignored."""
     values = [v for v in (row.control_rmse_m, row.check_rmse_m) if not math.isnan(v)]
     return not row.failure and bool(values) and all(v <= target_m for v in values)
 
 
 def ground_sampling_m(block: Block) -> float:
-    """Smallest distance on the ellipsoid between neighbouring pixels at the centres of the images, m."""
+    """Return the smallest distance on the ellipsoid between neighbouring pixels at the image centres, m."""
     distances = []
     for image in block.images:
         sensor = image.sensor

@@ -1,7 +1,8 @@
-"""Engines of a comparison: each computes a row from EOP set and solver, also for a failure.
+"""Execution of the engines of a comparison. Each engine gives a row, also if it fails.
 
-The block is adjusted once with each set as :func:`fg_orient.adjust` does it, with all statistics. The other engines
-solve the same compiled problem, without statistics, each from the start values; under a loss with its final weights.
+The block is adjusted once with each set as :func:`fg_orient.adjust` does it, with all
+statistics. The other engines solve the same compiled problem from the start values, without
+statistics. Under a loss they use its final weights.
 """
 
 from __future__ import annotations
@@ -48,12 +49,12 @@ from fg_orient.studies.comparison.set_results import SetResult, of_failure, of_s
 from fg_orient.studies.comparison.solving import Engine, Engines, timed
 from fg_orient.studies.comparison.work import Limits, Sparsity
 
-#: Image unknowns up to which the condition of the reduced matrix is computed.
+#: Maximum number of image unknowns for which the condition of the reduced matrix is computed.
 CONDITIONED = 1000
 
 
 class Adjustments:
-    """Adjustment of the block with one EOP set: as by :func:`fg_orient.adjust`, and by each engine.
+    """Adjustments of a block with one EOP set, by :func:`fg_orient.adjust` and by each engine.
 
     Parameters
     ----------
@@ -84,14 +85,14 @@ class Adjustments:
         self.spectra: tuple[Spectrum, ...] = ()
         self.directions = directions_of(self.problem)
         self.matrix: dict[str, Any] = {"order": self.problem.n_unknowns}
-        # five decompositions, and the matrix; the largest part of the time of small blocks
+        # five decompositions of the matrix, which take most of the time of small blocks
         svd = replace(self.sparsity.dense("svd"), seconds=5.0 * self.sparsity.dense("svd").operations / work.RATE)
         penalty_is_unknown = self.failure and self.regularisation != UNREGULARISED
         if not limits.reason("svd", svd) and not penalty_is_unknown:
             self._describe()
 
     def _describe(self) -> None:
-        """Singular values at the start: with and without priors; raw, columns of unit length, prior sigmas."""
+        """Compute the singular values at the start, with and without priors, in three scalings."""
         design = self._at_start[1]
         is_regularised = self.regularisation != UNREGULARISED
         system = f"adjustment, {self.regularisation}" if is_regularised else "adjustment"
@@ -107,15 +108,15 @@ class Adjustments:
 
     @cached_property
     def _at_start(self) -> tuple[Array, Array]:
-        """Residuals (n,) and Jacobian (n, u) at the start; columns of shared unknowns are summed."""
+        """Return residuals (n,) and Jacobian (n, u) at the start; columns of shared unknowns are summed."""
         return _rows_at(self.problem, self.problem.start)
 
     def engines(self, backend: str, solvers: tuple[str, ...]) -> list[Engine]:
-        """Ways to solve the problem with a backend; ``solvers`` are those of full matrices."""
+        """Return the engines of a backend; ``solvers`` are the solvers of full matrices."""
         return Engines(self.problem, self.sparsity).of(backend, solvers)
 
     def run(self, engine: Engine) -> Row:
-        """Row of an engine."""
+        """Run an engine and return its row."""
         new = partial(
             row, self.eop_set, engine.solver, engine.backend, optimizer=engine.optimizer, kappa=self.result.kappa,
             regularisation=self.regularisation, notes=(engine.note,) if engine.note else (), **self.matrix,
@@ -142,7 +143,7 @@ class Adjustments:
         return new(**values, **self._of_state(result), **self._of_step(engine, problem), **self._of_reduced(engine))
 
     def _of_state(self, result: LoopResult[State]) -> dict[str, Any]:
-        """Columns of a row that describe the solution."""
+        """Return the columns of a row that describe the solution."""
         problem, state = self.problem, result.state
         accuracy = accuracy_at(problem, state)
         redundancy = problem.redundancy
@@ -160,9 +161,10 @@ class Adjustments:
 
     @cached_property
     def _common(self) -> tuple[State, Array | None]:
-        """State at which all engines are linearised, and the exact Gauss-Newton step of the images from there.
+        """Return the state at which all engines are linearised, and its exact Gauss-Newton step of the images.
 
-        The graph intersects its points again before it linearises: its state is taken for all.
+        The graph intersects its points again before it linearises. Therefore its state is
+        used for all engines.
         """
         problem, state = self.problem, self.problem.start
         if self.problem.n_unknowns > reference.LIMIT:
@@ -177,7 +179,7 @@ class Adjustments:
         return state, None if step is None else step[: problem.n_free_unknowns]
 
     def _of_step(self, engine: Engine, problem: Problem) -> dict[str, float]:
-        """Forward error of the first step of Gauss-Newton, of the unknowns of the images in prior sigmas."""
+        """Return the forward error of the first Gauss-Newton step, of the image unknowns in prior sigmas."""
         state, exact = self._common
         if exact is None or engine.optimizer != "gauss-newton":
             return {}
@@ -190,7 +192,7 @@ class Adjustments:
 
     @cached_property
     def _cond_reduced(self) -> float:
-        """Condition number of the reduced normal matrix at the solution, from its inverse; nan without it."""
+        """Return the condition number of the reduced normal matrix at the solution; nan without its inverse."""
         if self.solution is None or self.solution.cofactors is None or self.problem.ties is not None:
             return np.nan
         if self.problem.n_image_unknowns > CONDITIONED:
@@ -202,7 +204,7 @@ class Adjustments:
 
 
 def _least_squares(solution: Solution) -> Problem:
-    """Problem of a solution; under a loss the least squares with the weights at the solution."""
+    """Return the problem of a solution; under a loss, least squares with the weights at the solution."""
     problem = solution.weighted
     if solution.weights is None:
         return problem
@@ -211,13 +213,13 @@ def _least_squares(solution: Solution) -> Problem:
 
 
 def _rows_at(problem: Problem, state: State) -> tuple[Array, Array]:
-    """Residuals (n,) and Jacobian (n, u), shared unknowns once."""
+    """Return residuals (n,) and Jacobian (n, u), shared unknowns once."""
     residual, design = assemble(problem, state)
     return residual, design if problem.ties is None else problem.ties.columns(design)
 
 
 def directions_of(compiled: Problem) -> tuple[Direction, ...]:
-    """Directions that the image observations do not determine: of each image, then of the whole block."""
+    """Return the directions that the image observations do not determine: of each image, then of the block."""
     number, out = compiled.block.options.eop_set, list[Direction]()
     for image in judge_observability(compiled):
         words = [text.removeprefix(f"image {image.image}: ") for text in image.sentences]
@@ -234,14 +236,17 @@ def _accuracy(role: str, differences: PointDifferences) -> dict[str, float]:
 
 
 def _per_physical_unit(compiled: Problem, design: Array) -> Array:
-    """Columns per m, m/s and rad instead of per prior sigma; columns of ground points are already per metre."""
+    """Return the Jacobian per m, m/s and rad instead of prior sigmas.
+
+    Columns of ground points are per metre already.
+    """
     scale = np.ones(design.shape[1])
     scale[: compiled.n_free_unknowns] = compiled.free(np.concatenate([p.sigma for p in compiled.parameters]))
     return design / scale
 
 
 def _without_priors(compiled: Problem) -> Array:
-    """Rows of the observations alone: the same block without priors and penalty."""
+    """Return the rows of the observations alone: of the same block without priors and penalty."""
     options, plain = replace(compiled.block.options, priors=False), without_penalties(compiled)
     free = replace(plain, block=replace(plain.block, options=options))
     return _rows_at(free, free.start)[1]

@@ -1,4 +1,4 @@
-"""From a project to a comparison folder: tables, figures, record and report, whole or not at all."""
+"""Comparison of a project, and the folder with its tables, figures, record and report."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ COMPARISON: Final = Contents(
 SET_COLUMNS: Final = tuple(f.name for f in fields(SetResult))
 SPECTRUM_COLUMNS: Final = ("eop_set", "system", "scaling", "index", "singular_value")
 DIRECTION_COLUMNS: Final = ("eop_set", "image", "direction", "held_by")
-#: ``rule``: empty for a point of the curve, else the rule that chose this kappa.
+#: ``rule`` is empty for a point of the curve; otherwise it is the rule that selected this kappa.
 CURVE_COLUMNS: Final = ("eop_set", "type", "rule", "kappa", "residual_norm", "solution_norm")
-#: Computed minus measured, at the middle of the control points.
+#: Errors are computed minus measured, in the axes at the middle of the control points.
 VECTOR_COLUMNS: Final = ("eop_set", "type", "solver", "role", "id", "east_m", "north_m", "up_m")
 
 
@@ -93,7 +93,7 @@ def compare_project(
     start = working_clock()
     require_free(Path(out), overwrite=overwrite, contents=COMPARISON)
     given = dict(options or {})
-    for name in [name for name in SELECTIONS if name in given]:  # before any file is read
+    for name in [name for name in SELECTIONS if name in given]:  # checked before any file is read
         SELECTIONS[name](given[name])
     of_block = {name: given.pop(name, None) for name in OF_BLOCK}
     block = with_options(read_project(project), "compare", **of_block)
@@ -154,7 +154,7 @@ def write_folder(folder: Path, comparison: Comparison, record: Mapping[str, Any]
 
 
 def _curve_rows(comparison: Comparison) -> Iterator[tuple[object, ...]]:
-    """Points of all curves, each curve followed by the choices of the rules."""
+    """Return the points of all curves; the choices of the rules follow each curve."""
     for of_set in comparison.curves:
         curve, key = of_set.curve, (of_set.eop_set, of_set.type)
         for point in zip(curve.kappa.tolist(), curve.residual_norm.tolist(), curve.solution_norm.tolist(), strict=True):
@@ -164,14 +164,14 @@ def _curve_rows(comparison: Comparison) -> Iterator[tuple[object, ...]]:
 
 
 def _remarks(comparison: Comparison) -> list[Finding]:
-    """Findings on missing packages."""
+    """Return findings on missing packages."""
     found = [] if available() else [finding("compare.no_figures")]
     missing = not reference.available() and any((r.order or 0) <= reference.LIMIT for r in comparison.rows)
     return [*found, finding("compare.no_reference")] if missing else found
 
 
 def _record(comparison: Comparison, project: Path, out: Path, command: Sequence[str]) -> dict[str, Any]:
-    """Content of ``result.json`` without the times."""
+    """Return the content of ``result.json`` without the times."""
     record: dict[str, Any] = plain({
         "schema": SCHEMA_VERSION,
         "kind": "compare",

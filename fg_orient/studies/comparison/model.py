@@ -1,4 +1,4 @@
-"""Comparison of EOP sets, engines and solvers: rows, sets, singular values, directions, L-curves."""
+"""Records of a comparison: rows, singular values, undetermined directions, L-curves and error vectors."""
 
 from __future__ import annotations
 
@@ -19,8 +19,9 @@ if TYPE_CHECKING:
     from fg_orient.studies.comparison.advice import Advice
     from fg_orient.studies.comparison.set_results import SetResult
 
-#: Engines: the published procedure; :func:`fg_orient.adjust` on full matrices, on arrays with eliminated points, on the
-#: graph with a factor for each image point, on the graph with eliminated points.
+#: Backends: the published procedure; :func:`fg_orient.adjust` with full matrices, with arrays
+#: and eliminated points, with a graph that has a factor for each image point, and with a
+#: graph of eliminated points.
 BACKENDS: Final = ("faithful", "dense", "schur", "explicit", "graph")
 TYPES: Final = (1, 2)
 #: Optimisers of the graphs and of our loop on arrays.
@@ -33,16 +34,17 @@ REDUCED_LABELS: Final = {
     "dense": "full Cholesky, LAPACK", "banded": "band Cholesky, LAPACK", "graph": "sparse Cholesky, GTSAM",
     "iterative": "conjugate gradients", "implicit": "conjugate gradients, no matrix",
 }  # fmt: skip
-#: Names of the solvers of the graphs in the tables: GTSAM's optimisers, and our loop over its elimination.
+#: Names of the solvers of the graphs in the tables: GTSAM's optimisers, and our loop with GTSAM's elimination.
 GRAPH_SOLVER: Final = "gtsam"
 LOOP_SOLVER: Final = "gtsam_loop"
 GRAPH_LABELS: Final = {GRAPH_SOLVER: "GTSAM", LOOP_SOLVER: "GTSAM elimination, our loop"}
 AXES: Final = ("x", "y", "z")
-#: Column ``regularisation`` of an adjustment without one.
+#: Value of the column ``regularisation`` without a regularisation.
 UNREGULARISED: Final = "none"
-#: Note of a row of the Schur backend with the method that the program itself takes.
+#: Note of the row of the Schur backend whose method the program selects by itself.
 OWN_CHOICE: Final = "the program's own choice"
-#: A singular value below eps times the largest is rounding: this condition number of N means "at least this".
+#: A singular value below eps times the largest one is a rounding error. A condition number of
+#: N with this value therefore means "at least this".
 LARGEST_CONDITION: Final = float(np.finfo(float).eps ** -2)
 _NAN: Final = float("nan")
 
@@ -64,12 +66,13 @@ class Row:
     optimizer : str
         "" for the published procedure.
     regularisation : str
-        Of the unknowns of the images: "none", the method with its rule or kappa ("tikhonov:gcv", "truncated:0.1"), or
-        with the cut of its rank ("minimum_norm:1e-09"); "" for the published procedure, whose solvers regularise.
+        Regularisation of the image unknowns: "none", the method with its rule or kappa
+        ("tikhonov:gcv", "truncated:0.1"), or with the cut of its rank ("minimum_norm:1e-09");
+        "" for the published procedure, whose solvers regularise.
     control_rmse_m, check_rmse_m : float
         Largest of the three ECEF axes, as published (Terlemezoğlu 2019, eq. 2.72); nan without points.
     control_rmse_x_m ... check_rmse_z_m : float
-        The axes.
+        RMSE of each axis.
     cond_raw, cond_scaled : float
         Condition number of ``N = A^T A`` as the square of A's: unknowns in m, m/s, rad; columns of A of
         unit length. At most :data:`LARGEST_CONDITION`.
@@ -85,18 +88,20 @@ class Row:
     processor_s : float
         Processor time of this adjustment, all threads, without statistics.
     peak_bytes : float
-        Rise of the resident memory in the adjustment; nan where the system does not tell.
+        Increase of the resident memory during the adjustment; nan if the system does not
+        report it.
     operations, factor_elements, fill : float
-        Predicted: operations of the linear algebra of one iteration, elements of the factor, and those of them that are
-        zero in the normal matrix (``work``).
+        Predicted numbers: operations of the linear algebra in one iteration, elements of the
+        factor, and elements of the factor that are zero in the normal matrix (``work``).
     forward_error : float
-        Relative error of the first step against a solution with 256 bits (``reference``): of the unknowns of the images
-        in prior sigmas, of the published procedure of all unknowns times the lengths of their columns. nan for large or
-        singular systems, and for damped steps.
+        Relative error of the first step against a solution with 256 bits (``reference``): of
+        the image unknowns in prior sigmas. For the published procedure: of all unknowns times
+        the lengths of their columns. nan for large or singular systems, and for damped steps.
     cond_reduced : float
         Condition number of the reduced normal matrix at the solution, unknowns of the images in prior sigmas.
     reached : bool
-        Both RMSE are at most the target (control points alone without check points).
+        True if both RMSE are at most the target (only control points if there are no check
+        points).
     difference_sigmas, difference_m : float
         Largest difference of an orientation unknown in prior sigmas, and of a coordinate of a ground point, from
         :func:`fg_orient.adjust` with the options of the block and the same regularisation; nan if one of the two
@@ -104,7 +109,7 @@ class Row:
     failure : str
         Reason for a missing solution; "" if there is one.
     left_out : bool
-        The adjustment was not tried; ``failure`` is the reason.
+        True if the adjustment was not run; ``failure`` is the reason.
     notes : tuple of str
         Remarks of the solver.
     """
@@ -152,7 +157,7 @@ class Row:
         return Key(self.backend, self.type, self.solver, self.optimizer, self.regularisation)
 
     def as_dict(self) -> dict[str, Any]:
-        """Columns by name."""
+        """Return the columns by name."""
         return asdict(self) | {"notes": "; ".join(self.notes)}
 
 
@@ -189,7 +194,7 @@ class Spectrum:
 
 @dataclass(frozen=True)
 class Direction:
-    """A direction that the image observations of one EOP set do not determine, in the words of ``fg_orient.adjust``.
+    """Direction that the image observations do not determine with an EOP set, as described by ``fg_orient.adjust``.
 
     Parameters
     ----------
@@ -225,7 +230,7 @@ class Curve:
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> Curve:
-        """Curve of its ``dataclasses.asdict``."""
+        """Return the curve from its ``dataclasses.asdict``."""
         curve = dict(values["curve"])
         choices = tuple(Choice(**{**c, "notes": tuple(c["notes"])}) for c in curve.pop("choices"))
         return cls(values["eop_set"], values["type"], LCurve(**curve, choices=choices))
@@ -238,11 +243,12 @@ class ErrorVectors:
     Parameters
     ----------
     eop_set, type, solver : int, int, str
-        Its row.
+        Columns of its row.
     ids : dict
-        Role ("control", "check") to the ids of its points.
+        Ids of the points by role ("control", "check").
     enu_m : dict
-        Role to errors (n, 3), computed minus measured, East, North, Up at the middle of the control points.
+        Errors (n, 3) by role, computed minus measured, in East, North, Up at the middle of
+        the control points.
     """
 
     eop_set: int
@@ -253,7 +259,7 @@ class ErrorVectors:
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> ErrorVectors:
-        """Errors of their ``dataclasses.asdict``."""
+        """Return the errors from their ``dataclasses.asdict``."""
         ids = {role: tuple(own) for role, own in values["ids"].items()}
         return cls(**values | {
             "ids": ids, "enu_m": {r: np.reshape(v, (-1, 3)) for r, v in values["enu_m"].items()},
@@ -281,7 +287,7 @@ class Comparison:
     labels : dict
         Solver name to its label.
     repeated : dict
-        Sets that have the unknowns of another set, to that set; they are not compared.
+        Sets that have the same unknowns as another set, and that set. They are not compared.
     time_limit_s : float
         Predicted processor seconds above which an adjustment is not tried.
     target_from : str
@@ -295,7 +301,7 @@ class Comparison:
     curves : tuple of Curve
         L-curves of the published procedure, if Tikhonov solvers are selected.
     vectors : tuple of ErrorVectors
-        Of each row of the published procedure with a solution.
+        Error vectors of each row of the published procedure with a solution.
     """
 
     block: Block
@@ -321,7 +327,7 @@ class Comparison:
 
     @property
     def table(self) -> Any:
-        """The rows as ``pandas.DataFrame``; without pandas (extra "tables") a list of dicts."""
+        """Return the rows as ``pandas.DataFrame``, or as a list of dicts without pandas (extra "tables")."""
         records = [row.as_dict() for row in self.rows]
         if find_spec("pandas") is None:
             return records
@@ -330,12 +336,12 @@ class Comparison:
         return pandas.DataFrame.from_records(records, columns=list(COLUMNS))
 
     def select(self, **wanted: object) -> tuple[Row, ...]:
-        """Rows whose columns have the given values."""
+        """Return the rows whose columns have the given values."""
         return tuple(r for r in self.rows if all(getattr(r, name) == value for name, value in wanted.items()))
 
 
 class Key(NamedTuple):
-    """Engine of a row."""
+    """Engine of a row, as a key for grouping."""
 
     backend: str
     type: int | None
@@ -344,7 +350,7 @@ class Key(NamedTuple):
     regularisation: str = ""
 
     def name(self, labels: Mapping[str, str]) -> str:
-        """Name in words; ``labels``: solver name to its label."""
+        """Return the name of the engine in words; ``labels`` contains the label of each solver."""
         words = regularisation_words(self.regularisation)
         return self._of_engine(labels) + (f", {words}" if words else "")
 
@@ -365,7 +371,7 @@ class Key(NamedTuple):
 
 
 def regularisation_words(word: str) -> str:
-    """Words on a regularisation: "tikhonov (gcv)"; "" without one."""
+    """Return a regularisation in words: "tikhonov (gcv)"; "" without one."""
     method, _, value = word.partition(":")
     if method in ("", UNREGULARISED):
         return ""
@@ -373,7 +379,7 @@ def regularisation_words(word: str) -> str:
 
 
 def groups(rows: Sequence[Row]) -> dict[Key, list[Row]]:
-    """Rows by engine, in order of appearance."""
+    """Return the rows by engine, in the order of their first row."""
     out: dict[Key, list[Row]] = {}
     for row in rows:
         out.setdefault(row.key, []).append(row)
@@ -381,7 +387,7 @@ def groups(rows: Sequence[Row]) -> dict[Key, list[Row]]:
 
 
 def tried(comparison: Comparison) -> dict[Key, list[Row | None]]:
-    """Rows by EOP set of each engine that was tried with any set; None for a missing row."""
+    """Return, for each engine that was run with any set, the rows by EOP set; None for a missing row."""
     out: dict[Key, list[Row | None]] = {}
     for key, rows in groups(comparison.rows).items():
         if not all(row.left_out for row in rows):

@@ -32,14 +32,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-#: Larger than in a paper's column, because these figures are for pages.
+#: Sizes are larger than for a column of a paper, because these figures are for pages.
 _STYLE: Final[dict[Any, Any]] = {
     **STYLE, "font.size": 9, "axes.titlesize": 9, "axes.labelsize": 9, "xtick.labelsize": 9, "ytick.labelsize": 9,
     "legend.fontsize": 8,
 }  # fmt: skip
 #: Range of colours of the heat maps: powers of ten relative to the target.
 _DECADES: Final = (-2.0, 4.0)
-#: Systems of the condition numbers and spectra: words and kind of mark.
+#: Equation systems of the condition numbers and spectra: text and kind of mark.
 _SYSTEMS: Final = {
     ("published 1", "raw"): ("published, raw units", "series-1"),
     ("published 1", "columns"): ("published, columns scaled", "series-3"),
@@ -53,7 +53,7 @@ _REGULARISED: Final = ("series-4", "series-5", "control", "check", "station", "t
 
 
 def figures(comparison: Comparison) -> dict[str, str]:
-    """Figures for which the rows have data: file name to SVG text; none without matplotlib."""
+    """Return the figures for which the rows have data, as SVG text by file name; none without matplotlib."""
     if not available():
         return {}
     drawings: dict[str, Callable[[Comparison], Figure | None]] = {
@@ -78,7 +78,7 @@ def figures(comparison: Comparison) -> dict[str, str]:
 
 
 def _heat_map(comparison: Comparison, role: str) -> Figure | None:
-    """EOP set x solver: RMSE relative to the target; failed adjustments hatched."""
+    """Draw RMSE relative to the target by EOP set and solver; failed adjustments are hatched."""
     grouped, sets = tried(comparison), comparison.eop_sets
     values = [[math.nan if r is None else getattr(r, f"{role}_rmse_m") for r in rows] for rows in grouped.values()]
     failed = [[r is not None and bool(r.failure) for r in rows] for rows in grouped.values()]
@@ -125,19 +125,19 @@ def _coloured(axes: Axes, values: Any, failed: Any, target_m: float) -> Any:
             ink = "#fdfdfd" if dark else "#111111"
             artist = axes.text(j, i, short(values[i, j]), ha="center", va="center", fontsize=6, color=ink)
         if artist is not None:
-            artist.set_in_layout(False)  # the layout of hundreds of cells would take most of the time
+            artist.set_in_layout(False)  # without this, the layout of hundreds of cells would take most of the time
     return image
 
 
 def _separate(axes: Axes, keys: list[tuple[str, int | None]]) -> None:
-    """Lines between backends and types."""
+    """Draw lines between backends and types."""
     for i in range(1, len(keys)):
         if keys[i] != keys[i - 1]:
             axes.axhline(i - 0.5, color=INK, lw=1.2)
 
 
 def _conditions(comparison: Comparison) -> Figure | None:
-    """Condition numbers of N by EOP set, before and after scaling and priors."""
+    """Draw the condition numbers of N by EOP set, before and after scaling and priors."""
     wanted = _systems(comparison)
     if not wanted:
         return None
@@ -155,7 +155,7 @@ def _conditions(comparison: Comparison) -> Figure | None:
 
 
 def _systems(comparison: Comparison) -> dict[tuple[str, str], tuple[str, str]]:
-    """Systems to draw with words and kind of mark; of the two published types the first."""
+    """Return the systems to draw with text and kind of mark; only the first published type is drawn."""
     present = {(s.system, s.scaling) for s in comparison.spectra}
     treated = [word for word in comparison.regularisations if regularisation_words(word)]
     known = _SYSTEMS | {
@@ -167,12 +167,12 @@ def _systems(comparison: Comparison) -> dict[tuple[str, str], tuple[str, str]]:
 
 
 def _spectra(comparison: Comparison) -> Figure | None:
-    """Singular values of A, one panel per EOP set."""
+    """Draw the singular values of A, one panel per EOP set."""
     wanted = _systems(comparison)
     if not wanted:
         return None
     drawn = [s for s in comparison.spectra if (s.system, s.scaling) in wanted]
-    floor = np.finfo(float).eps / 10.0  # smaller values are rounding of rounding
+    floor = np.finfo(float).eps / 10.0  # smaller values are only rounding errors
     shares = [np.maximum(s.values / s.values[0], floor) for s in drawn]
     y = Axis("singular value / largest", decades(np.concatenate(shares)), log=True)
     charts = []
@@ -189,7 +189,7 @@ def _spectra(comparison: Comparison) -> Figure | None:
 
 
 def _l_curves(comparison: Comparison) -> Figure | None:
-    """L-curves of the published bundle, one panel per EOP set, with the choices of its Tikhonov solvers."""
+    """Draw the L-curves of the published bundle, one panel per EOP set, with the choices of its Tikhonov solvers."""
     types = sorted({of_set.type for of_set in comparison.curves})
     chosen = [(name, solver(name).label) for name in comparison.solvers if solver(name).family == "tikhonov"]
     if not types or not chosen:
@@ -213,7 +213,7 @@ def _l_curves(comparison: Comparison) -> Figure | None:
 
 
 def _vectors_of_solvers(comparison: Comparison) -> Figure | None:
-    """Error vectors of the published procedure with the recommended or first set, a map for each type and solver."""
+    """Draw error vectors of the published procedure with the recommended or first set, a map per type and solver."""
     if not comparison.vectors:
         return None
     sets = {one.eop_set for one in comparison.vectors}
@@ -226,7 +226,7 @@ def _vectors_of_solvers(comparison: Comparison) -> Figure | None:
 
 
 def _vectors_of_sets(comparison: Comparison) -> Figure | None:
-    """Error vectors with the solver of the published procedure that solves most sets, a map for each type and set."""
+    """Draw error vectors with the published solver that solves most sets, a map per type and set."""
     solved = [one.solver for one in comparison.vectors]
     if not solved or len(comparison.eop_sets) == 1:
         return None
@@ -238,7 +238,7 @@ def _vectors_of_sets(comparison: Comparison) -> Figure | None:
 
 
 def _maps(comparison: Comparison, chosen: list[tuple[ErrorVectors, str]]) -> Figure | None:
-    """Maps of error vectors with their titles, of those with a row."""
+    """Draw maps of error vectors with their titles, for existing rows."""
     places, charts = places_km(comparison.block), []
     for one, title in chosen:
         for row in comparison.select(eop_set=one.eop_set, backend="faithful", type=one.type, solver=one.solver):
@@ -249,7 +249,7 @@ def _maps(comparison: Comparison, chosen: list[tuple[ErrorVectors, str]]) -> Fig
 
 
 def _seconds(comparison: Comparison) -> Figure | None:
-    """Median and range of the processor times over the EOP sets."""
+    """Draw the median and range of the processor times over the EOP sets."""
     solved = groups([r for r in comparison.rows if math.isfinite(r.processor_s) and not r.failure])
     timed = {key.name(comparison.labels): [r.processor_s for r in rows] for key, rows in solved.items()}
     if not timed:

@@ -1,4 +1,4 @@
-"""Rows of engines: their columns from failures, matrices and errors; and the published procedure."""
+"""Rows of the published procedure, and columns common to all rows."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ from fg_orient.studies.two_stage_results import TwoStageResult
 
 
 def row(eop_set: int, solver: str, backend: str, kind: int | None = None, **values: Any) -> Row:
-    """Make a row."""
+    """Return a row with these columns."""
     return Row(eop_set, EOP_SETS[eop_set].name, solver, backend, kind, **values)
 
 
 def one_line(error: FgOrientError) -> str:
-    """Problems of an error in one line."""
+    """Return the problems of an error in one line."""
     return " | ".join(map(str, error.problems))
 
 
 def spectra_of(design: Array, eop_set: int, system: str) -> tuple[Spectrum, Spectrum]:
-    """Singular values of a design matrix, raw and with columns of unit length (a zero column stays zero)."""
+    """Return singular values of a design matrix, raw and with columns of unit length (a zero column stays zero)."""
     return (
         Spectrum(eop_set, system, "raw", singular_values(design)),
         Spectrum(eop_set, system, "columns", singular_values(unit_columns(design))),
@@ -42,7 +42,7 @@ def spectra_of(design: Array, eop_set: int, system: str) -> tuple[Spectrum, Spec
 
 
 def conditioning(raw: Spectrum, columns: Spectrum, n_rows: int) -> dict[str, Any]:
-    """Columns of a row that describe its matrix; numerical rank of A as in MATLAB."""
+    """Return the columns of a row that describe its matrix; the numerical rank of A is defined as in MATLAB."""
     order = len(raw.values)
     return {
         "cond_raw": raw.condition, "cond_scaled": columns.condition, "order": order,
@@ -51,20 +51,20 @@ def conditioning(raw: Spectrum, columns: Spectrum, n_rows: int) -> dict[str, Any
 
 
 def axes(role: str, rmse: Array) -> dict[str, float]:
-    """RMSE of a role: the largest axis (nan if any is) and the three."""
+    """Return the RMSE of a role: of the largest axis (nan if any axis is nan), then of the three axes."""
     named = {f"{role}_rmse_{axis}_m": float(value) for axis, value in zip(AXES, rmse, strict=True)}
     return {f"{role}_rmse_m": float(np.max(rmse))} | named
 
 
 class Published:
-    """The published two-stage procedure with one EOP set, one-iteration bundle.
+    """Published two-stage procedure with one EOP set and a bundle of one iteration.
 
     Parameters
     ----------
     block : Block
     eop_set : int
     as_run : bool
-        As the authors' program works.
+        True: as the authors' program does.
     limits : Limits
     """
 
@@ -75,7 +75,7 @@ class Published:
             self.stage = TwoStage(block, as_run=as_run)
             self.order = len(block.images) * len(eop_codes(eop_set)) + 3 * len(self.stage.check_ids)
             self._points = len(block.observations)
-            _ = self.stage.pre_adjusted  # its time is not that of the first solver
+            _ = self.stage.pre_adjusted  # computed here, so that its time is not added to the first solver
         except FgOrientError as error:
             self.failure = one_line(error)
 
@@ -103,7 +103,7 @@ class Published:
         return new(processor_s=effort.processor_s, peak_bytes=effort.peak_bytes, **self._values(bundle, kind))
 
     def _values(self, bundle: TwoStageResult, kind: int) -> dict[str, Any]:
-        """Columns of a row; the spectra and the L-curve of a type are those of its first solver."""
+        """Return the columns of a row. Spectra and L-curve of a type come from its first solver."""
         kappa, system = bundle.solution.kappa, f"published {kind}"
         values: dict[str, Any] = {
             "failure": bundle.failure, "iterations": 1, "order": bundle.n_unknowns, "notes": bundle.solution.notes,
@@ -127,7 +127,7 @@ class Published:
 
 
 def _error_of_step(system: LinearSystem, x: Array) -> float:
-    """Forward error of a solution, unknowns times the lengths of their columns of A."""
+    """Return the forward error of a solution; unknowns are multiplied by the lengths of their columns of A."""
     design, observed = system.require_design("reference")
     exact, lengths = reference.exact(design, observed, reference.LIMIT_OF_ROW), np.linalg.norm(design, axis=0)
     return reference.forward_error(x * lengths, None if exact is None else exact * lengths)

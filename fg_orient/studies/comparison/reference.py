@@ -1,9 +1,11 @@
-"""Solutions of small least-squares problems with 256 bits, against which solvers are held.
+"""Reference solutions of small least-squares problems with 256 bits, for the errors of solvers.
 
-The normal equations of the matrix, whose elements are exact binary numbers, are formed and solved by FLINT (Johansson
-2017) with :data:`BITS` bits; quadruple precision has 113. A condition number of N up to 1e30 then leaves more correct
-digits than a double has. Of a matrix that is singular in double precision there is no reference. The residual of the
-solution in ball arithmetic has a proven bound, which is tested. Needs python-flint (extra "reference").
+The elements of the matrix are exact binary numbers. FLINT (Johansson 2017) forms and solves
+the normal equations with :data:`BITS` bits; quadruple precision has 113. With a condition
+number of N up to 1e30, the result still has more correct digits than a double. There is no
+reference for a matrix that is singular in double precision. Ball arithmetic gives a proven
+bound of the residual of the solution, and this bound is tested. Needs python-flint (extra
+"reference").
 """
 
 from __future__ import annotations
@@ -18,20 +20,20 @@ from fg_orient.adjustment.linear.system import numerical_rank, singular_values, 
 
 #: Bits of the mantissa.
 BITS: Final = 256
-#: Unknowns up to which a reference is computed for a set (0.7 s for 400), and for each row (0.1 s for 150).
+#: Maximum number of unknowns for a reference per set (0.7 s for 400), and for a reference per row (0.1 s for 150).
 LIMIT: Final = 400
 LIMIT_OF_ROW: Final = 150
-#: Largest element of the residual, relative to the largest element of the right-hand side.
+#: Limit of the largest element of the residual, relative to the largest element of the right-hand side.
 RESIDUAL: Final = 1e-50
 
 
 def available() -> bool:
-    """Whether python-flint is installed."""
+    """Return whether python-flint is installed."""
     return find_spec("flint") is not None
 
 
 def exact(design: Array, observed: Array, limit: int = LIMIT) -> Array | None:
-    """Minimum x (u,) of ``|A x - l|``, rounded to doubles; None if A is singular in double precision, or too large.
+    """Return the minimum x (u,) of ``|A x - l|``, rounded to doubles; None if A is singular or too large.
 
     Parameters
     ----------
@@ -66,7 +68,7 @@ def exact(design: Array, observed: Array, limit: int = LIMIT) -> Array | None:
 
 
 def forward_error(x: Array, reference: Array | None) -> float:
-    """Relative error ``|x - x_ref| / |x_ref|`` in the Euclidean norm; nan without a reference."""
+    """Return the relative error ``|x - x_ref| / |x_ref|`` in the Euclidean norm; nan without a reference."""
     if reference is None or not np.isfinite(x).all():
         return float("nan")
     length = float(np.linalg.norm(reference))

@@ -1,4 +1,4 @@
-"""HTML report of a comparison, with heat maps as tables of numbers, and its result in sentences."""
+"""HTML report of a comparison, with heat maps as tables, and the result as sentences."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from fg_orient.studies.comparison.model import (
 )
 from fg_orient.studies.comparison.set_results import SetResult
 
-#: Upper ends of the steps, as multiples of the target, and their classes: blue at the target, orange beyond.
+#: Upper limits of the colour steps, as multiples of the target, and their classes: blue up to the target, orange above.
 STEPS: Final = ((0.01, "b3"), (0.1, "b2"), (1.0, "b1"), (10.0, "o1"), (100.0, "o2"), (math.inf, "o3"))
 #: Engines of an adjustment, in words.
 ENGINES: Final = {
@@ -46,7 +46,7 @@ OUTCOMES: Final = {
 
 @dataclass(frozen=True)
 class Cell:
-    """One field of a heat map: class of its colour, its text, its tooltip."""
+    """Field of a heat map: class of its colour, text and tooltip."""
 
     kind: str
     text: str
@@ -54,22 +54,23 @@ class Cell:
 
 
 def outcome(row: Row) -> str:
-    """Key of :data:`OUTCOMES`."""
+    """Return the key of :data:`OUTCOMES` for a row."""
     if row.left_out:
         return "left_out"
     return "failed" if row.failure else "reached" if row.reached else "missed"
 
 
 def counts(comparison: Comparison) -> dict[str, int]:
-    """Number of adjustments by outcome."""
+    """Return the number of adjustments by outcome."""
     outcomes = [outcome(row) for row in comparison.rows]
     return {key: outcomes.count(key) for key in OUTCOMES}
 
 
 def heat_map(comparison: Comparison, role: str) -> list[tuple[str, bool, list[Cell]]]:
-    """Rows of a heat map of the RMSE at control or check points: name, True at the first row of a backend, cells.
+    """Return the rows of a heat map: name, True at the first row of a backend, cells.
 
-    Adjustments that were not tried with any set are omitted. Empty if there is no number.
+    The values are the RMSE at control or check points. Adjustments that were not run with any
+    set are omitted. The result is empty if there is no number.
     """
     out: list[tuple[str, bool, list[Cell]]] = []
     before: tuple[str, int | None] | None = None
@@ -93,14 +94,14 @@ def _cell(row: Row | None, role: str, target_m: float) -> Cell:
 
 
 def steps(target_m: float) -> Sequence[tuple[str, str]]:
-    """Classes and words of the steps, for a legend; in metres."""
+    """Return the classes and texts of the colour steps for a legend, in metres."""
     words = [f"≤ {limit * target_m:.3g} m" for limit, _ in STEPS[:-1]]
     words.append(f"> {STEPS[-2][0] * target_m:.3g} m")
     return [(name, text) for (_, name), text in zip(STEPS, words, strict=True)]
 
 
 def render(comparison: Comparison, record: Mapping[str, Any], figures: Mapping[str, str]) -> str:
-    """HTML text of a comparison."""
+    """Return the report of a comparison as HTML."""
     from markupsafe import Markup
 
     shell = environment()
@@ -123,7 +124,7 @@ def render(comparison: Comparison, record: Mapping[str, Any], figures: Mapping[s
 
 
 def three_digits(value: float | None) -> str:
-    """Write a length or a very large number in three digits; a dash for a missing number."""
+    """Return a length or a very large number with three digits; a dash for a missing number."""
     if value is None or not math.isfinite(value):
         return "–"
     text = f"{value:.2f}" if 0.01 <= abs(value) < 1000.0 or value == 0.0 else f"{value:.0e}"
@@ -131,7 +132,7 @@ def three_digits(value: float | None) -> str:
 
 
 def inline(svg: str, name: str) -> str:
-    """Prepare an SVG file for a page: no header, unique ids, colours of the page."""
+    """Return an SVG file for use in a page: without header, with unique ids and the colours of the page."""
     text = svg[svg.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     text = re.sub(r'\bid="([^"]+)"', rf'id="{name}-\1"', text)
@@ -142,7 +143,7 @@ def inline(svg: str, name: str) -> str:
 
 
 def _lines(comparison: Comparison, eop_set: int) -> list[dict[str, Any]]:
-    """Rows of one set with name and outcome."""
+    """Return the rows of one set with name and outcome."""
     return [
         row.as_dict()
         | {"name": row.key.name(comparison.labels)}
@@ -152,7 +153,7 @@ def _lines(comparison: Comparison, eop_set: int) -> list[dict[str, Any]]:
 
 
 def _chosen(comparison: Comparison) -> list[dict[str, Any]]:
-    """Rows of the recommended set, without the published procedure."""
+    """Return the rows of the recommended set, without the published procedure."""
     advice = comparison.advice
     if advice is None or advice.eop_set is None:
         return []
@@ -162,7 +163,7 @@ def _chosen(comparison: Comparison) -> list[dict[str, Any]]:
 
 
 def _conditions(comparison: Comparison) -> tuple[list[str], list[tuple[int, list[tuple[str, str]]]]]:
-    """Heads, one per system and scaling, and condition numbers by set; one line per set, for printing."""
+    """Return column heads (system and scaling) and a line of condition numbers per set."""
     columns = dict.fromkeys((s.system, s.scaling) for s in comparison.spectra)
     conditions = {(s.eop_set, s.system, s.scaling): s.condition for s in comparison.spectra}
     rows = [(n, [_condition(conditions.get((n, *column))) for column in columns]) for n in comparison.eop_sets]
@@ -170,7 +171,7 @@ def _conditions(comparison: Comparison) -> tuple[list[str], list[tuple[int, list
 
 
 def _directions(comparison: Comparison) -> list[tuple[str, str, list[str], list[int]]]:
-    """Directions in words, their constraint (nothing or the prior), images and sets; unconstrained ones first."""
+    """Return undetermined directions: description, what holds them (nothing or the prior), images and sets."""
     groups_of: dict[tuple[str, str], list[Direction]] = {}
     for direction in comparison.directions:
         groups_of.setdefault((direction.held_by, direction.words), []).append(direction)
@@ -182,14 +183,14 @@ def _directions(comparison: Comparison) -> list[tuple[str, str, list[str], list[
 
 
 def _condition(value: float | None) -> tuple[str, str]:
-    """Text and the number for sorting."""
+    """Return the text of a condition number, and the number for sorting."""
     if value is None:
         return "–", ""
     return f"≥ {value:.0e}" if value >= LARGEST_CONDITION else f"{value:.0e}", f"{value:.9g}"
 
 
 def _reasons(comparison: Comparison, left_out: bool) -> list[tuple[str, int, list[int]]]:
-    """Reasons for rows that were not tried or have no solution, number of rows and sets; digits are ignored."""
+    """Return reasons for rows without solution, with numbers of rows and sets; reasons are compared without digits."""
     by_text: dict[str, tuple[str, list[int]]] = {}
     for row in comparison.rows:
         if row.failure and row.left_out == left_out:
@@ -210,13 +211,13 @@ class Summary:
     ----------
     backend, type, solver, optimizer, regularisation : str, int or None, str, str, str
     label, name : str
-        Of the solver; of the engine.
+        Names of the solver and of the engine.
     tried, solved, reached : int
         Numbers of EOP sets.
     missed : tuple of int
-        Sets that were tried and do not reach the target.
+        Sets that were run and do not reach the target.
     unsolved : tuple of int
-        Sets that were tried and have no solution.
+        Sets that were run and have no solution.
     worst_control_m, worst_check_m : float
         Largest RMSE of the sets with a solution; nan without any.
     """
@@ -238,7 +239,7 @@ class Summary:
 
 
 def summaries(comparison: Comparison) -> list[Summary]:
-    """One line per backend, type and solver."""
+    """Return one summary per backend, type and solver."""
     return [_summary(key, rows, comparison.labels) for key, rows in groups(comparison.rows).items()]
 
 
@@ -262,11 +263,11 @@ def _largest(values: Iterable[float]) -> float:
 
 
 def verdict(comparison: Comparison) -> dict[str, Any]:
-    """Recommendation: ``kind`` (good, warn, bad), and sentences: ``title``, ``text`` (reasons), ``details``."""
+    """Return the recommendation: ``kind`` (good, warn, bad), ``title``, ``text`` (reasons) and ``details``."""
     advice, details = comparison.advice, _details(comparison)
     best = next((s for s in comparison.sets if advice is not None and s.key == advice.set_key), None)
     if advice is None or best is None:
-        if any(not row.failure for row in comparison.rows):  # of the published procedure
+        if any(not row.failure for row in comparison.rows):  # only the published procedure has a solution
             return {"kind": "warn", "title": details[0] if details else "", "text": details[1:], "details": []}
         why = [] if advice is None else [f"{_capital(reason)}." for reason in advice.set_reason]
         return {"kind": "bad", "title": "No adjustment has a solution", "text": why, "details": details}
@@ -294,7 +295,7 @@ def _capital(text: str) -> str:
 
 
 def _accuracy_words(comparison: Comparison, best: SetResult, row: Row | None) -> list[str]:
-    """Accuracy of the recommended row beside the target, and the source of the target."""
+    """Return sentences on the accuracy of the recommended row, the target, and the source of the target."""
     target, predicted = comparison.target_m, f"predicted {best.predicted_m:.3g} m at the check points"
     if best.is_regularised:
         predicted += " with the bias of true deviations of one prior sigma"
@@ -316,7 +317,7 @@ def _accuracy_words(comparison: Comparison, best: SetResult, row: Row | None) ->
 
 
 def _details(comparison: Comparison) -> list[str]:
-    """Sentences on the sets at the target, by engine, and on what was not tried."""
+    """Return sentences on the sets that reach the target, by engine, and on adjustments that were not run."""
     lines, total = summaries(comparison), len(comparison.eop_sets)
     tried = [line for line in lines if line.tried]
     out = []
@@ -338,7 +339,7 @@ def _of(count: int, total: int) -> str:
 
 
 def _reached(line: Summary, total: int) -> str:
-    """Number of sets at the target; the other sets, the worst RMSE, and the sets without solution."""
+    """Return the number of sets that reach the target, the other sets, the worst RMSE, and sets without solution."""
     text = f"{_of(line.reached, total)} sets at the target"
     if not line.missed:
         return text
@@ -352,7 +353,7 @@ def _reached(line: Summary, total: int) -> str:
 
 
 def ranges(values: Iterable[int]) -> str:
-    """Write whole numbers as ranges: 1, 5-8."""
+    """Return whole numbers as ranges: 1, 5-8."""
     runs: list[list[int]] = []
     for value in sorted(set(values)):
         if runs and value == runs[-1][-1] + 1:
@@ -363,7 +364,7 @@ def ranges(values: Iterable[int]) -> str:
 
 
 def _of_solvers(name: str, comparison: Comparison, lines: list[Summary]) -> list[str]:
-    """Sentence on the sets at the target with every solver, with some solvers and with none."""
+    """Return a sentence on the sets that reach the target with every solver, with some solvers and with no solver."""
     if not lines:
         return []
     sets = comparison.eop_sets
@@ -380,7 +381,7 @@ def _of_solvers(name: str, comparison: Comparison, lines: list[Summary]) -> list
 
 
 def _remarks(comparison: Comparison, lines: list[Summary]) -> list[str]:
-    """Sentences on differences between backends, missing check points and adjustments that were not tried."""
+    """Return sentences on differences between backends, missing check points and adjustments that were not run."""
     out = []
     sigmas = _largest(r.difference_sigmas for r in comparison.rows)
     if math.isfinite(sigmas):

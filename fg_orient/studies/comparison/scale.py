@@ -1,9 +1,10 @@
 """Cost of the engines against the size of the block: from ten to a million image points.
 
-Synthetic blocks (``fg-orient simulate block``) grow in image points and, more slowly, in images. Each engine adjusts
-each block once; small blocks a few times, of which the median counts. An engine whose predicted memory or time is above
-its limit is a row with the reason. Elimination orders of the graph with explicit points are compared by their fill and
-operations, and by GTSAM's time for one elimination.
+Synthetic blocks (``fg-orient simulate block``) have more and more image points and,
+increasing more slowly, images. Each engine adjusts each block once. Small blocks are adjusted
+several times, and the median is used. If the predicted memory or time of an engine exceeds
+its limit, the row contains the reason. Elimination orders of the graph with explicit points
+are compared by their fill and operations, and by GTSAM's time for one elimination.
 """
 
 from __future__ import annotations
@@ -41,14 +42,17 @@ SIZES: Final = (*(k * 10**e for e in range(1, 6) for k in (1, 2, 5)), 10**6)
 SMALLEST, LARGEST = 10, 2_000_000
 #: Solvers of full matrices.
 SOLVERS: Final = ("qr", "lapack_cholesky")
-#: Processor seconds up to which an adjustment is repeated, and number of repetitions.
+#: An adjustment is repeated if it takes less than this processor time, s; the second number
+#: is the number of repetitions.
 SHORT_S: Final = 0.2
 REPEATS: Final = 5
-#: Elimination orders, with their largest blocks: the natural order (images first) joins all points of an image.
+#: Elimination orders, and the largest block for each. The natural order (images first) links
+#: all points of an image, so its blocks must be small.
 ORDERED: Final = {**dict.fromkeys(ORDERINGS, 30_000), "natural": 1000}
 #: Largest number of operations of an elimination that is timed.
 TIMED: Final = 2e10
-#: Values below this multiple of the least one are overhead, not growth; fewest sizes of an exponent.
+#: Values below this multiple of the least one are regarded as overhead. The second number is
+#: the minimum number of sizes for an exponent.
 OVERHEAD: Final = 5.0
 FEWEST: Final = 4
 LABELS: Final = {**GRAPH_LABELS, "qr": "QR", "lapack_cholesky": "LAPACK Cholesky"}
@@ -114,7 +118,7 @@ def scale(
 
 
 def sizes_of(given: str | Sequence[int]) -> tuple[int, ...]:
-    """Whole numbers of a selection, ascending."""
+    """Return the whole numbers of a selection in ascending order."""
     words = given.split(",") if isinstance(given, str) else list(given)
     out = set[int]()
     for word in words:
@@ -131,7 +135,7 @@ def sizes_of(given: str | Sequence[int]) -> tuple[int, ...]:
 
 
 def block_of(size: int) -> Block:
-    """Block with about this many image points: 2 images up to 1000 points, 100 from a million on."""
+    """Return a block with about this many image points: 2 images up to 1000 points, 100 images from a million."""
     side = int(min(max(round((size / 1000.0) ** (1.0 / 3.0)), 1), 10))
     rays = {1: 2.0, 2: 2.7}.get(side, 3.5)
     points = max(round(size / rays), LEAST_CONTROL)
@@ -139,14 +143,14 @@ def block_of(size: int) -> Block:
         options = BlockOptions(rows=side, columns=max(side, 2), points=points, check_share=0.0)
         block, _ = grid_block(options)
         points = max(round(points * size / len(block.observations)), LEAST_CONTROL)
-        if side == 1:  # a pair: two rays each
+        if side == 1:  # each point of a pair has two rays
             break
     o = block.observations
     return replace(block, observations=o.take(o.point < size // 2)) if size < len(o) and side == 1 else block
 
 
 def _one_size(memory_limit_gb: float | None, time_limit_s: float, size: int) -> dict[str, Any]:
-    """Rows of all engines, and elimination orders, of one size."""
+    """Return the rows of all engines, and the elimination orders, for one size."""
     block = block_of(size)
     problem = compile_problem(replace(block, options=replace(block.options, memory_limit_gb=memory_limit_gb)))
     sparsity = Sparsity(problem)
@@ -170,7 +174,7 @@ def _one_size(memory_limit_gb: float | None, time_limit_s: float, size: int) -> 
 
 
 def _row(engine: Engine, problem: Problem, limits: Limits) -> tuple[dict[str, Any], Array | None]:
-    """Row of an engine, and the unknowns of the images."""
+    """Run an engine; return its row and the unknowns of the images."""
     name = Key(engine.backend, None, engine.solver, engine.optimizer).name(LABELS)
     row: dict[str, Any] = {
         "backend": engine.backend, "solver": engine.solver, "engine": name, "own_choice": bool(engine.note),
@@ -204,7 +208,7 @@ def _row(engine: Engine, problem: Problem, limits: Limits) -> tuple[dict[str, An
 
 
 def _orderings(problem: Problem) -> list[dict[str, Any]]:
-    """Elements, fill and operations of the factor of the explicit graph by elimination order."""
+    """Return elements, fill and operations of the factor of the explicit graph, by elimination order."""
     out: list[dict[str, Any]] = []
     structure = None
     for name, most in ORDERED.items():
@@ -224,7 +228,7 @@ def _orderings(problem: Problem) -> list[dict[str, Any]]:
 
 
 def exponents(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Exponents of time, memory and elements of the factor, with their 95 % intervals, by engine.
+    """Return the exponents of time, memory and elements of the factor, with 95 % intervals, by engine.
 
     ``log y = a + b log n`` by least squares over the sizes n whose value is at least :data:`OVERHEAD` times the least
     one, the four largest at least. ``unknowns_exponent``: with the number of all unknowns as n.
@@ -241,7 +245,7 @@ def exponents(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def exponent(points: Sequence[tuple[float, float]]) -> dict[str, float]:
-    """Exponent b of values y(n), half of its 95 % interval, y(1), and the range of n; empty if y hardly grows."""
+    """Return exponent b of values y(n), half of its 95 % interval, y(1), range of n; empty if y hardly grows."""
     points = sorted(points)
     grown = [k for k, (_, y) in enumerate(points) if y >= OVERHEAD * min(y for _, y in points)]
     if not grown or len(points) < FEWEST:
@@ -258,10 +262,11 @@ def exponent(points: Sequence[tuple[float, float]]) -> dict[str, float]:
 
 
 def crossings(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Image points from which on each sparse engine takes less time, and memory, than the fastest full matrices.
+    """Return the numbers of image points from which each sparse engine needs less than the best full matrices.
 
-    Interpolated between two sizes on logarithmic scales; ``image_points`` is nan where it takes less at all sizes, or
-    more at all common ones (``always``: which of them).
+    Time and memory are compared separately. Numbers are interpolated between two sizes on
+    logarithmic scales. ``image_points`` is nan if the engine needs less at all sizes, or more
+    at all common sizes; ``always`` states which.
     """
     out = []
     for quantity in ("processor_s", "peak_bytes"):
@@ -279,7 +284,7 @@ def crossings(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _crossing(sizes: Sequence[int], gap: Sequence[float]) -> dict[str, Any]:
-    """Last change of the logarithm of a ratio from positive to negative."""
+    """Return the place of the last change of a ratio's logarithm from positive to negative."""
     if gap[-1] >= 0.0:
         return {"image_points": math.nan, "always": "dense"}
     above = [k for k, value in enumerate(gap) if value >= 0.0]

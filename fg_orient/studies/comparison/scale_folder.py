@@ -1,4 +1,4 @@
-"""Folder of a study of sizes: tables, figures for papers, page and record, whole or not at all."""
+"""Writing of the folder of a study of sizes: tables, figures for papers, page and record."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Charts and page of the cost against the size of the block."""
+"""Charts and page of a study of the cost against the size of the block."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from fg_orient.studies.comparison.scale import ORDERED
 
 #: Marks of the engines, in the order of their rows.
 KINDS: Final = (*(f"series-{k}" for k in range(6)), "control", "check", "dot equal", "station")
-#: Quantities: words, unit, factor.
+#: Quantities: text, unit and factor.
 QUANTITIES: Final = {
     "processor_s": ("processor time of an adjustment", "s", 1.0), "peak_bytes": ("rise of the memory", "MB", 1e-6),
     "factor_elements": ("elements of the factor", "", 1.0),
@@ -39,7 +39,7 @@ CAPTIONS: Final = {
 
 
 def charts(record: dict[str, Any]) -> dict[str, Callable[[], Sequence[Chart | None]]]:
-    """Charts of each figure."""
+    """Return the charts of each figure."""
     problem = example()
     images, points = thinned(problem)
     part = explicit_structure(problem, images, points)
@@ -52,7 +52,7 @@ def charts(record: dict[str, Any]) -> dict[str, Callable[[], Sequence[Chart | No
 
 
 def growth_files(record: dict[str, Any]) -> dict[str, bytes]:
-    """Figures of time and memory, as wide as two columns, by file name."""
+    """Return the figures of time and memory, as wide as two columns, by file name."""
     import matplotlib
 
     out: dict[str, bytes] = {}
@@ -65,13 +65,13 @@ def growth_files(record: dict[str, Any]) -> dict[str, bytes]:
 
 
 def example() -> Problem:
-    """Small block whose structure is drawn: six images."""
+    """Return a small block of six images whose structure is drawn."""
     block, _ = grid_block(BlockOptions(rows=2, columns=3, points=60, check_share=0.0))
     return compile_problem(block)
 
 
 def growth_chart(record: dict[str, Any], quantity: str) -> Chart | None:
-    """Values of all engines against the number of image points."""
+    """Return the chart of values of all engines against the number of image points."""
     words, unit, factor = QUANTITIES[quantity]
     series: dict[str, list[tuple[float, float]]] = {}
     for row in record["rows"]:
@@ -94,7 +94,7 @@ def growth_chart(record: dict[str, Any], quantity: str) -> Chart | None:
 
 
 def ordering_chart(record: dict[str, Any], quantity: str) -> Chart | None:
-    """Elements of the factor, or time of an elimination, of each order."""
+    """Return the chart of elements of the factor, or of the time of an elimination, for each order."""
     found = {name: np.array([(r["image_points"], r[quantity]) for r in record["orderings"]
                              if r["ordering"] == name and _positive(r[quantity])]) for name in ORDERED}  # fmt: skip
     drawn = {name: own for name, own in found.items() if len(own)}
@@ -111,7 +111,7 @@ def ordering_chart(record: dict[str, Any], quantity: str) -> Chart | None:
 
 
 def jacobian_chart(structure: Structure) -> Chart:
-    """Blocks of the Jacobian: rows are factors in their order, columns variables."""
+    """Return the chart of the blocks of the Jacobian: rows are factors, columns are variables."""
     ends = np.concatenate([[0], np.cumsum(structure.sizes)])
     rows = [2 if kind == "image point" else int(structure.sizes[list(own)].sum())
             for kind, own in zip(structure.kinds, structure.factors, strict=True)]  # fmt: skip
@@ -135,12 +135,12 @@ def _positive(value: float | None) -> bool:
 
 
 def captions(shown: Sequence[str]) -> str:
-    """Captions as Markdown."""
+    """Return the captions as Markdown."""
     return "\n".join(["# Cost against the size of a block", "", *(f"**{name}** {CAPTIONS[name]}\n" for name in shown)])
 
 
 def page(record: dict[str, Any], figures: str = "") -> str:
-    """Page of a run as Markdown; ``figures`` is the address of the folder of the figures, with its slash."""
+    """Return the page of a run as Markdown; ``figures`` is the address of the folder of figures, with a slash."""
     largest = max(one["image_points"] for one in record["sizes"])
     lines = [
         "# Dense and sparse from ten to a million image points", "",
@@ -169,7 +169,7 @@ def page(record: dict[str, Any], figures: str = "") -> str:
 
 
 def _answers(record: dict[str, Any]) -> list[str]:
-    """Crossing points, and exponents of memory, in sentences."""
+    """Return sentences on crossing points and on exponents of memory."""
     out = []
     for quantity, words in (("processor_s", "less time"), ("peak_bytes", "less memory")):
         parts = []
@@ -211,7 +211,7 @@ def _cell(row: dict[str, Any], quantity: str, factor: float) -> str:
 
 
 def _reasons(record: dict[str, Any]) -> list[str]:
-    """Reasons of each engine for sizes without a value, with these sizes; the text is that of the first of its kind."""
+    """Return the reasons for missing values by engine, with the sizes; the text of the first size is used."""
     found: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for row in record["rows"]:
         if row["failure"]:

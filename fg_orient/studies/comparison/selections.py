@@ -1,4 +1,4 @@
-"""Selections of a comparison: sets, solvers, backends, types and regularisations in words, each checked."""
+"""Parsing and checks of the arguments that select sets, solvers, backends, types and regularisations."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ T = TypeVar("T")
 
 
 def _words(given: Any) -> list[str]:
-    """Words of a selection: a number, words between commas, or a list of both."""
+    """Return the words of a selection, which is a number, a text with commas, or a list of both."""
     if isinstance(given, int):
         return [str(given)]
     return [str(word).strip() for word in (given.split(",") if isinstance(given, str) else given)]
 
 
 def _once(chosen: Iterable[T], option: str, given: object) -> tuple[T, ...]:
-    """Drop repetitions; raise InputError for an empty selection."""
+    """Return a selection without repetitions; raise InputError if it is empty."""
     out = tuple(dict.fromkeys(chosen))
     if not out:
         raise InputError.of("compare.nothing", option=option, value=given)
@@ -34,7 +34,10 @@ def _once(chosen: Iterable[T], option: str, given: object) -> tuple[T, ...]:
 
 
 def _chosen(given: Any, members: Mapping[str, Sequence[T]], option: str, code: str) -> tuple[T, ...]:
-    """Members of the words of a selection; each once. InputError with this code for an unknown word."""
+    """Return the members that the words of a selection name, each once.
+
+    An unknown word raises InputError with this code.
+    """
     words = _words(given)
     for word in words:
         if word not in members:
@@ -43,7 +46,7 @@ def _chosen(given: Any, members: Mapping[str, Sequence[T]], option: str, code: s
 
 
 def eop_sets(given: str | int | Iterable[int | str]) -> tuple[int, ...]:
-    """Numbers of the EOP sets in "1-20", "5,13,PUA" or a list of numbers and names; each once."""
+    """Return the numbers of the EOP sets in "1-20", "5,13,PUA" or a list of numbers and names, each once."""
     chosen: list[int] = []
     for word in _words(given):
         first, dash, last = word.partition("-")
@@ -55,32 +58,32 @@ def eop_sets(given: str | int | Iterable[int | str]) -> tuple[int, ...]:
 
 
 def solver_names(given: str | Iterable[str]) -> tuple[str, ...]:
-    """Names of the solvers in "all", "published", "svd,qr" or a list of names; each once."""
+    """Return the names of the solvers in "all", "published", "svd,qr" or a list of names, each once."""
     known = registry.solvers()
     groups = {"all": list(known), "published": [name for name, one in known.items() if one.published]}
     return _chosen(given, {name: [name] for name in known} | groups, "solvers", "linear.solver")
 
 
 def backend_names(given: str | Iterable[str]) -> tuple[str, ...]:
-    """Names of the backends in "faithful,graph" or a list, in the order of ``BACKENDS``."""
+    """Return the names of the backends in "faithful,graph" or a list, in the order of ``BACKENDS``."""
     chosen = _chosen(given, {name: [name] for name in BACKENDS}, "backends", "adjust.backend")
     return tuple(sorted(chosen, key=BACKENDS.index))
 
 
 def types(given: str | int | Iterable[int | str]) -> tuple[int, ...]:
-    """Types of pre-adjustment in "1,2" or a list, in order."""
+    """Return the types of pre-adjustment in "1,2" or a list, in ascending order."""
     return tuple(sorted(_chosen(given, {str(kind): [kind] for kind in TYPES}, "types", "compare.type")))
 
 
 def target(given: float | None) -> float | None:
-    """Length to reach, m; None as given."""
+    """Return the RMSE to reach, m, after a check; None stays None."""
     if given is not None and not (math.isfinite(given) and given > 0.0):
         raise InputError.of("compare.target", option="target", value=given)
     return given
 
 
 def time_limit(given: float) -> float:
-    """Limit of the processor time, s."""
+    """Return the limit of the processor time, s, after a check."""
     if not given > 0.0:
         raise InputError.of("compare.time_limit", option="time_limit_s", value=given)
     return given
@@ -94,7 +97,11 @@ METHODS: Final[tuple[Method, ...]] = get_args(Method)
 
 
 def regularisations(given: str | Iterable[str] | None) -> tuple[str, ...] | None:
-    """Words "METHOD", "METHOD:RULE" or "METHOD:NUMBER" of a selection, each once; "all": all methods; None as given."""
+    """Return the words of a selection of regularisations, each once.
+
+    A word is "METHOD", "METHOD:RULE" or "METHOD:NUMBER"; "all" selects all methods; None
+    stays None.
+    """
     if given is None:
         return None
     out: list[str] = []
@@ -111,7 +118,7 @@ def regularisations(given: str | Iterable[str] | None) -> tuple[str, ...] | None
 
 
 def _is_value(method: str, value: str) -> bool:
-    """Whether a text is a rule or a kappa, or the cut of the rank, of a method."""
+    """Return whether a text is a rule, a kappa or a cut of the rank for a method."""
     number = _number(value)
     if method in WITH_KAPPA:
         return value in _rules() or number > 0.0
@@ -119,12 +126,12 @@ def _is_value(method: str, value: str) -> bool:
 
 
 def _rules() -> list[str]:
-    """Rules of kappa that need no true solution."""
+    """Return the rules of kappa that do not need the true solution."""
     return [name for name, rule in kappa_rules().items() if "truth" not in rule.needs]
 
 
 def _number(text: str) -> float:
-    """Finite number of a text; nan for another text."""
+    """Return the finite number in a text; nan for other texts."""
     try:
         value = float(text)
     except ValueError:
@@ -133,7 +140,7 @@ def _number(text: str) -> float:
 
 
 def regularisation_of(options: Options) -> str:
-    """Regularisation of options in one word: "none", "tikhonov:gcv", "truncated:0.1" or "minimum_norm:1e-09"."""
+    """Return the regularisation of options as one word, such as "none", "tikhonov:gcv" or "minimum_norm:1e-09"."""
     method = options.regularisation
     if method == UNREGULARISED:
         return UNREGULARISED
@@ -143,9 +150,10 @@ def regularisation_of(options: Options) -> str:
 
 
 def regularised(options: Options, word: str) -> Options:
-    """Options with the regularisation of a word of :func:`regularisations`; what it leaves out is that of the options.
+    """Return options with the regularisation of a word; values that the word does not state stay unchanged.
 
-    The penalty of the options belongs to Tikhonov's method; the other methods have the deviation.
+    The word comes from :func:`regularisations`. The penalty of the options is used for
+    Tikhonov's method; other methods penalise the deviation.
     """
     method, _, value = word.partition(":")
     out = replace(options, regularisation=cast(Method, method))
@@ -160,7 +168,7 @@ def regularised(options: Options, word: str) -> Options:
 
 
 def options_of(word: str) -> dict[str, Any]:
-    """Options of the project file that a complete word of :func:`regularisation_of` stands for."""
+    """Return the options of the project file for a complete word of :func:`regularisation_of`."""
     method, _, value = word.partition(":")
     out: dict[str, Any] = {"regularisation": method}
     if method in WITH_KAPPA:
@@ -171,7 +179,7 @@ def options_of(word: str) -> dict[str, Any]:
     return out
 
 
-#: Arguments of ``compare`` to functions that check them and raise InputError.
+#: Functions that check the arguments of ``compare`` and raise InputError, by the name of the argument.
 SELECTIONS: Final[dict[str, Callable[[Any], Any]]] = {
     "eop_sets": eop_sets, "solvers": solver_names, "backends": backend_names, "types": types, "target_m": target,
     "time_limit_s": time_limit, "regularisations": regularisations,

@@ -1,9 +1,12 @@
-"""Results of a comparison by EOP set and regularisation, and the accuracy that the block predicts at its check points.
+"""Results of a comparison for each EOP set and regularisation, with the predicted accuracy at check points.
 
-Target. The errors of n check points have the joint covariance C, which the adjustment predicts, with the variances of
-the measured coordinates. Their mean square along an axis is about ``g chi2(h) / h`` with ``g = tr C / n`` and ``h =
-(tr C)^2 / tr C^2`` (Satterthwaite 1946). Its 95 % limit of the worst ECEF axis is the RMSE to reach. Of a regularised
-estimate C are the expected products of the errors, bias included (``fg_orient.quality.regularised_points``).
+The target follows from the predicted accuracy. The errors of n check points have the joint
+covariance C. It is predicted by the adjustment and includes the variances of the measured
+coordinates. Their mean square along an axis is about
+``g chi2(h) / h`` with ``g = tr C / n`` and ``h = (tr C)^2 / tr C^2`` (Satterthwaite 1946).
+The RMSE to reach is the 95 % limit for the worst ECEF axis. For a regularised estimate, C
+contains the expected products of the errors, including the bias
+(``fg_orient.quality.regularised_points``).
 """
 
 from __future__ import annotations
@@ -42,14 +45,14 @@ class SetResult:
     name : str
     image_unknowns : int
     regularisation : str
-        As of a row.
+        Regularisation, as in a row.
     kappa : float
-        nan without a parameter.
+        Parameter of the regularisation; nan without one.
     held : int
         Directions that a truncation or a minimum norm keeps at the metadata.
     effective_unknowns : float
-        Image unknowns that the penalty does not determine: trace of the resolution, with the share of priors; nan
-        without a regularisation.
+        Number of image unknowns that the penalty does not determine: trace of the resolution,
+        including the share of priors. nan without a regularisation.
     failure : str
         Reason for a missing solution; "" if there is one.
     status, reason : str
@@ -57,7 +60,7 @@ class SetResult:
     backend, solver, optimizer : str
         Engine of the adjustment; the solver of full matrices.
     undetermined : int
-        Directions of the images that nothing but a prior determines.
+        Number of directions of the images that only a prior determines.
     sigma0, global_p : float
         A posteriori standard deviation of unit weight, and probability of the global test.
     aic, aicc, bic : float
@@ -72,13 +75,14 @@ class SetResult:
         Predicted RMSE at the check points of the worst ECEF axis, and its 95 % limit; nan without a covariance. With a
         regularisation they contain the bias of true deviations of one prior sigma.
     bias_m : float
-        The part of ``predicted_m`` that is bias, of its axis; nan without a regularisation.
+        Part of ``predicted_m`` that is bias, on the same axis; nan without a regularisation.
     prediction_factor : float
-        Errors of the check points over the predicted ones, by their joint covariance; nan with a regularisation.
+        Ratio of actual to predicted errors at the check points, by their joint covariance;
+        nan with a regularisation.
     prediction_holds : bool or None
-        Whether chance explains this factor; None if it is not tested.
+        True if chance explains this factor; None if it is not tested.
     processor_s : float
-        With all statistics.
+        Processor time, s, with all statistics.
     """
 
     eop_set: int
@@ -112,34 +116,34 @@ class SetResult:
 
     @property
     def is_usable(self) -> bool:
-        """Whether there is a converged solution."""
+        """True if there is a converged solution."""
         return not self.failure and self.status != Status.NOT_CONVERGED.value
 
     @property
     def is_regularised(self) -> bool:
-        """Whether the estimate is biased on purpose."""
+        """True if the estimate is regularised and therefore biased."""
         return self.regularisation != UNREGULARISED
 
     @property
     def key(self) -> tuple[int, str]:
-        """Set and regularisation."""
+        """Set and regularisation, as a key."""
         return self.eop_set, self.regularisation
 
     @property
     def words(self) -> str:
-        """Set, name and regularisation: "20 (PUVA), tikhonov (gcv)"."""
+        """Text of set, name and regularisation: "20 (PUVA), tikhonov (gcv)"."""
         own = regularisation_words(self.regularisation)
         return f"{self.eop_set} ({self.name})" + (f", {own}" if own else "")
 
 
 def of_failure(eop_set: int, failure: str, problem: Problem, regularisation: str = UNREGULARISED) -> SetResult:
-    """Set without a solution."""
+    """Return the result of a set without a solution."""
     name = EOP_SETS[eop_set].name
     return SetResult(eop_set, name, problem.n_free_unknowns, regularisation, failure=failure)
 
 
 def of_solution(eop_set: int, solution: Solution, processor_s: float) -> SetResult:
-    """Set with its solution."""
+    """Return the result of a set from its solution."""
     values: dict[str, Any] = {}
     check, chosen = solution.accuracy.check, solution.problem.regularisation
     covariance = check.covariance_m2
@@ -175,9 +179,10 @@ def _number(value: float | None) -> float:
 
 
 def expected_at(solution: Solution, check: PointDifferences) -> tuple[Array | None, Array | None]:
-    """Expected products of the errors at the selected check points (3k, 3k), East, North, Up, m^2; those of the bias.
+    """Return expected products (3k, 3k) of the errors at check points: of all errors, and of the bias.
 
-    The first with the variances of the measured coordinates. Of a regularised solution; None if unknown.
+    The axes are East, North, Up; the unit is m^2. The first matrix includes the variances of
+    the measured coordinates. The solution is regularised; None if the products are unknown.
     """
     if check.joint is None or not len(check):
         return None, None
@@ -191,7 +196,9 @@ def expected_at(solution: Solution, check: PointDifferences) -> tuple[Array | No
 
 
 def predicted_rmse(check: PointDifferences, covariance: Array | None) -> tuple[float, float, float]:
-    """Predicted RMSE of check points and its 95 % limit, of the worst ECEF axis, m; independent errors of all axes.
+    """Return predicted RMSE of check points, its 95 % limit, and the number of independent errors.
+
+    RMSE and limit belong to the worst ECEF axis, m.
 
     ``covariance``: (3k, 3k) of the selected points in East, North, Up, m^2. Without it nan, nan and the number of
     coordinates.
@@ -204,7 +211,7 @@ def predicted_rmse(check: PointDifferences, covariance: Array | None) -> tuple[f
 
 
 def bias_of(check: PointDifferences, covariance: Array | None, bias: Array | None) -> float:
-    """RMS of the bias along the axis of :func:`predicted_rmse`, m; nan without it."""
+    """Return the RMS of the bias along the axis of :func:`predicted_rmse`, m; nan without a bias."""
     if covariance is None or bias is None:
         return math.nan
     worst = int(np.argmax([_mean_square(own) for own in _by_axis(check, covariance)]))
@@ -212,7 +219,7 @@ def bias_of(check: PointDifferences, covariance: Array | None, bias: Array | Non
 
 
 def _by_axis(check: PointDifferences, covariance: Array) -> list[Array]:
-    """Parts (k, k) of a matrix (3k, 3k) in East, North, Up along each ECEF axis."""
+    """Return the blocks (k, k), one per ECEF axis, of a matrix (3k, 3k) in East, North, Up."""
     assert check.joint is not None
     k, turn = len(check.selected), check.joint.axes[check.selected]
     ecef = np.einsum("aji,ajbk,bkl->aibl", turn, covariance.reshape(k, 3, k, 3), turn)
@@ -224,11 +231,11 @@ def _mean_square(covariance: Array) -> float:
 
 
 def _limit(covariance: Array) -> float:
-    """Limit (95 %) of the mean square of correlated errors (n, n)."""
+    """Return the 95 % limit of the mean square of correlated errors (n, n)."""
     freedom = _freedom(covariance)
     return _mean_square(covariance) / freedom * float(chi_square_limit(freedom, LEVEL))
 
 
 def _freedom(covariance: Array) -> float:
-    """Number of independent errors in the mean square of correlated ones."""
+    """Return the number of independent errors in the mean square of correlated errors."""
     return float(np.trace(covariance)) ** 2 / float(np.sum(covariance**2))

@@ -1,4 +1,4 @@
-"""Engines: ways to solve the adjustment of one compiled problem, with their predicted effort."""
+"""Engines that solve one compiled problem, with their predicted effort."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ from fg_orient.studies.comparison.work import Sparsity, Work
 
 @dataclass(frozen=True)
 class Engine:
-    """One way to solve the adjustment.
+    """Method that solves the adjustment.
 
     Parameters
     ----------
     backend, solver, optimizer : str
-        Columns of its row.
+        Columns of the engine's row.
     run : callable
-        Solves a problem from a state with a maximum number of iterations.
+        Function that solves a problem from a state with a maximum number of iterations.
     work : callable
-        Predicted effort.
+        Function that returns the predicted effort.
     impossible : str
         Reason why the engine cannot solve this problem.
     note : str
-        Remark of the row.
+        Remark for the row.
     """
 
     backend: str
@@ -57,7 +57,7 @@ class Engine:
 
 
 class Engines:
-    """Engines of a problem.
+    """Engines that can solve a problem.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ class Engines:
         self.problem, self.sparsity = problem, sparsity
 
     def of(self, backend: str, solvers: tuple[str, ...]) -> list[Engine]:
-        """Ways to solve the problem with a backend; ``solvers`` are those of full matrices."""
+        """Return the engines of a backend; ``solvers`` are the solvers of full matrices."""
         if backend == "dense":
             return self._dense(solvers)
         return {"schur": self._schur, "explicit": self._explicit, "graph": self._graph}[backend]()
@@ -87,7 +87,7 @@ class Engines:
         return [engine(name) for name in solvers]
 
     def _schur(self) -> list[Engine]:
-        """Each method for the reduced system with Gauss-Newton; the method of the program with each optimiser."""
+        """Return each method for the reduced system with Gauss-Newton, and the default method with each optimiser."""
         problem, sparsity = self.problem, self.sparsity
         named = bool(problem.named_points())
         possible = {one.kind for one in predictions(sparsity.pattern, sparsity.band)} | {
@@ -116,13 +116,13 @@ class Engines:
         return [engine(chosen, name) for name in OPTIMIZERS] + [engine(kind, "gauss-newton") for kind in rest]
 
     def _ill_conditioned(self, engine: str) -> str:
-        """Reason for not trying an engine that forms normal equations."""
+        """Return the reason for not running an engine that forms normal equations; "" without a reason."""
         assert self.problem.regularisation is not None
         condition = self.problem.regularisation.condition
         return str(finding("compare.ill_conditioned", place=engine, condition=condition, limit=NORMAL_LIMIT))
 
     def _explicit(self) -> list[Engine]:
-        """Graph with a factor for each image point: our Gauss-Newton over GTSAM's elimination, GTSAM's optimisers."""
+        """Return engines on the graph with a factor per image point: our Gauss-Newton, and GTSAM's optimisers."""
 
         def run(optimizer: str, problem: Problem, start: State, most: int) -> LoopResult[State]:
             return ExplicitRun(problem, optimizer).run(start, most)
@@ -139,7 +139,7 @@ class Engines:
         return [own, *native]
 
     def _graph(self) -> list[Engine]:
-        """GTSAM's optimisers on the graph whose factors eliminate the points."""
+        """Return GTSAM's optimisers on the graph whose factors eliminate the points."""
         first = images_first(self.problem)
         impossible = "" if first or eliminates_points(self.problem) else str(finding("compare.not_eliminated"))
         if needs_rows(self.problem):
@@ -154,7 +154,7 @@ class Engines:
 
 
 def _by_loop(make: Callable[[Problem], Any], optimizer: str) -> Callable[[Problem, State, int], LoopResult[State]]:
-    """Our optimiser on a backend."""
+    """Return an engine that runs our own optimiser on a backend."""
 
     def run(problem: Problem, start: State, most: int) -> LoopResult[State]:
         backend = make(problem)
@@ -165,7 +165,10 @@ def _by_loop(make: Callable[[Problem], Any], optimizer: str) -> Callable[[Proble
 
 
 def timed(engine: Engine, problem: Problem) -> tuple[LoopResult[State], Effort]:
-    """Result and effort of an engine; again where kernels were compiled or loaded in the first run."""
+    """Run an engine; return its result and effort.
+
+    It runs again if kernels were compiled or loaded in the first run.
+    """
     while True:
         prepared = preparing_seconds()
         with np.errstate(all="ignore"), calm_memory(), measured() as effort:

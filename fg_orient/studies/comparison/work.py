@@ -1,9 +1,11 @@
 """Predicted effort of an adjustment by each engine: operations, elements of the factor, fill, memory, time.
 
-Operations are those of one iteration, a multiplication and an addition counted as two: normal equations or QR of the
-full matrix (Golub & Van Loan 2013, tables 5.5 and 8.6), or elimination of the ground points and Cholesky factor of what
-remains. An eliminated variable of s unknowns that is linked with d others costs ``s^3/3 + s^2 d + s d^2``. Memory and
-time decide only what is not tried. Their constants are measured ones, rounded to the safe side.
+Operations are counted for one iteration; a multiplication and an addition are two operations.
+They include either the normal equations or QR of the full matrix (Golub & Van Loan 2013,
+tables 5.5 and 8.6), or the elimination of the ground points and the Cholesky factor of the
+reduced matrix. Eliminating a variable of s unknowns that is linked with d others costs
+``s^3/3 + s^2 d + s d^2``. Memory and time are used only to decide which engines are not run.
+Their constants were measured and rounded to the safe side.
 """
 
 from __future__ import annotations
@@ -31,16 +33,19 @@ from fg_orient.adjustment.reduced_choice import (
 from fg_orient.model.errors import finding
 from fg_orient.model.machine import allowed_bytes, in_gb
 
-#: Image points up to which the graph is eliminated symbolically; beyond, its elements are counted by formulas.
+#: Maximum number of image points for a symbolic elimination of the graph. For larger blocks
+#: formulas count the elements.
 COUNTED: Final = 20_000
-#: Blocks of the reduced matrix up to which it is eliminated symbolically by GTSAM, images for which by degrees.
+#: Maximum number of blocks of the reduced matrix for a symbolic elimination by GTSAM, and
+#: maximum number of images for an elimination by least degree.
 BLOCKS: Final = 100_000
 SYMBOLIC: Final = 5000
-#: Iterations that are assumed for the time of an adjustment.
+#: Assumed number of iterations for the time of an adjustment.
 ITERATIONS: Final = 6
-#: Operations per second of one processor: the least of the solvers but the exchange step (measured: 1 to 25e9).
+#: Operations per second of one processor: the least of all solvers except the exchange step (measured: 1 to 25e9).
 RATE: Final = 2e9
-#: Processor seconds of an image point and iteration: compiled kernels; groups of points as factors; a factor each.
+#: Processor seconds per image point and iteration: with compiled kernels, with groups of
+#: points as factors, and with a factor per image point.
 KERNELS, GROUPS, FACTORS = 2e-6, 4e-6, 6e-5
 #: Processor seconds of an iteration of GTSAM's optimisers for each pair of factors (measured: 7e-8 at 5000 factors,
 #: 1e-7 at 10 000). Linearisation and elimination, called one by one, take time in proportion to the factors.
@@ -50,7 +55,7 @@ Cost = Callable[[float, float], float]
 
 
 def _of_normal(cost: Callable[[float], float]) -> Cost:
-    """Normal equations (n u^2) and a method that costs so much for u unknowns."""
+    """Return the operations of the normal equations (n u^2) plus those of a method for u unknowns."""
     return lambda n, u: n * u**2 + cost(u)
 
 
@@ -78,23 +83,23 @@ DENSE: Final[dict[str, Cost]] = {
 
 
 def dense_operations(solver: str, n: int, u: int) -> float:
-    """Operations of a solver of the registry; nan for one that is not known here."""
+    """Return the operations of a registered solver; nan if they are unknown."""
     cost = DENSE.get(solver, _svd if solver.startswith("tikhonov_") else None)
     return math.nan if cost is None else float(cost(float(n), float(u)))
 
 
 @dataclass(frozen=True)
 class Work:
-    """Predicted effort.
+    """Predicted effort of an adjustment.
 
     Parameters
     ----------
     operations : float
-        Of one iteration.
+        Operations of one iteration.
     factor, fill : float
-        Elements of the factor, and those of them that are zero in the normal matrix.
+        Elements of the factor, and elements of it that are zero in the normal matrix.
     memory : float
-        Bytes of the adjustment.
+        Memory of the adjustment, bytes.
     seconds : float
         Processor seconds of the adjustment.
     """
@@ -106,7 +111,7 @@ class Work:
     seconds: float = math.nan
 
     def columns(self) -> dict[str, float]:
-        """Columns of a row."""
+        """Return the columns of a row."""
         return {"operations": self.operations, "factor_elements": self.factor, "fill": self.fill}
 
 
@@ -119,11 +124,11 @@ class Limits:
 
     @classmethod
     def of(cls, memory_gb: float | None, seconds: float) -> Limits:
-        """Limits by options; without a limit 80 % of the available memory."""
+        """Return the limits by the options; the default is 80 % of the available memory."""
         return cls(allowed_bytes(memory_gb), seconds)
 
     def reason(self, engine: str, work: Work) -> str:
-        """Reason for not trying an engine; "" if it is tried."""
+        """Return the reason for not running an engine; "" if it can be run."""
         if self.memory is not None and work.memory > self.memory:
             return str(finding("compare.memory", place=engine, needed=in_gb(work.memory), allowed=in_gb(self.memory)))
         if work.seconds > self.seconds:
@@ -132,7 +137,7 @@ class Limits:
 
 
 class Sparsity:
-    """Numbers of elements and operations of a problem, without its values.
+    """Counts of elements and operations, from the structure of a problem alone.
 
     Parameters
     ----------
@@ -152,17 +157,17 @@ class Sparsity:
 
     @cached_property
     def pattern(self) -> Pattern:
-        """Images that share points."""
+        """Pairs of images that share points."""
         return pattern_of(self.problem)
 
     @cached_property
     def band(self) -> int:
-        """Elements of a column of the band of the reduced matrix below the diagonal."""
+        """Number of elements below the diagonal in a column of the band of the reduced matrix."""
         return narrowest(self.pattern, self.problem.first).band
 
     @cached_property
     def structure(self) -> Structure | None:
-        """Graph with explicit points; None of a large block."""
+        """Graph with explicit points; None for a large block."""
         return explicit_structure(self.problem) if self.n <= COUNTED else None
 
     @cached_property
@@ -178,12 +183,12 @@ class Sparsity:
 
     @property
     def is_plain(self) -> bool:
-        """Whether the formulas hold for a block that is not eliminated symbolically."""
+        """True if the formulas are valid for a block that is not eliminated symbolically."""
         return self.structure is not None or (self.problem.ties is None and not self.problem.block.extra)
 
     @cached_property
     def normal(self) -> float:
-        """Elements of the lower triangle of the normal matrix that are not zero; nan if unknown."""
+        """Number of nonzero elements in the lower triangle of the normal matrix; nan if unknown."""
         if self.structure is not None:
             sizes = self.structure.sizes
             own = float((sizes * (sizes + 1) // 2).sum())
@@ -192,7 +197,7 @@ class Sparsity:
         return self.of_points + float((size * (size + 1) // 2).sum()) if self.is_plain else math.nan
 
     def factor_of_images(self, ordering: str) -> tuple[float, float]:
-        """Operations and elements of the sparse factor of the images; of very many blocks by least degree."""
+        """Operations and elements of the sparse factor of the images; for very many blocks by least degree."""
         if len(self.pattern.block_row) <= BLOCKS:
             tree = self.reduced.eliminated(self.reduced.ordering(ordering))
             return tree.operations, float(tree.counts["nonzeros_factor"])
@@ -210,7 +215,7 @@ class Sparsity:
     # --- engines ----------------------------------------------------------------------------------
 
     def dense(self, solver: str) -> Work:
-        """Full matrices."""
+        """Return the effort with full matrices."""
         operations = dense_operations(solver, self.problem.n_observations, self.u)
         known = operations if math.isfinite(operations) else _svd(self.problem.n_observations, self.u)
         return self._work(
@@ -218,7 +223,7 @@ class Sparsity:
         )  # fmt: skip
 
     def schur(self, kind: str) -> Work:
-        """Compiled elimination of the points, and a method for the reduced system."""
+        """Return the effort of the compiled elimination of points with a method for the reduced system."""
         u, blocks = float(self.images), self.reduced_elements
         steps = STEPS * farthest(self.pattern) if kind in ("iterative", "implicit") else 0
         operations, factor = {
@@ -236,13 +241,13 @@ class Sparsity:
         )  # fmt: skip
 
     def graph(self) -> Work:
-        """Groups of points as factors, images eliminated by COLAMD."""
+        """Return the effort with groups of points as factors and images eliminated by COLAMD."""
         operations, factor = self.colamd
         seconds = ITERATIONS * (self.n * GROUPS + (self.eliminating + GTSAM * operations) / RATE)
         return self._work(self.eliminating + operations, self.of_points + factor, self._memory("graph"), seconds)
 
     def explicit(self, *, native: bool = False) -> Work:
-        """A factor for each image point; points first, then images as given; ``native``: by GTSAM's optimisers."""
+        """Return the effort with a factor per image point, points eliminated first; ``native``: GTSAM's optimisers."""
         operations, factor = self.factor_of_images("natural")
         each = self.n * FACTORS + (self.n**2 * PAIRS if native else 0.0)
         seconds = (ITERATIONS + 2.0) * (each + GTSAM * operations / RATE)
@@ -251,7 +256,7 @@ class Sparsity:
 
     @cached_property
     def reduced_elements(self) -> float:
-        """Elements of the lower triangle of the reduced matrix that are not zero."""
+        """Number of nonzero elements in the lower triangle of the reduced matrix."""
         if len(self.pattern.block_row) > BLOCKS:
             return float(self.pattern.size.max(initial=1)) ** 2 * len(self.pattern.block_row)
         sizes = self.reduced.sizes
@@ -261,14 +266,14 @@ class Sparsity:
         return Work(operations, factor, max(factor - self.normal, 0.0), memory, seconds)
 
     def _memory(self, backend: str) -> float:
-        """Bytes of an adjustment without statistics."""
+        """Return the bytes of an adjustment without statistics."""
         block = self.problem.block
         options = replace(block.options, backend=backend, statistics="basic")  # type: ignore[arg-type]
         return float(need_of(replace(block, options=options)).needed)
 
 
 def published_work(solver: str, block_points: int, unknowns: int) -> Work:
-    """Effort of the bundle of the published procedure: one solution of full matrices."""
+    """Return the effort of the published bundle: one solution of full matrices."""
     n = 2 * block_points
     known = dense_operations(solver, n, unknowns)
     return Work(

@@ -35,7 +35,7 @@ LARGE_CM: Final = 5.0
 
 
 def ring_cells(values: Values) -> Cells:
-    """Recompute tables 1 and 2 and the text: each ring's distance from surface's centre (eqs. 174, 175), diameters."""
+    """Recompute tables 1 and 2 and the text: distance of each ring from the centre (eqs. 174, 175), diameters."""
     rings = [f"ring {k}" for k in range(1, len(RINGS) + 1)]
     across, along, ball = (values[row_key("text", "rig", name)] for name in ("design_a", "design_b", "design_radius"))
     radius = points_of(values, "1", ["radius_m"], rings)
@@ -123,7 +123,7 @@ def sum_cells(values: Values) -> Cells:
 
 
 def six_point_cells(values: Values) -> Cells:
-    """Recompute tables 13 to 20: case I of table 13 is that of appendix 3; large values of other cases are noise."""
+    """Recompute tables 13 to 20: case I of table 13 is in appendix 3, and large values of other cases are noise."""
     out: Cells = {}
     for key, value in values.items():
         if key.quantity == "db_cm" and abs(value) > LARGE_CM:

@@ -65,7 +65,7 @@ class Row:
 
     @property
     def informs(self) -> bool:
-        """True if the digits agree, and the role of the cell alone does not explain the agreement."""
+        """True if the digits agree, and exchanged values of the same role would not always agree."""
         return self.verdict in DIGITS and not self.chance == 1.0
 
     @property
@@ -235,7 +235,7 @@ def pair(
     *,
     as_run: bool = False,
 ) -> tuple[tuple[Row, ...], Baseline]:
-    """Compare each published cell of some tables with its runs, or by its judge ``on_points``; then shuffle."""
+    """Compare each published cell of some tables with its runs, or by its function ``on_points``; then shuffle."""
     cells = [cell for cell in printed.cells if cell.key.table in tables]
     judges = {cell.key: (on_points or {}).get(cell.key) or _of_runs(cell.key, computed) for cell in cells}
     null, rows = baseline(cells, judges), []
@@ -323,7 +323,7 @@ def shuffled(cells: Sequence[PublishedCell], seed: int) -> tuple[PublishedCell, 
 
 
 def baseline(cells: Sequence[PublishedCell], judges: Mapping[CellKey, Judge], n: int = SHUFFLES) -> Baseline:
-    """Judge shuffled values: within a table, values are exchanged among cells of the same role.
+    """Compare exchanged values: within a table, printed values are exchanged among cells of the same role.
 
     If exchanged values get a verdict as often as the true values, the verdict only shows that the quantity has this
     size in the table, not that the cell has this value (docs/reproduce.md). The role consists of table, quantity,
