@@ -1,9 +1,8 @@
 """Kernels: functions that numba compiles as a whole at their first call, and stores with a digest of their sources.
 
-Plain numba makes separate machine code for each function that a kernel calls. This code is never used, and
-the work is repeated for each caller. It takes half the time of a first run. Here a function that kernels call
-is a *part*: it is translated once and linked into the kernels. A kernel is optimised and converted to machine
-code once, together with its parts.
+Plain numba makes separate machine code for each function that a kernel calls, again for each caller, and never
+uses it. This takes half the time of a first run. Here a function that kernels call is a *part*: it is translated
+once and linked into the kernels. A kernel and its parts become machine code once.
 
 This module extends internal classes of numba, which may change; therefore pyproject.toml limits the version of numba.
 """
