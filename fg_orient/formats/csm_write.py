@@ -42,11 +42,9 @@ TURNED: Final = np.diag([1.0, -1.0, -1.0])
 _PARAMETERS: Final = 16
 
 
-#: First column of a band and the column after its last one.
-Columns = tuple[int, int]
-
-
-def write_state(path: Path, sensor: Any, correction: Any = None, columns: Columns | None = None) -> dict[str, Any]:
+def write_state(
+    path: Path, sensor: Any, correction: Any = None, columns: tuple[int, int] | None = None
+) -> dict[str, Any]:  # fmt: skip
     """Write the state of a pushbroom image, or of a band of its columns.
 
     Parameters
@@ -81,7 +79,7 @@ def write_state(path: Path, sensor: Any, correction: Any = None, columns: Column
     return {"camera_px": list(detector.largest_px), "step_s": step_s, "states": len(times)}
 
 
-def _detector(sensor: PushbroomSensor, correction: Correction, columns: Columns) -> LineDetector:
+def _detector(sensor: PushbroomSensor, correction: Correction, columns: tuple[int, int]) -> LineDetector:
     """Fit a detector line to the corrected look angles.
 
     They are compared at samples over all its columns.
@@ -195,8 +193,8 @@ def _lines(sensor: PushbroomSensor, zero_s: float) -> dict[str, list[float]]:
 
 
 def _fields(
-    sensor: PushbroomSensor, detector: LineDetector, columns: Columns, zero_s: float, times: Array, p: Array, v: Array,
-    q: Array,
+    sensor: PushbroomSensor, detector: LineDetector, columns: tuple[int, int], zero_s: float, times: Array, p: Array,
+    v: Array, q: Array,
 ) -> dict[str, Any]:  # fmt: skip
     """Return all fields of a state as written to the JSON file."""
     image, _ = _span(sensor)

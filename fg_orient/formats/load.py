@@ -95,8 +95,8 @@ def parse_json(data: bytes, file: object, code: str, place: object = "") -> Any:
     data : bytes
     file, place : object
         File, and place in it; used in messages.
-        code : str
-            Code of the message if the content is not JSON.
+    code : str
+        Code of the message if the content is not JSON.
 
     Raises
     ------

@@ -19,7 +19,7 @@ import numpy as np
 from factors.arrays import Array
 from factors.geometry.interpolation import sign_aligned
 from fg_orient.formats.csm import LINE_SCAN_MODEL, UNIT, distortion_of, open_state
-from fg_orient.formats.csm_write import Columns, write_state
+from fg_orient.formats.csm_write import write_state
 from fg_orient.formats.json_files import JsonFile
 from fg_orient.formats.metadata.csm_frame import write_state as write_frame
 from fg_orient.formats.registry import Format
@@ -156,7 +156,7 @@ def _directions(state: JsonFile, n_samples: int) -> tuple[DirectionTable, str]:
 
 
 def write_compared(
-    path: Path, sensor: Any, correction: Any = None, columns: Columns | None = None
+    path: Path, sensor: Any, correction: Any = None, columns: tuple[int, int] | None = None
 ) -> dict[str, Any]:  # fmt: skip
     """Write a state, read it again, and compare it with the image.
 
