@@ -1,1 +1,1 @@
-"""Sensors: bind metadata to the observation equations."""
+"""Sensors connect the metadata of images with the observation equations."""

@@ -1,9 +1,10 @@
-"""Contract of a sensor: one class has all methods for one kind of image.
+"""Base classes of sensors: one class contains all methods for one kind of image.
 
-A sensor is one file with subclasses of :class:`Sensor` and :class:`ImageModel`. Commands, backends, observability,
-covariance, tables and report use only the methods of these two. A format (``fg_orient.formats.registry``) reads its
-metadata. Pixels are (line, sample) with (0, 0) = centre of the first pixel; ground points are ECEF metres, or metres of
-a local Cartesian system if the sensor is not georeferenced.
+A new sensor is one file with subclasses of :class:`Sensor` and :class:`ImageModel`.
+Commands, backends, observability, covariance, tables and report use only the methods of
+these two classes. A format (``fg_orient.formats.registry``) reads the metadata. Pixels
+are (line, sample); (0, 0) is the centre of the first pixel. Ground points are ECEF, m. If
+the sensor is not georeferenced, they refer to a local Cartesian system, m.
 """
 
 from __future__ import annotations
@@ -31,7 +32,9 @@ if TYPE_CHECKING:
 
 
 class ImageModel(ABC):
-    """One image in an adjustment: a sensor and an equation with the arguments (image unknowns, ground point).
+    """One image in an adjustment: its sensor, its unknowns and its observation equation.
+
+    The arguments of the equation are the image unknowns and the ground point.
 
     Attributes
     ----------
@@ -45,60 +48,69 @@ class ImageModel(ABC):
 
     @abstractmethod
     def records(self, points: ImagePoints, ground_m: Array, origin_m: Array) -> Array:
-        """Whitened constants (n, d) of image points of this image; the equation's residual is then in sigmas.
+        """Return the whitened constants (n, d) of image points; the equation's residual is then in standard deviations.
 
-        To first order it is ``v / sigma``; v = adjusted - observed is the residual of all results. ``ground_m``
-        (n, 3) ECEF m near the observed points; ``origin_m`` (3,): local origin of the ground unknowns.
+        To first order, it is ``v / sigma``, where v = adjusted - observed is the residual
+        in all results. ``ground_m`` (n, 3) are ECEF coordinates, m, near the observed
+        points. ``origin_m`` (3,) is the local origin of the ground unknowns.
         """
 
     @abstractmethod
     def correction(self, x: Array) -> Any:
-        """Correction for ``rays``, ``project`` and ``locate`` of the sensor, from unknowns (k,) in prior sigmas."""
+        """Convert unknowns (k,) in prior sigmas to a correction that the methods of the sensor accept."""
 
     @abstractmethod
     def facts(self) -> dict[str, Any]:
-        """Mission, instrument, format and further entries for the report and the record of a run."""
+        """Return mission, instrument, format and further entries for the report and the record of a run."""
 
     def silent_directions(self) -> list[tuple[str, Array]]:
-        """Directions that are unobservable in the image: sentence and unit vector (k,) in prior sigmas."""
+        """Return directions that the image cannot observe: sentences and unit vectors (k,) in prior sigmas."""
         return []
 
     def per_line(self) -> tuple[Array, tuple[str, ...]]:
-        """Factors (k,) from the unknowns in physical units to coefficients per line, nan if not applicable; units."""
+        """Return factors (k,) that convert unknowns in physical units to coefficients per line, and their units.
+
+        A factor is nan if an unknown has no such form.
+        """
         return np.full(len(self.parameters), np.nan), ("",) * len(self.parameters)
 
     @property
     def raw_sigma(self) -> Array:
-        """Prior sigmas (k,) of the coefficients per line; of unknowns without such a form in physical units."""
+        """Return the prior sigmas (k,) of the coefficients per line.
+
+        If an unknown has no such form, its prior sigma is in physical units.
+        """
         factors = self.per_line()[0]
         return np.asarray(self.parameters.sigma * np.where(np.isfinite(factors), factors, 1.0))
 
     def is_valid(self, ground_m: Array) -> Mask:
-        """Whether the sensor's model may be used at ground points (n, 3) ECEF m: (n,)."""
+        """Return a mask (n,) of the ground points (n, 3), ECEF m, at which the sensor's model is valid."""
         return np.ones(len(ground_m), bool)
 
 
 class Sensor(ABC):
-    """Sensor of an image, with the centres of its first and last line and sample.
+    """Sensor of an image. It knows the centres of the first and last line and sample.
 
     Attributes
     ----------
     file : str
         Name of the metadata file.
     georeferenced : bool
-        Ground points are Earth-fixed; else metres of a local Cartesian system, or fixed to ``body``.
+        True: ground points are Earth-fixed or fixed to ``body``. False: they refer to a
+        local Cartesian system, m.
     body : Body or None
-        Body other than the Earth, whose axes the ground points have.
+        Another body than the Earth, to whose axes the ground points refer.
     serial : str
-        Name of the image in networks of other programs, if it has one.
+        Name of the image in networks of other programs; "" if there is none.
     orients : bool
-        The metadata tell where the image lies: they define the datum of a block without control points.
+        The metadata contain the position of the image. They define the datum of a block without control points.
     notes : tuple of Finding
         Remarks of the reader.
     frame_points : tuple of FramePoint
-        Points with a ground position in the metadata; ``frame_note`` explains a disagreement with the model.
+        Points whose ground position is in the metadata. If they do not agree with the
+        model, ``frame_note`` explains the reason.
     mean_height_m : float
-        Ellipsoidal height of footprint and image centre.
+        Ellipsoidal height at which footprint and image centre are computed.
     """
 
     file: str = ""
@@ -119,7 +131,7 @@ class Sensor(ABC):
 
     @abstractmethod
     def rays(self, line: npt.ArrayLike, sample: npt.ArrayLike, correction: Any = None) -> tuple[Array, Array]:
-        """Points on the lines of sight (N, 3) m, above the ground, and unit directions (N, 3).
+        """Return points (N, 3), m, on the lines of sight above the ground, and unit directions (N, 3).
 
         Parameters
         ----------
@@ -131,7 +143,7 @@ class Sensor(ABC):
 
     @abstractmethod
     def project(self, ground_m: npt.ArrayLike, correction: Any = None) -> tuple[Array, Array]:
-        """Line and sample (N,) of ground points (N, 3) m; nan for invisible points.
+        """Project ground points (N, 3), m, into the image: line and sample (N,); nan for invisible points.
 
         Parameters
         ----------
@@ -143,7 +155,7 @@ class Sensor(ABC):
 
     @abstractmethod
     def image_model(self, options: Options) -> ImageModel:
-        """Unknowns and equation of the image in an adjustment with these options."""
+        """Return the image model: the unknowns and the equation of the image in an adjustment with these options."""
 
     def locate(
         self,
@@ -154,7 +166,7 @@ class Sensor(ABC):
         dem: HeightSurface | None = None,
         correction: Any = None,
     ) -> Array:
-        """Ground points (N, 3) ECEF m of N pixels at ellipsoidal heights (default 0), or on a DEM.
+        """Return the ground points (N, 3), ECEF m, of N pixels at ellipsoidal heights (default 0) or on a DEM.
 
         Parameters
         ----------
@@ -163,7 +175,7 @@ class Sensor(ABC):
         height_m : float or (N,) array_like, optional
             Ellipsoidal heights, m.
         dem : object, optional
-            Elevation model, instead of ``height_m``.
+            Elevation model that is used instead of ``height_m``.
         correction : object, optional
             Correction of the orientation, from :meth:`correction_of`.
 
@@ -185,34 +197,42 @@ class Sensor(ABC):
     def _located(
         self, line: Array, sample: Array, height_m: npt.ArrayLike | None, dem: HeightSurface | None, correction: Any
     ) -> Array:
-        """Ground points of pixels (N,) inside the image."""
+        """Return the ground points of pixels (N,) inside the image."""
         p, u = self.rays(line, sample, correction)
         return landed(p, u, height_m, dem, (line, sample), self.file, self.body)
 
     def correction_of(self, values: Mapping[str, float], options: Options) -> Any:
-        """Correction from the values of the unknowns by name, in physical units, as in a result folder.
+        """Make a correction from the values of the unknowns by name.
+
+        The values are in physical units, as in a result folder.
 
         Raises
         ------
         KeyError
-            A name is not an unknown of this sensor.
+            A name is not the name of an unknown of this sensor.
         """
         model = self.image_model(options)
         x = placed(values, model.parameters.names)
         return model.correction(x / model.parameters.sigma)
 
     def shared_starts(self) -> dict[tuple[str, str], float]:
-        """Start values of unknowns shared with other images, by (shared id, name): they must agree."""
+        """Return the start values of unknowns that other images share, by (shared id, name).
+
+        All these images must have the same start values.
+        """
         return {}
 
     @cached_property
     def centre_m(self) -> Array:
-        """Ground point (3,) m of the image centre."""
+        """Return the ground point (3,), m, of the image centre."""
         middle = 0.5 * (self.first_line + self.last_line), 0.5 * (self.first_sample + self.last_sample)
         return np.asarray(self.locate(*middle, height_m=self.mean_height_m)[0])
 
     def footprint(self) -> Array:
-        """Corners in image order, clockwise: (4, 2) longitude, latitude in degrees; (0, 2) if not georeferenced."""
+        """Return the corners in the order of the image, clockwise: (4, 2) longitude, latitude, degrees.
+
+        If the sensor is not georeferenced, the shape is (0, 2).
+        """
         if not self.georeferenced and self.body is None:
             return np.zeros((0, 2))
         corners = self.locate(*self.corners(), height_m=self.mean_height_m)
@@ -221,12 +241,18 @@ class Sensor(ABC):
         return np.degrees(ellipsoid.geodetic_array(corners)[:, :2])
 
     def is_inside(self, line: Array, sample: Array) -> Mask:
-        """Whether pixels (N,) lie in the image, half a pixel of border included."""
+        """Return a mask (N,) of the pixels that lie in the image.
+
+        The border of half a pixel belongs to the image.
+        """
         inside = (line >= self.first_line - 0.5) & (line <= self.last_line + 0.5)
         return np.asarray(inside & (sample >= self.first_sample - 0.5) & (sample <= self.last_sample + 0.5))
 
     def require_inside(self, line: Array, sample: Array) -> None:
-        """Raise OutOfImage if a pixel lies outside the image; the message names the first one and the range."""
+        """Raise OutOfImage if a pixel lies outside the image.
+
+        The message names the first one and the range.
+        """
         bad = np.flatnonzero(~self.is_inside(line, sample))
         if len(bad):
             raise OutOfImage.of(
@@ -236,26 +262,29 @@ class Sensor(ABC):
             )  # fmt: skip
 
     def grid(self, count: int) -> tuple[Array, Array]:
-        """Lines and samples (count * count,) of a grid over the image."""
+        """Return lines and samples (count * count,) of a grid over the image."""
         axes = (self.first_line, self.last_line), (self.first_sample, self.last_sample)
         line, sample = np.meshgrid(*(np.linspace(*ends, count) for ends in axes), indexing="ij")
         return line.ravel(), sample.ravel()
 
     def corners(self) -> tuple[Array, Array]:
-        """Lines and samples (4,) of the corners in image order, clockwise."""
+        """Return lines and samples (4,) of the corners in the order of the image, clockwise."""
         line = np.array([self.first_line, self.first_line, self.last_line, self.last_line])
         return line, np.array([self.first_sample, self.last_sample, self.last_sample, self.first_sample])
 
 
 def same_length(*values: npt.ArrayLike) -> list[Array]:
-    """Arrays (N,) in C order from scalars and arrays."""
+    """Expand scalars and arrays to arrays (N,) of the same length in C order."""
     return [
         np.ascontiguousarray(a) for a in np.broadcast_arrays(*(np.atleast_1d(np.asarray(v, float)) for v in values))
     ]
 
 
 def placed(values: Mapping[str, float], names: tuple[str, ...]) -> Array:
-    """Values (n,) in the order of n names, 0 for missing names; KeyError for other names."""
+    """Arrange values (n,) in the order of n names.
+
+    The value of a missing name is 0. KeyError: a name is not among the n names.
+    """
     out, place = np.zeros(len(names)), {name: k for k, name in enumerate(names)}
     for name, value in values.items():
         out[place[name]] = value
@@ -263,13 +292,13 @@ def placed(values: Mapping[str, float], names: tuple[str, ...]) -> Array:
 
 
 class OrientedSensor:
-    """A sensor bound to a correction; all other attributes are the attributes of the sensor.
+    """Sensor that always uses one correction; its other attributes are those of the sensor.
 
     Parameters
     ----------
     sensor : PushbroomSensor, RpcSensor or FrameSensor
     correction : Correction or array
-        Argument of the sensor's methods, for instance ``solution.correction("left")``.
+        Correction that its methods use, for example ``solution.correction("left")``.
     """
 
     def __init__(self, sensor: Any, correction: Any) -> None:
@@ -277,19 +306,19 @@ class OrientedSensor:
         self.notes: tuple[Finding, ...] = (*sensor.notes, finding("image.adjusted"))
 
     def __getattr__(self, name: str) -> Any:
-        """Attribute of the sensor."""
+        """Return an attribute of the sensor."""
         return getattr(self.sensor, name)
 
     def rays(self, line: npt.ArrayLike, sample: npt.ArrayLike, correction: None = None) -> tuple[Array, Array]:
-        """Points on the lines of sight (N, 3) m and unit directions (N, 3), ECEF."""
+        """Return points (N, 3), m, on the lines of sight, and unit directions (N, 3), ECEF."""
         centre, direction = self.sensor.rays(line, sample, self.correction)
         return centre, direction
 
     def locate(self, line: npt.ArrayLike, sample: npt.ArrayLike, **surface: Any) -> Array:
-        """Ground points (N, 3) ECEF m; keywords ``height_m`` and ``dem`` as in :meth:`Sensor.locate`."""
+        """Return ground points (N, 3), ECEF m; for ``height_m`` and ``dem`` see :meth:`Sensor.locate`."""
         return np.asarray(self.sensor.locate(line, sample, **surface, correction=self.correction))
 
     def project(self, ground_m: npt.ArrayLike, correction: None = None) -> tuple[Array, Array]:
-        """Line and sample (N,) of ECEF points (N, 3)."""
+        """Project ECEF points (N, 3) into the image: line and sample (N,)."""
         line, sample = self.sensor.project(ground_m, self.correction)
         return line, sample

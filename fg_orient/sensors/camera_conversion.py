@@ -1,8 +1,10 @@
-"""Conversion of an interior orientation with its covariance into another program's convention.
+"""Convert an interior orientation and its covariance matrix to another program's convention.
 
-Two conventions of the same direction and projection map exactly if the second has all terms in use. Otherwise
-the second is fitted to the directions of the first: least squares of the observation equation on a grid
-of pixels with equal weights. Covariances follow by the derivatives of the map, or of the fit.
+The conversion is exact if two conventions have the same direction and projection, and if
+the second one has all terms that are used. Otherwise the second convention is fitted to
+the viewing directions of the first one. The fit is a least squares adjustment of the
+observation equation on a grid of pixels with equal weights. The covariance matrix is
+propagated by the derivatives of the conversion or of the fit.
 """
 
 from __future__ import annotations
@@ -32,33 +34,36 @@ from fg_orient.sensors.conventions import (
 from fg_orient.sensors.frame import MEASURED_TO_IDEAL
 from fg_orient.sensors.interior import Interior, directions, pixel_grid
 
-#: Step of the complex derivatives.
+#: Step of the derivatives by complex step.
 _STEP: Final = 1e-30
-#: Root mean square of the movement of image points in differences, px, far above rounding (1e-13 px) and with third
-#: derivatives below 1e-9, because k1 to k4 are hardly separated and magnify both; smallest movement that is used.
+#: Steps of numerical differences are chosen such that image points move by this distance
+#: (root mean square), px. It is far above rounding (1e-13 px), and the effect of third
+#: derivatives is below 1e-9. Both matter, because k1 to k4 are hardly separable and
+#: magnify such errors. The next value is the smallest movement that is used.
 _STEP_PX: Final = 3e-4
 _SMALLEST: Final = 1e-30
 
 
 @dataclass(frozen=True, eq=False)
 class ConvertedCamera:
-    """Camera in another convention.
+    """Camera after its conversion to another convention.
 
     Parameters
     ----------
     convention : str
     values : mapping of str to float
-        In the order of the program.
+        Values in the order of the program.
     covariance : (k, k) array, optional
-        Of all ``values``; those without a counterpart have zero rows.
+        Covariance matrix of all ``values``. Values without a counterpart have rows of zeros.
     interior : Interior
-        The same camera for images of fg_orient.
+        The same camera in the convention of fg_orient.
     is_exact : bool
-        The conventions map exactly; otherwise the values were fitted.
+        True: the conversion is exact. False: the values were fitted.
     rms_px, max_px : float
-        Root mean square and largest distance of image points in the two conventions, on a grid of the image.
+        Root mean square and largest distance between image points of the two conventions,
+        on a grid over the image.
     at_px : (2,) tuple of float
-        Line and sample of the largest distance, (0, 0) is the centre of the first pixel.
+        Line and sample of the largest distance; (0, 0) is the centre of the first pixel.
     """
 
     convention: str
@@ -72,7 +77,7 @@ class ConvertedCamera:
 
     @property
     def sigma(self) -> dict[str, float]:
-        """Standard deviations by name; empty without covariance."""
+        """Return the standard deviations by name; empty without a covariance matrix."""
         variances = () if self.covariance is None else self.covariance.diagonal()
         return dict(zip(self.values, np.sqrt(variances).tolist(), strict=False))
 
@@ -81,18 +86,19 @@ def convert_camera(
     values: Mapping[str, float], source: str, target: str, *, covariance: npt.ArrayLike | None = None,
     image_size: tuple[int, int] = (0, 0), pixel_mm: float | None = None, r0_mm: float | None = None,
 ) -> ConvertedCamera:  # fmt: skip
-    """Convert an interior orientation with its covariance into another program's convention.
+    """Convert an interior orientation and its covariance matrix to another program's convention.
 
     Parameters
     ----------
     values : mapping of str to float
-        Values by the program's names; coefficients that are left out are 0.
+        Values by the names of the program. Missing coefficients are 0.
     source, target : str
-        Names of conventions, see docs/frame-cameras.md.
+        Names of conventions; see docs/frame-cameras.md.
     covariance : (k, k) array, optional
-        Of ``values`` in their order.
+        Covariance matrix of ``values`` in their order.
     image_size : (n_lines, n_samples), optional
-        Needed by conventions that count from the middle of the image, and by conversions that are not exact.
+        Size of the image. Conventions that count from the middle of the image need it,
+        and also conversions that are not exact.
     pixel_mm : float, optional
         Size of a pixel, for conventions in mm.
     r0_mm : float, optional
@@ -105,7 +111,8 @@ def convert_camera(
     Raises
     ------
     InputError
-        A name, value or the covariance is not possible, a needed argument is missing, or the fit has no solution.
+        A name, a value or the covariance matrix is invalid, a required argument is
+        missing, or the fit has no solution.
     """
     one = named(source)
     image = Image(*image_size, 0.0 if pixel_mm is None else 1.0 / pixel_mm, r0_mm or 0.0)
@@ -121,7 +128,7 @@ def convert_camera(
 def converted_interior(
     interior: Interior, target: str, image: Image, by_values: Array | None = None, covariance: Array | None = None
 ) -> ConvertedCamera:
-    """Convert a camera of fg_orient.
+    """Convert a camera of fg_orient to another convention.
 
     Parameters
     ----------
@@ -130,9 +137,9 @@ def converted_interior(
         Name of a convention.
     image : Image
     by_values : (len(OURS), k) array, optional
-        Derivatives of the parameters of the camera by k values.
+        Derivatives of the camera's parameters with respect to k values.
     covariance : (k, k) array, optional
-        Of these values.
+        Covariance matrix of these values.
     """
     two = named(target)
     require_image(image, two)
@@ -141,7 +148,7 @@ def converted_interior(
     ours, same = interior_parameters(interior), two.is_of(interior)
     used = (ours != 0.0) | (((by_values @ spread) * by_values).sum(axis=1) > 0.0)
     scale = two.unit_px(image) / float(interior.unit_px or 1.0) if two.direction == MEASURED_TO_IDEAL else 1.0
-    factor = np.array([scale ** POWER.get(name, 0) for name in OURS])  # of the change of unit
+    factor = np.array([scale ** POWER.get(name, 0) for name in OURS])  # factors of the change of unit
     if same and two.has(used):
         found = two.values(factor * ours, image)
         by = _derivative(lambda v: two.values(factor * v, image), ours) @ by_values
@@ -160,7 +167,10 @@ def converted_interior(
 def _fitted(
     interior: Interior, two: Convention, image: Image, start: Array, by_values: Array
 ) -> tuple[Array, Array, dict[str, Any]]:
-    """Values (k,) that fit best to the directions of a camera, their derivatives (k, n), and the remaining distance."""
+    """Fit the values (k,) to the viewing directions of a camera.
+
+    Also return their derivatives (k, n) and the remaining distances.
+    """
     require_image(image, is_fit=True)
     line, sample = pixel_grid(interior)
     shown = [OURS.index(name) for name in two.ours]
@@ -174,7 +184,8 @@ def _fitted(
         return residual.ravel(), by.reshape(-1, len(values))
 
     here = ground(interior)
-    # the cost hides the last digits of the values: Newton's step of its gradient, with second derivatives, finds them
+    # near the minimum the cost is flat, so that the last digits of the values are lost: a
+    # Newton step with second derivatives, which sets the gradient to zero, restores them
     residual: Callable[[Any], Array] = lambda v: rows(v, here)[0]  # noqa: E731
     jacobian: Callable[[Any], Array] = lambda v: rows(v, here)[1]  # noqa: E731
     solved = least_squares(residual, start, jacobian, method="lm", x_scale="jac")
@@ -191,7 +202,7 @@ def _fitted(
     camera = two.interior(found, image).camera(np.eye(3), np.zeros(3))
     pixels = frame_corrections.pixels(camera.corrected(), here)
     apart = np.hypot(pixels[:, 0] - line, pixels[:, 1] - sample)
-    worst = int(np.argmax(apart))  # the first nan, if there is one
+    worst = int(np.argmax(apart))  # argmax gives the first nan, if there is one
     if not np.isfinite(apart[worst]):
         raise InputError.of(
             "conventions.fit (failure): no camera of this convention fits over the whole image -> choose a convention "
@@ -200,7 +211,7 @@ def _fitted(
     left = {"rms_px": float(np.sqrt(np.mean(apart**2))), "max_px": float(apart[worst]),
             "at_px": (float(line[worst]), float(sample[worst]))}  # fmt: skip
     by = np.zeros((n, k))
-    if k:  # the gradient stays 0 when the values of the source change
+    if k:  # when the values of the source change, the gradient must remain 0: this gives the derivatives
         ours, by_own = interior_parameters(interior), _rows(interior, line, sample, here, OURS)[1] @ by_values
         moves = _STEP_PX / np.maximum(np.sqrt(np.mean(by_own**2, axis=(0, 1))), _SMALLEST)
         mixed = _differences(
@@ -211,24 +222,28 @@ def _fitted(
 
 
 def _differences(function: Callable[[Array], Array], n: int) -> Array:
-    """Derivatives (m, n) of a function of n numbers at 0 by central differences of step 1."""
+    """Compute derivatives (m, n) of a function of n numbers at 0 by central differences with step 1."""
     return np.stack([0.5 * (function(e) - function(-e)) for e in np.eye(n)], axis=1)
 
 
 def _rows(interior: Interior, line: Array, sample: Array, ground: Array, names: Sequence[str]) -> tuple[Array, Array]:
-    """Residuals (N, 2) px of the observation equation, and their derivatives (N, 2, k) by parameters."""
-    own = replace(interior, further={"shear": 0.0, **interior.further})  # the equation with all terms
+    """Return residuals (N, 2), px, of the observation equation, and their derivatives (N, 2, k) by the parameters."""
+    # a further coefficient, even if it is 0, selects the equation with all terms
+    own = replace(interior, further={"shear": 0.0, **interior.further})
     return own.camera(np.eye(3), np.zeros(3)).linearised(names, line, sample, ground)
 
 
 def _derivative(function: Callable[[Any], Any], at: Array) -> Array:
-    """Derivatives (m, k) of a function of k numbers by complex steps."""
+    """Compute derivatives (m, k) of a function of k numbers by complex steps."""
     steps = 1j * _STEP * np.eye(len(at))
     return np.stack([function(at + step).imag / _STEP for step in steps], axis=1)
 
 
 def _covariance(covariance: npt.ArrayLike, values: Mapping[str, float], one: Convention) -> Array:
-    """Covariance (k, k), symmetric and not negative."""
+    """Return the covariance matrix (k, k).
+
+    Refuse it if it is not symmetric or has negative eigenvalues.
+    """
     out, k = np.asarray(covariance, float), len(values)
     right = out.shape == (k, k) and bool(np.isfinite(out).all())
     if right:

@@ -1,4 +1,4 @@
-"""Cliffs in elevation models that land does not have: probably an undeclared nodata value among plausible heights."""
+"""Find unnatural cliffs in elevation models; they probably come from an undeclared nodata value."""
 
 from __future__ import annotations
 
@@ -8,27 +8,29 @@ import numpy as np
 
 from factors.arrays import Array
 
-#: Steps between neighbouring cells that land does not have: height, m, and height over distance (80 degrees).
+#: A step between neighbouring cells is unnatural if its height, m, and its slope (80 degrees) exceed these limits.
 CLIFF_M: Final = 200.0
 CLIFF_SLOPE: Final = 5.7
-#: Least number of such steps with one value.
+#: Minimum number of such steps with the same value.
 CLIFFS: Final = 4
 
 
 def cliff_of(heights: Array, cell_m: tuple[float, float]) -> tuple[float, float, tuple[int, int]] | None:
-    """Value of cells that form steps to their neighbours which land does not have, the largest step and its cell.
+    """Find a value whose cells have unnatural steps to their neighbours.
+
+    Return the value, the largest step, m, and its cell.
 
     Parameters
     ----------
     heights : (rows, columns) array
-        Heights, m; nan is no height.
+        Heights, m; nan marks cells without a height.
     cell_m : (float, float)
-        Distances of neighbouring cells, down and across, m.
+        Distances between neighbouring cells, down and across, m.
 
     Returns
     -------
     (float, float, (int, int)) or None
-        None if there are no such cells: fewer than ``CLIFFS`` steps, or no value that half of them have on one side.
+        None if there are fewer than ``CLIFFS`` steps, or if no value occurs on one side of half of the steps.
     """
     steps, ends = [], []
     for axis, distance in enumerate(cell_m):

@@ -1,6 +1,7 @@
-"""Conventions of interior orientation and distortion of other programs, and conversion of values with covariance.
+"""Conventions of other programs for interior orientation and distortion, and conversion of their values.
 
-A :class:`Convention` declares how the values of a program give the parameters of ``factors.cameras.frame_extended``::
+A :class:`Convention` declares how the values of a program give the parameters of
+``factors.cameras.frame_extended``::
 
     ours = sign theirs unit + origin     focal length and principal point (px)
     ours = sign theirs + offset          coefficients in the unit of the convention; with "/f" theirs is first divided
@@ -24,12 +25,12 @@ from fg_orient.sensors.frame import IDEAL_TO_MEASURED, MEASURED_TO_IDEAL
 from fg_orient.sensors.frame_unknowns import FURTHER, UNKNOWNS
 from fg_orient.sensors.interior import Interior
 
-#: Parameters of a camera.
+#: Names of the parameters of a camera.
 OURS: Final = (*UNKNOWNS[6:], *FURTHER)
 _AT: Final = {name: k for k, name in enumerate(OURS)}
-#: Focal length, sample and line of the principal point: pixels.
+#: Names of parameters in pixels: focal length, sample and line of the principal point.
 LENGTHS: Final = ("focal", "principal_sample", "principal_line")
-#: Coefficients of the corrections D, with their powers of the unit of length.
+#: For each coefficient of the corrections D: its power of the unit of length.
 POWER: Final = {
     "k1": 2, "k2": 4, "k3": 6, "p1": 1, "p2": 1, "radial_9": 8, "affinity_a": 0, "affinity_b": 0, "film_xx": 0,
     "film_yx": 0,
@@ -38,7 +39,10 @@ _TERM: Final = re.compile(r"(\w+)(?:=(-?)(\w+?)(/f)?([+-]1)?)?")
 
 
 class Image(NamedTuple):
-    """Image of a camera: size (px), pixels of 1 mm, balancing radius (mm); 0 if not known or not used."""
+    """Image of a camera: size (px), pixels per mm, balancing radius (mm).
+
+    Unknown or unused values are 0.
+    """
 
     n_lines: int = 0
     n_samples: int = 0
@@ -48,27 +52,29 @@ class Image(NamedTuple):
 
 @dataclass(frozen=True)
 class Convention:
-    """Convention of a program.
+    """Convention of a program for the interior orientation.
 
     Parameters
     ----------
     title : str
     terms : str
-        ``ours``, ``ours=theirs`` or ``ours=-theirs/f+1`` in the order of the program; see the module.
+        Terms in the order of the program, such as ``ours``, ``ours=theirs`` or
+        ``ours=-theirs/f+1``; see the module.
     evidence : str
-        Check of the signs: independent code, published results or the source of the formula.
+        How the signs were checked: with independent code, with published results, or only
+        by the source of the formula.
     direction : str
         Direction of the polynomial.
     in_mm : bool
-        Lengths are in mm, and coefficients in powers of mm; otherwise lengths are in px.
+        True: lengths are in mm, and coefficients are in powers of mm. False: lengths are in px.
     from_middle : bool
-        The principal point is counted from the middle of the image.
+        True if the principal point is relative to the middle of the image.
     first_pixel : float
-        Coordinates of the centre of the first pixel, px.
+        Coordinate of the first pixel's centre, px.
     is_fisheye, is_balanced : bool
-        Fisheye lens; radial terms are zero at the radius R0.
+        True for a fisheye lens; true if the radial terms are zero at the radius R0.
     absent : str
-        Names of parameters without a counterpart, which must be 0.
+        Names of parameters of the program that have no counterpart here; they must be 0.
     """
 
     title: str
@@ -84,53 +90,59 @@ class Convention:
 
     @cached_property
     def parsed(self) -> tuple[tuple[int, float, bool, float], ...]:
-        """Place in :data:`OURS`, sign, division by the focal length and offset of each term."""
+        """Return, for each term, its place in :data:`OURS`, its sign, whether it is divided by f, and its offset."""
         rows = [_TERM.fullmatch(term) for term in self.terms.split()]
         return tuple((_AT[m[1]], -1.0 if m[2] else 1.0, bool(m[4]), float(m[5] or 0.0)) for m in rows if m)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Names of the values in the order of the program."""
+        """Return the names of the values in the order of the program."""
         rows = [_TERM.fullmatch(term) for term in self.terms.split()]
         return (*(m[3] or m[1] for m in rows if m), *self.absent.split())
 
     @cached_property
     def ours(self) -> tuple[str, ...]:
-        """Parameters of :data:`OURS` that the convention has."""
+        """Return the parameters of :data:`OURS` that the convention has."""
         return tuple(OURS[at] for at, *_ in self.parsed)
 
     def is_of(self, interior: Interior) -> bool:
-        """Return whether the direction and projection agree with a camera."""
+        """Return whether the convention and a camera have the same direction and projection."""
         return (interior.model, interior.is_fisheye) == (self.direction, self.is_fisheye)
 
     def has(self, used: Mask) -> bool:
-        """Whether the convention has all parameters that are in use, (len(OURS),)."""
+        """Return whether the convention has all parameters that a mask (len(OURS),) marks as used."""
         return {OURS[k] for k in np.flatnonzero(used)} <= set(self.ours)
 
     def unit_px(self, image: Image) -> float:
-        """Unit of lengths, px."""
+        """Return the unit of lengths, px."""
         return image.mm_px if self.in_mm else 1.0
 
     def _lengths(self, image: Image) -> tuple[float, dict[int, float]]:
-        """Unit of lengths (px), and origin (px) by place in :data:`OURS`."""
+        """Return the unit of lengths (px), and the origin (px) of each place in :data:`OURS`."""
         middle = [0.5 * (n - 1) if self.from_middle else -self.first_pixel for n in (image.n_samples, image.n_lines)]
         return self.unit_px(image), dict(enumerate((0.0, *middle)))
 
     def camera(self, values: Any, image: Image) -> Any:
-        """Parameters (len(OURS), ...) of values (k, ...) in the order of ``names``; accepts complex values."""
+        """Convert values (k, ...) in the order of ``names`` to parameters (len(OURS), ...).
+
+        Complex values are allowed.
+        """
         unit, origin = self._lengths(image)
         out = np.zeros((len(OURS), *np.shape(values)[1:]), np.result_type(values, float))
         for (at, sign, _, _), value in zip(self.parsed, values, strict=False):
             if at in origin:
                 out[at] = sign * value * unit + origin[at]
-        focal = np.where(out[0] == 0.0, 1.0, out[0])  # 0 is refused as a camera
+        focal = np.where(out[0] == 0.0, 1.0, out[0])  # a focal length of 0 is refused later, when the camera is made
         for (at, sign, per_focal, offset), value in zip(self.parsed, values, strict=False):
             if at not in origin:
                 out[at] = sign * (value / focal if per_focal else value) + offset
         return self._balanced(out, image, -1.0)
 
     def values(self, ours: Any, image: Image) -> Any:
-        """Inverse of :meth:`camera`, of the parameters that the convention has."""
+        """Convert parameters to values.
+
+        This is the inverse of :meth:`camera` for the parameters of the convention.
+        """
         unit, origin = self._lengths(image)
         ours = self._balanced(ours, image, 1.0)
         return np.array([
@@ -140,7 +152,7 @@ class Convention:
         ])  # fmt: skip
 
     def _balanced(self, ours: Any, image: Image, sign: float) -> Any:
-        """Change scale of D and focal length by the linear part of the balanced terms (sign -1), or back."""
+        """Move the linear part of balanced radial terms into the scale of D and the focal length; or the inverse."""
         if not self.is_balanced:
             return ours
         scale = 1.0 / (1.0 + sign * sum(ours[_AT[f"k{i}"]] * image.r0_mm ** (2 * i) for i in (1, 2, 3)))
@@ -148,7 +160,10 @@ class Convention:
                          for name, v in zip(OURS, ours, strict=True)])  # fmt: skip
 
     def interior(self, values: npt.ArrayLike, image: Image, name: str = "") -> Interior:
-        """Camera of values (k,) in the order of ``names``; InputError for impossible values."""
+        """Make a camera from values (k,) in the order of ``names``.
+
+        Raise InputError for impossible values.
+        """
         ours = np.asarray(self.camera(np.asarray(values, float), image))
         empty = Interior(
             image.n_lines, image.n_samples, 1.0, np.zeros(2), np.zeros(5), self.direction,
@@ -208,18 +223,18 @@ CONVENTIONS: Final = {
         "formula below; not checked with a program", MEASURED_TO_IDEAL, in_mm=True, from_middle=True, is_balanced=True,
     ),
 }  # fmt: skip
-#: Conventions that are not converted, with the reason.
+#: Conventions that are not supported, with the reason.
 REFUSED: Final = {"micmac": "the direction of its polynomials (KnownConv) is not certain"}
 
 
 def interior_parameters(interior: Interior) -> Array:
-    """Parameters (len(OURS),) of a camera, in its own unit."""
+    """Return the parameters (len(OURS),) of a camera in its own unit."""
     return np.array([interior.focal_px, *interior.principal_px[::-1], *interior.distortion, interior.aspect,
                      *(interior.further.get(name, 0.0) for name in FURTHER)])  # fmt: skip
 
 
 def with_parameters(interior: Interior, ours: Array) -> Interior:
-    """Camera with other parameters (len(OURS),), in its own unit."""
+    """Return the camera with other parameters (len(OURS),) in its own unit."""
     further = dict(zip(FURTHER, ours[-len(FURTHER) :].tolist(), strict=True))
     return replace(
         interior, focal_px=float(ours[0]), principal_px=ours[2:0:-1], distortion=ours[3:8], aspect=float(ours[8]),
@@ -229,7 +244,7 @@ def with_parameters(interior: Interior, ours: Array) -> Interior:
 
 
 def named(name: str) -> Convention:
-    """Return the convention of this name; InputError if it is unknown."""
+    """Return the convention with this name; raise InputError if it is unknown."""
     if name not in CONVENTIONS:
         raise InputError.of(
             "conventions.name (failure): no conversion of cameras in this convention: {reason} -> choose one of "
@@ -239,9 +254,10 @@ def named(name: str) -> Convention:
 
 
 def given_values(values: Mapping[str, float], one: Convention, image: Image) -> tuple[Array, Array]:
-    """Values (k,) in the order of the convention, and their derivatives (k, n) with respect to the n given values.
+    """Arrange given values in the order of the convention: (k,).
 
-    InputError for unknown and missing names and impossible values.
+    Also return their derivatives (k, n) with respect to the n given values. InputError: a
+    name is unknown or missing, or a value is impossible.
     """
     rows = list(zip(one.names, one.parsed, strict=False))
     known = ", ".join(name for name, _ in rows) + (f"; {one.absent} only 0" if one.absent else "")
@@ -252,7 +268,7 @@ def given_values(values: Mapping[str, float], one: Convention, image: Image) -> 
                 "conventions.value (failure): cameras of {title} cannot have this value -> give finite numbers: "
                 "{known}", place=name, value=value, title=one.title, known=known,
             )  # fmt: skip
-    # without a length or a second focal length there is no camera; coefficients are 0
+    # a camera needs its lengths and a second focal length if the convention has one; missing coefficients are 0
     missing = [name for name, (at, _, per_focal, offset) in rows
                if name not in values and (OURS[at] in LENGTHS or (per_focal and offset != 0.0))]  # fmt: skip
     if missing:
@@ -264,7 +280,7 @@ def given_values(values: Mapping[str, float], one: Convention, image: Image) -> 
 
 
 def require_image(image: Image, *conventions: Convention, is_fit: bool = False) -> None:
-    """Refuse an image without the quantities that conventions or a fit need."""
+    """Refuse an image that lacks a quantity which the conventions or the fit need."""
     for option, needed, found in (
         ("pixel_mm", any(c.in_mm for c in conventions), image.mm_px),
         ("image_size", is_fit or any(c.from_middle for c in conventions), min(image[:2])),

@@ -1,8 +1,9 @@
-"""Arguments of a sensor: corrections of its orientation, and surfaces to locate on; EOP polynomials of its metadata.
+"""Corrections of a pushbroom's orientation, height surfaces, and polynomials fitted to the EOPs of the metadata.
 
-The publications describe each of the nine EOPs as ``q0 + q1 l + q2 l^2`` of the line (Terlemezoğlu 2019, eq. 2.34,
-Table 4.1). The adjustment does not use these fits, because it corrects the metadata itself; their residuals are the
-deviations of the metadata from the published model.
+The publications describe each of the nine EOPs by a polynomial of the line, ``q0 + q1 l +
+q2 l^2`` (Terlemezoğlu 2019, eq. 2.34, Table 4.1). The adjustment does not use these
+polynomials, because it corrects the metadata directly. The residuals of the fits show how
+much the metadata deviate from the published model.
 """
 
 from __future__ import annotations
@@ -20,38 +21,44 @@ if TYPE_CHECKING:
 
 
 class HeightSurface(Protocol):
-    """A surface to locate on: ellipsoidal height (m) at longitude, latitude (degrees), nan outside."""
+    """Surface on which pixels are located.
+
+    It gives the ellipsoidal height (m) at longitude and latitude (degrees); nan outside the surface.
+    """
 
     path: str
 
     @property
     def range_m(self) -> tuple[float, float]:
-        """Lowest and highest height."""
+        """Return the lowest and the highest height, m."""
         ...
 
     def cell(self, lon_deg: Array, lat_deg: Array) -> tuple[Array, Array]:
-        """Row and column of N points in the surface's grid; rays are followed cell by cell."""
+        """Return row and column of N points in the grid of the surface.
+
+        Rays are followed from cell to cell.
+        """
         ...
 
     def height_m(self, lon_deg: Array, lat_deg: Array) -> Array:
-        """Ellipsoidal heights of N points."""
+        """Return the ellipsoidal heights of N points, m."""
         ...
 
 
 @dataclass(frozen=True)
 class Correction:
-    """Orientation corrections of one image in physical units.
+    """Corrections of the orientation of one image, in physical units.
 
     Parameters
     ----------
     eop : (9, 3) array
-        c0, c1, c2 of tau for X, Y, Z (m), VX, VY, VZ (m/s), roll, pitch, yaw (rad).
+        Coefficients c0, c1, c2 of polynomials in tau for X, Y, Z (m), VX, VY, VZ (m/s), roll, pitch, yaw (rad).
     look : (2, k) array
-        Coefficients of s^k added to psi_x and psi_y (rad).
+        Coefficients of the powers s^k that are added to psi_x and psi_y (rad).
     small_angle : bool
-        Use the small-angle attitude matrix (faithful mode).
+        Whether to use the small-angle attitude matrix, as published (faithful mode).
     curve : (9, k) array
-        Amplitudes of the curves of ``factors.geometry.polynomials`` over k intervals, for the nine EOP.
+        Amplitudes of the curves of ``factors.geometry.polynomials`` over k intervals, for the nine EOPs.
     """
 
     eop: Array = field(default_factory=lambda: np.zeros((9, 3)))
@@ -60,11 +67,11 @@ class Correction:
     curve: Array = field(default_factory=lambda: np.zeros((9, 0)))
 
     def curve_at(self, tau: Array) -> Array:
-        """Contribution of the curves to the nine EOP (N, 9) at N line times tau."""
+        """Return the part of the curves in the corrections of the nine EOPs (N, 9) at N line times tau."""
         return np.asarray(polynomials.curves(tau, self.curve.shape[1]) @ self.curve.T)
 
     def eop_at(self, tau: Array) -> Array:
-        """Corrections of the nine EOP (N, 9) at N line times tau."""
+        """Return the corrections of the nine EOPs (N, 9) at N line times tau."""
         smooth = polynomials.evaluate(self.eop, tau)
         return smooth + self.curve_at(tau) if self.curve.shape[1] else smooth
 
@@ -76,7 +83,10 @@ EOP_LINES: Final = 601
 
 
 def metadata_eop(sensor: PushbroomSensor, line: Array) -> Array:
-    """The nine EOPs of the metadata at N lines: (N, 9); attitudes in the orbital frame of convention B."""
+    """Return the nine EOPs of the metadata (N, 9) at N lines.
+
+    Attitudes refer to the orbital frame of convention B.
+    """
     states = sensor.states(line)
     angles = states.angles_rad
     if not sensor.follows_orbit:
@@ -88,14 +98,14 @@ def metadata_eop(sensor: PushbroomSensor, line: Array) -> Array:
 
 
 def fit_eop(sensor: PushbroomSensor) -> tuple[Array, Array]:
-    """Degree-2 polynomials of X, Y, Z (m), VX, VY, VZ (m/s), roll, pitch, yaw (rad) at evenly spaced lines.
+    """Fit polynomials of degree 2 to X, Y, Z (m), VX, VY, VZ (m/s), roll, pitch, yaw (rad) at equally spaced lines.
 
     Returns
     -------
     per_tau : (9, 3) array
-        c0, c1, c2 of tau, which is -1 at the first and 1 at the last line of the image.
+        Coefficients c0, c1, c2 of tau. tau is -1 at the first and 1 at the last line of the image.
     residuals : (N, 9) array
-        Metadata minus polynomial at the N lines.
+        Metadata minus polynomial at N lines.
     """
     line = np.linspace(sensor.first_line, sensor.last_line, EOP_LINES)
     return polynomials.fit(polynomials.normalised(line, sensor.n_lines), metadata_eop(sensor, line), 2)

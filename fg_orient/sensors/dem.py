@@ -1,8 +1,8 @@
-"""Digital elevation models in rasters, read by squares of cells: a large raster costs the squares that are used.
+"""Read digital elevation models from rasters, in squares of cells; only the squares that are used are read.
 
-Heights of a raster without vertical CRS are ellipsoidal. Heights with a vertical CRS are converted to ellipsoidal
-heights when their square is read, by PROJ and its geoid grids or by a geoid file. A missing grid is refused, and so are
-units other than the metre. The squares are those of the raster's rows and columns, whatever the blocks of the file are.
+If a raster has no vertical CRS, its heights are ellipsoidal. Heights with a vertical CRS are converted to ellipsoidal
+heights when their square is read. PROJ and its geoid grids do this, or a geoid file. A missing grid and units other
+than metres are refused. The squares divide the rows and columns of the raster, independently of the blocks of the file.
 """
 
 from __future__ import annotations
@@ -22,51 +22,52 @@ from fg_orient.geodesy import from_geographic, to_geographic
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.cliffs import cliff_of
 
-#: Plausible heights of a DEM, m: the lowest land is at -430, the highest at 8849. Others are undeclared nodata.
+#: Range of plausible heights of a DEM, m. The lowest land is at -430 m, the highest at 8849 m. Other values are
+#: undeclared nodata values.
 PLAUSIBLE_M: Final = (-500.0, 9000.0)
-#: Undulations of all geoids, m.
+#: Range of the undulations of all geoids, m.
 UNDULATION_RANGE_M: Final = (-120.0, 100.0)
-#: Knots of the undulation in a square: largest step, cells, and largest interpolation error.
+#: The undulation is interpolated between knots: maximum distance of knots, cells, and maximum interpolation error, m.
 KNOT_STEP, UNDULATION_M = 32, 1e-3
 METRES: Final = ("", "m", "metre", "metres", "meter", "meters")
-#: Edge of a square; squares that are read at once, and bytes of squares that are kept.
+#: Edge of a square, cells; below: number of squares that are read together, and bytes of squares that are kept.
 EDGE: Final = 256
 SPAN: Final = 16
 KEPT_BYTES: Final = 32_000_000
-#: Cells of the part of the raster that is in one array.
+#: Maximum number of cells of a part of the raster that is copied to one array.
 PART_CELLS: Final = 4_000_000
-#: Cache of GDAL for blocks of the file, bytes.
+#: Size of GDAL's cache for blocks of the file, bytes.
 GDAL_BYTES: Final = 64_000_000
-#: Pieces of a path; each one takes the squares of its bounding box.
+#: Number of pieces into which a path is divided. For each piece, the squares of its bounding box are used.
 PIECES: Final = 32
 _DEGREE_M: Final = 111e3
 
 
 class RasterDem:
-    """A DEM read through rasterio, bilinear between pixel centres.
+    """DEM that rasterio reads; heights are interpolated bilinearly between pixel centres.
 
     Parameters
     ----------
     path : path
-        Raster that rasterio reads, with a geographic or projected CRS and heights in m.
+        Raster with a geographic or projected CRS and heights in m.
     vertical_crs : str, optional
-        CRS of the heights, such as ``EPSG:5773`` or its name, ``EGM96``, if the file has none; or a geoid file. Heights
-        without a vertical CRS are ellipsoidal.
+        CRS of the heights if the file does not state it: a code such as ``EPSG:5773``, a name such as ``EGM96``, or a
+        geoid file. Heights without a vertical CRS are ellipsoidal.
     warn : callable, optional
-        Called with a Finding when implausible heights are read for the first time.
+        Function that receives a Finding when implausible heights are read for the first time.
 
     Attributes
     ----------
     shape : (int, int)
-        Rows and columns.
+        Numbers of rows and columns.
     crs : str
         Horizontal coordinate system as WKT.
 
     Raises
     ------
     InputError
-        The file cannot be read or has no CRS, its heights are not in metres, the geoid's grid is missing, or
-        the file names another vertical CRS. The methods raise it for a damaged part of the file.
+        The file cannot be read, has no CRS or names another vertical CRS; its heights are not in metres; or the grid of
+        the geoid is missing. The methods also raise it if a part of the file is damaged.
     """
 
     def __init__(
@@ -91,19 +92,19 @@ class RasterDem:
             raise InputError.of("dem.unreadable", file=path, value=wrong)
         self.shape: tuple[int, int] = (source.height, source.width)
         self._pixel_from_crs, self._from_values = ~source.transform, (source.scales[0], source.offsets[0])
-        self._across = -(-self.shape[1] // EDGE)  # squares in a row of squares
+        self._across = -(-self.shape[1] // EDGE)  # number of squares in a row of squares
         self._kept: OrderedDict[int, Array] = OrderedDict()
         self._ranges: dict[int, tuple[float, float]] = {}
         self._part: tuple[int, int, Array] = (0, 0, np.empty((0, 0)))
         self._implausible: list[tuple[int, float, float]] = []
         self._cliffs: list[tuple[float, float, int, int]] = []
         self._undulation_of = self._zero_level(unit, vertical_crs)
-        if self._undulation_of is not None:  # a missing grid is refused before the work
+        if self._undulation_of is not None:  # a missing grid is refused at the beginning
             self._undulations(self.shape[0] // 2, self.shape[1] // 2, (1, 1))
 
     @contextmanager
     def _reading(self) -> Iterator[None]:
-        """Convert errors of GDAL to InputError, and limit its cache."""
+        """Convert errors of GDAL to InputError, and limit GDAL's cache."""
         try:
             with self._rasterio.Env(GDAL_CACHEMAX=GDAL_BYTES):
                 yield
@@ -111,9 +112,9 @@ class RasterDem:
             raise InputError.of("dem.unreadable", file=self.path, value=error.__cause__ or error) from error
 
     def _zero_level(self, unit: str, given: str) -> Callable[[Array, Array], Array] | None:
-        """Function of the undulation of the heights' zero level; None for ellipsoidal heights.
+        """Return a function that gives the undulation of the heights' zero level; None for ellipsoidal heights.
 
-        The vertical part of the CRS is removed.
+        The vertical part of the raster's CRS is removed.
         """
         from fg_orient.geodesy.crs import vertical_code
         from fg_orient.geodesy.geoid import GRID_SUFFIXES, GeoidFile
@@ -137,7 +138,7 @@ class RasterDem:
     # --- squares ---------------------------------------------------------------------------------
 
     def _squares(self, numbers: Iterable[int]) -> Iterator[tuple[int, Array]]:
-        """Number and heights of squares, in the order of the numbers; neighbours in a row are read at once."""
+        """Yield numbers and heights of squares in order; neighbours in a row are read together."""
         wanted, done = sorted(numbers), 0
         while done < len(wanted):
             first, count = wanted[done], 1
@@ -157,7 +158,7 @@ class RasterDem:
                 self._kept.popitem(last=False)
 
     def _read(self, first: int, count: int) -> Iterator[tuple[int, Array]]:
-        """Read neighbouring squares of a row."""
+        """Read neighbouring squares of one row of squares."""
         row, column = (EDGE * k for k in divmod(first, self._across))
         rows, columns = min(EDGE, self.shape[0] - row), min(count * EDGE, self.shape[1] - column)
         with self._reading():
@@ -180,14 +181,14 @@ class RasterDem:
             yield first + k, square
 
     def _numbers(self, rows: tuple[int, int], columns: tuple[int, int]) -> list[int]:
-        """Numbers of the squares of some rows and columns, the last ones included."""
+        """Return the numbers of the squares that contain a range of rows and columns, including the last ones."""
         (top, bottom), (left, right) = ((low // EDGE, high // EDGE) for low, high in (rows, columns))
         return [i * self._across + j for i in range(top, bottom + 1) for j in range(left, right + 1)]
 
     def _undulations(self, row: int, column: int, shape: tuple[int, int]) -> Array:
-        """Undulation at the centres of the cells of a part: exact at knots, bilinear between them.
+        """Return the undulation at the cell centres of a part; it is exact at knots and bilinear between them.
 
-        The step of the knots is halved until the error between them is at most ``UNDULATION_M``.
+        The distance of the knots is halved until the error between them is at most ``UNDULATION_M``.
         """
         t, undulation_of = ~self._pixel_from_crs, self._undulation_of
         assert undulation_of is not None
@@ -209,7 +210,7 @@ class RasterDem:
             fine = [np.interp(np.arange(2 * len(k) - 1) / 2.0, np.arange(len(k)), k) for k in knots]
             values = exact(*fine)
             error = np.abs(values - _bilinear(knots, values[::2, ::2], fine))
-            # a bend between two knots has at most twice the error of their middle
+            # if the undulation bends between two knots, its error is at most twice the error in their middle
             if 2.0 * (error[1::2, ::2].max(initial=0.0) + error[::2, 1::2].max(initial=0.0)) <= UNDULATION_M:
                 return _bilinear(knots, values[::2, ::2], [np.arange(float(n)) for n in shape])
             step //= 2
@@ -218,7 +219,7 @@ class RasterDem:
 
     @property
     def notes(self) -> tuple[Finding, ...]:
-        """Warnings of heights outside ``PLAUSIBLE_M`` and of cliffs, in the squares that were read."""
+        """Return warnings of heights outside ``PLAUSIBLE_M`` and of cliffs in the squares that were read."""
         found, (low, high) = [], PLAUSIBLE_M
         if self._implausible:
             counts, least, most = zip(*self._implausible, strict=True)
@@ -230,10 +231,10 @@ class RasterDem:
         return tuple(found)
 
     def _examine(self, square: Array, row: int, column: int) -> None:
-        """Note heights that no land has; the first ones are reported at once."""
+        """Record heights that are impossible on land; the first ones are reported immediately."""
         before = {one.code for one in self.notes}
         wrong = (square < PLAUSIBLE_M[0]) | (square > PLAUSIBLE_M[1])
-        if wrong.any():  # a height of -9999 m would bend every ray that passes near it
+        if wrong.any():  # a height of -9999 m would falsify every hit near it
             values = square[wrong]
             self._implausible.append((int(wrong.sum()), float(values.min()), float(values.max())))
         cliff = cliff_of(np.where(wrong, np.nan, square), self._cell_m)
@@ -246,7 +247,7 @@ class RasterDem:
 
     @cached_property
     def _cell_m(self) -> tuple[float, float]:
-        """Distances between the centres of neighbouring cells in the middle, down and across, m."""
+        """Return the distances between neighbouring cell centres in the middle of the raster, down and across, m."""
         r, c = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]) + 0.5 * np.array([self.shape]).T
         t = ~self._pixel_from_crs
         lon, lat = to_geographic(self.crs, t.a * c + t.b * r + t.c, t.d * c + t.e * r + t.f)
@@ -258,11 +259,14 @@ class RasterDem:
 
     @property
     def heights_m(self) -> Array:
-        """All ellipsoidal heights (rows, columns), nan at nodata and at implausible heights; read at each use."""
+        """Read all ellipsoidal heights (rows, columns), m; nodata and implausible heights are nan.
+
+        Each use reads the file again.
+        """
         return self.window(0, 0, *self.shape)
 
     def window(self, row: int, column: int, rows: int, columns: int) -> Array:
-        """Ellipsoidal heights (rows, columns) m of a part inside the raster, nan at nodata."""
+        """Return the ellipsoidal heights (rows, columns), m, of a part inside the raster; nodata is nan."""
         out = np.empty((rows, columns))
         if not out.size:
             return out
@@ -275,18 +279,21 @@ class RasterDem:
         return out
 
     def outline(self) -> tuple[Array, Array]:
-        """Longitude and latitude (degrees) of points along the border of the raster's cell centres."""
+        """Return longitude and latitude (degrees) of points along the outermost cell centres of the raster."""
         r, c = (a.ravel() for a in np.meshgrid(*(np.linspace(0.5, n - 0.5, 9) for n in self.shape), indexing="ij"))
         t = ~self._pixel_from_crs
         return to_geographic(self.crs, t.a * c + t.b * r + t.c, t.d * c + t.e * r + t.f)
 
     @cached_property
     def range_m(self) -> tuple[float, float]:
-        """Lowest and highest height of the whole raster, all of which is read; nan without heights."""
+        """Return the lowest and highest height, m; the whole raster is read. nan if there are no heights."""
         return self._range_of(self._numbers((0, self.shape[0] - 1), (0, self.shape[1] - 1)))
 
     def range_over(self, lon_deg: Array, lat_deg: Array) -> tuple[float, float]:
-        """Lowest and highest height of the squares between points (N,), degrees; nan if there are no heights."""
+        """Return the lowest and highest height, m, of the squares that enclose points (N,), degrees.
+
+        The result is nan if there are no heights.
+        """
         boxes = []
         for values, n in zip(self.cell(lon_deg, lat_deg), self.shape, strict=True):
             low, high = (float(f(values, initial=start)) for f, start in ((np.nanmin, np.inf), (np.nanmax, -np.inf)))
@@ -296,12 +303,12 @@ class RasterDem:
         return self._range_of(self._numbers(*boxes))
 
     def range_along(self, start: Array, end: Array) -> tuple[Array, Array]:
-        """Lowest and highest heights (N,) of the squares below straight paths; nan if there are no heights.
+        """Return the lowest and highest heights (N,), m, of the squares below straight paths; nan if there are none.
 
         Parameters
         ----------
         start, end : (N, 2) arrays
-            Row and column of the ends of the paths (:meth:`cell`); rows of nan have no path.
+            Row and column of the ends of the paths (:meth:`cell`). A row of nan means that there is no path.
         """
         low, high = np.full(len(start), np.nan), np.full(len(start), np.nan)
         last_square = (np.array(self.shape) - 1) // EDGE
@@ -339,7 +346,7 @@ class RasterDem:
         return float(np.fmin.reduce(lows, initial=np.nan)), float(np.fmax.reduce(highs, initial=np.nan))
 
     def cell(self, lon_deg: Array, lat_deg: Array) -> tuple[Array, Array]:
-        """Row and column of N points, whole at the centres of cells; nan outside the domain of the CRS.
+        """Return row and column of N points, whole numbers at cell centres; nan outside the domain of the CRS.
 
         Parameters
         ----------
@@ -351,7 +358,7 @@ class RasterDem:
         return np.asarray(t.d * x + t.e * y + t.f - 0.5), np.asarray(t.a * x + t.b * y + t.c - 0.5)
 
     def height_m(self, lon_deg: Array, lat_deg: Array) -> Array:
-        """Heights of N points, bilinear; nan outside the raster or at nodata.
+        """Return the heights, m, of N points by bilinear interpolation; nan outside the raster or at nodata.
 
         Parameters
         ----------
@@ -368,7 +375,10 @@ class RasterDem:
         return out.reshape(shape)
 
     def _interpolated(self, row: Array, column: Array) -> Array:
-        """Heights of positions inside the raster; far positions are read in groups."""
+        """Interpolate heights at positions inside the raster.
+
+        Positions far from each other are read in groups.
+        """
         sides = [float(np.ptp(part)) + 2.0 * EDGE for part in (row, column)]
         if sides[0] * sides[1] <= PART_CELLS:
             return self._within(row, column)
@@ -378,7 +388,7 @@ class RasterDem:
         return out
 
     def _within(self, row: Array, column: Array) -> Array:
-        """Heights of positions in a part of the raster that is in one array."""
+        """Interpolate heights at positions in a part of the raster that is one array."""
         rows, columns = self.shape
         r, c = np.minimum(row.astype(int), max(rows - 2, 0)), np.minimum(column.astype(int), max(columns - 2, 0))
         top, left, z = self._around(int(r.min()), int(r.max()) + 1, int(c.min()), int(c.max()) + 1)
@@ -390,7 +400,10 @@ class RasterDem:
         return np.asarray(above * (1 - fr) + below * fr)
 
     def _around(self, top: int, bottom: int, left: int, right: int) -> tuple[int, int, Array]:
-        """First row, first column and heights of whole squares with these rows and columns; the last ones are kept."""
+        """Return the first row, the first column and the heights of the squares that contain these rows and columns.
+
+        The last result is kept.
+        """
         row, column, z = self._part
         bottom, right = min(bottom, self.shape[0] - 1), min(right, self.shape[1] - 1)
         if not (row <= top and column <= left and bottom < row + z.shape[0] and right < column + z.shape[1]):
@@ -402,15 +415,15 @@ class RasterDem:
 
 
 def range_below(dem: RasterDem, outline: Callable[[float], tuple[Array, Array]], start_m: float) -> tuple[float, float]:
-    """Lowest and highest height of a DEM in the ground that images see; nan without heights.
+    """Return the lowest and highest height of a DEM in the area that images show, m; nan if there are no heights.
 
     Parameters
     ----------
     dem : RasterDem
     outline : callable
-        Longitudes and latitudes (N,), degrees, that bound the ground at a height.
+        Function of a height. It returns longitudes and latitudes (N,), degrees, of the border of the area.
     start_m : float
-        Approximate height. The bounds at the heights found are used until the ground no longer grows.
+        Approximate height. The border is computed again at the resulting heights until the area no longer grows.
     """
     low, high = np.inf, -np.inf
     while True:
@@ -422,7 +435,7 @@ def range_below(dem: RasterDem, outline: Callable[[float], tuple[Array, Array]],
 
 
 def groups(row: npt.NDArray[Any], column: npt.NDArray[Any], edge: int = 4 * EDGE) -> list[Index]:
-    """Positions (n,) of a raster in groups of the same square of ``edge`` cells."""
+    """Group positions (n,) of a raster by squares of ``edge`` cells."""
     down, across = (np.asarray(part, float) // edge for part in (row, column))
     _, number = np.unique(down * (1.0 + np.ptp(across)) + across, return_inverse=True)
     order = np.argsort(number, kind="stable")
@@ -430,6 +443,6 @@ def groups(row: npt.NDArray[Any], column: npt.NDArray[Any], edge: int = 4 * EDGE
 
 
 def _bilinear(knots: list[Array], values: Array, at: list[Array]) -> Array:
-    """Values on the grid ``at``, interpolated from the grid of ``knots``."""
+    """Interpolate values on the grid ``at`` from the grid of ``knots``."""
     rows = np.stack([np.interp(at[1], knots[1], row) for row in values])
     return np.stack([np.interp(at[0], knots[0], column) for column in rows.T], axis=1)

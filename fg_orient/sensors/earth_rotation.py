@@ -1,8 +1,10 @@
-"""From inertial axes to the Earth: IAU 2006/2000A through pyerfa (the one module that imports it), IERS C04 values.
+"""Rotation from inertial axes to Earth-fixed axes: IAU 2006/2000A with pyerfa, and IERS C04 values.
 
-``x_ITRS = W(t) Rz(ERA(t)) C(t) x_GCRS`` (IERS Conventions 2010, chapter 5). Precession, nutation and polar motion are
-taken at both ends of the image and are linear between them; the rotation angle is exact. Tides of less than a day in
-UT1 and polar motion are not added: 0.1 ms and 1 mas, up to 5 cm on the ground.
+The rotation is ``x_ITRS = W(t) Rz(ERA(t)) C(t) x_GCRS`` (IERS Conventions 2010, chapter
+5). Precession, nutation and polar motion are computed at both ends of the image and
+interpolated linearly. The Earth rotation angle is exact. Tidal variations of UT1 and
+polar motion with periods below one day are neglected. They are 0.1 ms and 1 mas, up to 5
+cm on the ground. Only this module imports pyerfa.
 """
 
 from __future__ import annotations
@@ -23,9 +25,10 @@ InertialFrame = Literal["GCRS", "EME2000"]
 DAY_S: Final = 86_400.0
 _MJD: Final = 2_400_000.5
 _UNIX_MJD: Final = 40_587
-#: Mean angular rate by the definition of UT1 (IERS Conventions 2010, eq. 5.15), revolutions per day.
+#: Mean angular rate of the Earth, revolutions per day, from the definition of UT1 (IERS Conventions 2010, eq. 5.15).
 _TURNS_PER_DAY: Final = 1.00273781191135448
-#: Largest neglected values without a C04 file: UT1 - UTC by its definition, polar motion as observed since 1962.
+#: Maximum neglected values if there is no C04 file: UT1 - UTC by its definition; below:
+#: polar motion observed since 1962.
 MOST_UT1_S: Final = 0.9
 MOST_POLE_RAD: Final = np.radians(0.6 / 3600.0)
 _EARTH_RADIUS_M: Final = 6_378_137.0
@@ -33,18 +36,18 @@ _EARTH_RADIUS_M: Final = 6_378_137.0
 
 @dataclass(frozen=True, eq=False)
 class EarthOrientation:
-    """Daily values of an IERS series, 0 h UTC.
+    """Daily values of an IERS series at 0 h UTC.
 
     Parameters
     ----------
     file : str
     mjd : (n,) array
-        Days, in steps of one.
+        Modified Julian dates in steps of one day.
     pole_rad : (n, 2) array
-        Coordinates x, y of the pole.
+        Coordinates x, y of the pole, rad.
     ut1_utc_s : (n,) array
     offset_rad : (n, 2) array
-        Celestial pole offsets dX, dY against IAU 2006/2000A.
+        Celestial pole offsets dX, dY relative to IAU 2006/2000A, rad.
     notes : tuple of Finding
     """
 
@@ -56,34 +59,34 @@ class EarthOrientation:
     notes: tuple[Finding, ...] = ()
 
     def at(self, mjd: float) -> tuple[Array, float, Array]:
-        """Pole (2,), UT1 - UTC (s) and offsets (2,) at one time: a cubic through the four nearest days.
+        """Interpolate pole (2,), UT1 - UTC (s) and offsets (2,) at one time by a cubic through the four nearest days.
 
-        InputError if the series does not cover the time.
+        InputError: the series does not cover the time.
         """
         if not self.mjd[0] <= mjd <= self.mjd[-1]:
             first, last = self.mjd[[0, -1]]
             raise InputError.of("earth.span", file=self.file, place="MJD", value=f"{mjd:.5f}", first=first, last=last)
         first = int(np.clip(np.searchsorted(self.mjd, mjd) - 2, 0, max(len(self.mjd) - 4, 0)))
         near = slice(first, first + 4)
-        ut1_tai = self.ut1_utc_s[near] - [_tai_utc(day) for day in self.mjd[near]]  # without leap seconds
+        ut1_tai = self.ut1_utc_s[near] - [_tai_utc(day) for day in self.mjd[near]]  # UT1 - TAI has no leap seconds
         daily = np.column_stack([self.pole_rad[near], ut1_tai, self.offset_rad[near]])
         values = interpolation.lagrange(self.mjd[near], np.ascontiguousarray(daily), np.array([mjd]))[0]
         return values[:2], float(values[2]) + _tai_utc(mjd), values[3:]
 
 
 class EarthRotation:
-    """Orientation of the Earth during an image.
+    """Orientation of the Earth while an image is acquired.
 
     Parameters
     ----------
     epoch : datetime64[D]
-        Times are seconds since 0 h UTC of this day.
+        Day; times are seconds since its 0 h UTC.
     span_s : tuple of 2 floats
-        First and last time of use.
+        First and last time for which the orientation is needed.
     frame : str
-        Inertial axes: "GCRS", or "EME2000" (mean equator and equinox of J2000).
+        Inertial axes: "GCRS" or "EME2000" (mean equator and equinox of J2000).
     orientation : EarthOrientation, optional
-        None: UT1 = UTC, no polar motion.
+        None: UT1 = UTC, and there is no polar motion.
 
     Raises
     ------
@@ -105,7 +108,7 @@ class EarthRotation:
         self._ut1_utc_s = np.array([node[2] for node in nodes])
 
     def _slow(self, time_s: float, frame: InertialFrame) -> tuple[Array, Array, float]:
-        """Celestial matrix, polar motion and UT1 - UTC at one time."""
+        """Compute the celestial matrix, the polar motion and UT1 - UTC at one time."""
         import erfa
 
         day, part = self._day, time_s / DAY_S
@@ -116,14 +119,14 @@ class EarthRotation:
         x, y, s = erfa.xys06a(*tt)
         celestial = erfa.c2ixys(x + offset[0], y + offset[1], s)
         if frame == "EME2000":
-            celestial = celestial @ erfa.bp06(*tt)[0].T  # GCRS from mean axes of J2000: the frame bias
+            celestial = celestial @ erfa.bp06(*tt)[0].T  # frame bias: mean axes of J2000 to GCRS
         return celestial, erfa.pom00(pole[0], pole[1], erfa.sp00(*tt)), ut1_utc_s
 
     def _part(self, time_s: Array) -> Array:
         return np.asarray((time_s - self._ends[0]) / (self._ends[1] - self._ends[0]))
 
     def matrices(self, time_s: Array) -> Array:
-        """Rotations (N, 3, 3), Earth-fixed from inertial axes, at N times (s since 0 h UTC of the image's day)."""
+        """Return the rotations (N, 3, 3) from inertial to Earth-fixed axes at N times, s since 0 h UTC of the epoch."""
         import erfa
 
         time_s = np.atleast_1d(np.asarray(time_s, float))
@@ -138,13 +141,13 @@ class EarthRotation:
         return np.asarray(polar @ turn @ celestial)
 
     def rate_rad_s(self, time_s: float) -> float:
-        """Rate of the rotation, rad/s; its change with time is below 1e-15."""
+        """Return the rate of the rotation, rad/s; its relative change with time is below 1e-15."""
         ut1_rate = 1.0 + float(np.diff(self._ut1_utc_s)[0] / np.diff(self._ends)[0])
         return 2.0 * np.pi * _TURNS_PER_DAY / DAY_S * ut1_rate
 
 
 def neglected(position_m: Array) -> Finding:
-    """Note on the largest error on the ground below a position (3,) m that a missing C04 file causes."""
+    """Return a note on the largest error on the ground, below a position (3,), m, if no C04 file is given."""
     cosine = float(np.hypot(position_m[0], position_m[1]) / np.linalg.norm(position_m))
     turn = MOST_UT1_S * EARTH_RATE_RAD_S * _EARTH_RADIUS_M * cosine
     pole = MOST_POLE_RAD * _EARTH_RADIUS_M
@@ -152,10 +155,13 @@ def neglected(position_m: Array) -> Finding:
 
 
 def _tai_utc(mjd: float) -> float:
-    """TAI - UTC (s) at a UTC day from pyerfa's table, which is valid until the next leap second is announced."""
+    """Return TAI - UTC (s) at a UTC day from pyerfa's table.
+
+    It is valid until the next announced leap second.
+    """
     import erfa
 
     year, month, day, part = erfa.jd2cal(_MJD, mjd)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", erfa.ErfaWarning)  # years after the table was issued
+        warnings.simplefilter("ignore", erfa.ErfaWarning)  # pyerfa warns of years after its table was issued
         return float(erfa.dat(year, month, day, part))

@@ -1,8 +1,10 @@
-"""From pixels to ideal coordinates on the focal plane of a camera: detector and distortion.
+"""Convert pixels to ideal coordinates on the focal plane of a camera, by detector and distortion.
 
-A detector is an affine map between pixels and millimetres on the focal plane, as in the image support data (ISD) of
-ALE: ``detector sample = centre + t0 + t1 x + t2 y``. A distortion leads from measured to ideal millimetres; its inverse
-is by Newton's method. Models and names are those of USGSCSM, and that of the metric cameras in ISIS.
+A detector is an affine map between pixels and millimetres on the focal plane: ``detector
+sample = centre + t0 + t1 x + t2 y``, as in the image support data (ISD) of ALE. A
+distortion converts measured to ideal coordinates, mm. Newton's method computes its
+inverse. Models and names are those of USGSCSM; the model "metric" is the one of metric
+cameras in ISIS.
 """
 
 from __future__ import annotations
@@ -21,9 +23,9 @@ from fg_orient.model.errors import InputError
 STEPS: Final = 30
 TOLERANCE_MM: Final = 1e-12
 ROUNDING: Final = 4.0 * float(np.finfo(float).eps)
-#: Complex step, mm.
+#: Step of complex derivatives, mm.
 _H: Final = 1e-30
-#: Names of the models of distortion and their numbers of coefficients.
+#: Names of the distortion models, and their numbers of coefficients.
 MODELS: Final = {"none": 0, "radial": 3, "transverse": 20, "metric": 8, "radtan": 6}
 
 
@@ -32,15 +34,17 @@ _TO_MEASURED: Final = ("transverse", "radtan")
 
 @dataclass(frozen=True)
 class Distortion:
-    """Distortion of a camera.
+    """Distortion model of a camera with its coefficients.
 
     Parameters
     ----------
     model : str
-        "none"; "radial": ideal = m (1 - k0 - k1 r^2 - k2 r^4); "transverse": m = polynomials of degree 3 in the ideal
-        coordinates, 10 coefficients of x, then of y; "metric": Conrady-Brown of ISIS's metric cameras, with
-        coefficients xp, yp, k1, k2, k3, j1, j2, t0 (mm, rad); "radtan": measured = Brown's polynomials in ideal
-        coordinates divided by the focal length, coefficients k1, k2, p1, p2, k3 as in OpenCV, and the focal length, mm.
+        "none"; "radial": ideal = m (1 - k0 - k1 r^2 - k2 r^4); "transverse": m =
+        polynomials of degree 3 in the ideal coordinates, 10 coefficients of x, then of y;
+        "metric": Conrady-Brown of ISIS's metric cameras, with coefficients xp, yp, k1,
+        k2, k3, j1, j2, t0 (mm, rad); "radtan": measured = Brown's polynomials in ideal
+        coordinates divided by the focal length, coefficients k1, k2, p1, p2, k3 as in
+        OpenCV, and the focal length, mm.
     coefficients : tuple of float
     """
 
@@ -56,20 +60,20 @@ class Distortion:
                                 model=self.model, expected=expected)  # fmt: skip
 
     def ideal(self, measured_mm: Array) -> Array:
-        """Ideal coordinates (n, 2) mm of measured ones (n, 2)."""
+        """Convert measured coordinates (n, 2) to ideal coordinates (n, 2), mm."""
         if self.model in _TO_MEASURED:
             return self._solved(measured_mm, self._distorted)
         return self._forward(measured_mm)
 
     def measured(self, ideal_mm: Array) -> Array:
-        """Measured coordinates (n, 2) mm of ideal ones (n, 2); nan where there are none."""
+        """Convert ideal coordinates (n, 2) to measured coordinates (n, 2), mm; nan if there is no solution."""
         return self._distorted(ideal_mm) if self.model in _TO_MEASURED else self._solved(ideal_mm, self._forward)
 
     def mirrored(self) -> Distortion:
-        """Distortion of a camera whose first axis points the other way."""
+        """Return the distortion of a camera whose first axis has the opposite direction."""
         c = np.array(self.coefficients)
         if self.model == "transverse":
-            odd = np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0])  # by the power of x
+            odd = np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0])  # signs by the power of x
             c = np.concatenate([-odd * c[:10], odd * c[10:]])
         if self.model == "metric":
             c[[0, 7]] *= -1.0
@@ -92,7 +96,7 @@ class Distortion:
         return np.asarray(terms @ np.array(self.coefficients).reshape(2, 10).T)
 
     def _forward(self, xy: Array) -> Array:
-        """Ideal coordinates of the models that lead from measured ones."""
+        """Compute ideal coordinates, for models that are functions of the measured coordinates."""
         c = self.coefficients
         if self.model == "radial":
             r = np.sum(xy**2, axis=1)
@@ -105,7 +109,10 @@ class Distortion:
         return xy
 
     def _solved(self, wanted: Array, function: Callable[[Array], Array]) -> Array:
-        """Arguments (n, 2) with the values ``wanted`` (n, 2) by Newton's method with complex steps."""
+        """Find the arguments (n, 2) of a function that give the values ``wanted`` (n, 2).
+
+        Newton with complex steps.
+        """
         xy = np.array(wanted, float)
         enough = max(TOLERANCE_MM, ROUNDING * float(np.abs(wanted).max(initial=0.0)))
         for _ in range(STEPS):
@@ -122,16 +129,18 @@ class Distortion:
 
 @dataclass(frozen=True)
 class Detector:
-    """Affine map between the pixels of an image and millimetres on the focal plane.
+    """Affine map between pixels of an image and millimetres on the focal plane.
 
     Parameters
     ----------
     centre : (2,) tuple
-        Line and sample of the detector at which the affine maps begin; 0.5 is the centre of the first pixel.
+        Line and sample of the detector that are the origin of the affine maps; 0.5 is the
+        centre of the first pixel.
     lines, samples : (3,) tuples
-        ``detector line - centre = lines . (1, x, y)``, likewise the samples; pixels and pixels per mm.
+        Coefficients of ``detector line - centre = lines . (1, x, y)``, and of the samples
+        likewise; pixels, and pixels per mm.
     summing : (2,) tuple
-        Detector lines and samples of one image pixel.
+        Numbers of detector lines and samples in one image pixel.
     start : (2,) tuple
         Detector line and sample at which the image begins.
     """
@@ -144,20 +153,20 @@ class Detector:
 
     @cached_property
     def per_mm(self) -> Array:
-        """Image lines and samples (2, 2) per mm of x and y."""
+        """Return image lines and samples (2, 2) per mm of x and y."""
         return np.asarray(np.array([self.lines[1:], self.samples[1:]]) / np.array(self.summing)[:, None])
 
     def millimetres(self, line: Array, sample: Array) -> Array:
-        """Measured coordinates (n, 2) mm of pixels (n,); 0 is the centre of the first pixel."""
+        """Convert pixels (n,) to measured coordinates (n, 2), mm; 0 is the centre of the first pixel."""
         return np.asarray((np.stack([line, sample], axis=1) - self._origin) @ np.linalg.inv(self.per_mm).T)
 
     def pixels(self, measured_mm: Array) -> tuple[Array, Array]:
-        """Lines and samples (n,) of measured coordinates (n, 2) mm."""
+        """Convert measured coordinates (n, 2), mm, to lines and samples (n,)."""
         line, sample = (measured_mm @ self.per_mm.T + self._origin).T
         return line, sample
 
     @cached_property
     def _origin(self) -> Array:
-        """Line and sample of the image at x = y = 0."""
+        """Return line and sample of the image at x = y = 0."""
         first = np.array([self.lines[0], self.samples[0]])
         return np.asarray((np.array(self.centre) + first - self.start) / np.array(self.summing) - 0.5)

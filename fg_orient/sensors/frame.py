@@ -1,8 +1,10 @@
-"""The sensor of a frame image: one projection centre, interior orientation, Brown's distortion.
+"""Sensor of a frame image: one projection centre, interior orientation, Brown's distortion.
 
-Ground points are metres, Earth-fixed (ECEF) or, if the camera is not georeferenced, of a local Cartesian system.
-Pixels are (line, sample); with a principal point of (0, 0) they are counted from it. Camera axes: X along the samples,
-Y down along the lines, Z forward; :data:`HALF_TURN` leads to cameras that look along -Z with Y up.
+Ground points are in metres, Earth-fixed (ECEF); if the camera is not georeferenced, they
+refer to a local Cartesian system. Pixels are (line, sample). If the principal point is
+(0, 0), pixels are relative to it. Camera axes are X along the samples, Y down along the
+lines, Z forward. :data:`HALF_TURN` converts them to axes of cameras that look along -Z
+with Y up.
 """
 
 from __future__ import annotations
@@ -31,23 +33,26 @@ if TYPE_CHECKING:
 from fg_orient.sensors.base import ImageModel, Sensor, placed, same_length
 from fg_orient.sensors.frame_unknowns import FURTHER, INTERIOR, NAMES, UNKNOWNS, camera_parameters
 
-#: The two distortion equations, by the direction in which the polynomial leads.
+#: Names of the two distortion equations. The name states the direction of the polynomial.
 IDEAL_TO_MEASURED: Final = "brown_ideal_to_measured"
 MEASURED_TO_IDEAL: Final = "brown_measured_to_ideal"
-#: Camera axes from photogrammetric ones (X right, Y up, view along -Z; BAL): rotation = HALF_TURN @ theirs.
+#: Converts photogrammetric camera axes (X right, Y up, view along -Z; also BAL) to ours: rotation = HALF_TURN @ theirs.
 HALF_TURN: Final = np.diag([1.0, -1.0, -1.0])
-#: A matrix is a rotation if its columns are orthonormal to this: 9 digits of a file, rounded.
+#: A matrix is a rotation if its columns are orthonormal within this tolerance. Files may contain 9 rounded digits.
 ORTHONORMAL: Final = 1e-6
 
 
 def away_from_rotation(matrices: Array) -> Array:
-    """Largest element (...) of M M^T - I of matrices (..., 3, 3); infinite for mirror images."""
+    """Return the largest element (...) of M M^T - I for matrices (..., 3, 3).
+
+    Infinite for reflections.
+    """
     away = np.abs(matrices @ np.swapaxes(matrices, -1, -2) - np.eye(3)).max(axis=(-2, -1), initial=0.0)
     return np.where((np.linalg.det(matrices) < 0.0) & (away <= ORTHONORMAL), np.inf, away)
 
 
 def not_a_rotation(away: float) -> str:
-    """Text for a value of :func:`away_from_rotation`."""
+    """Describe a value of :func:`away_from_rotation` in words."""
     return f"{away:.1e} from orthonormal" if np.isfinite(away) else "a mirror image"
 
 
@@ -58,7 +63,7 @@ class FrameCamera:
     Parameters
     ----------
     rotation : (3, 3) array
-        Camera axes from ground axes.
+        Rotates ground axes to camera axes.
     centre_m : (3,) array
         Projection centre.
     focal_px : float
@@ -67,38 +72,43 @@ class FrameCamera:
     distortion : (5,) array
         k1, k2, k3, p1, p2 of Brown's polynomial.
     model : str
-        Direction of the polynomial: "brown_ideal_to_measured" (OpenCV, COLMAP, BAL, Metashape) or
-        "brown_measured_to_ideal" (Ayhan, DBAT).
+        Direction of the polynomial: "brown_ideal_to_measured" (OpenCV, COLMAP, BAL,
+        Metashape) or "brown_measured_to_ideal" (Ayhan, DBAT).
     unit_px : float, optional
-        Measured to ideal: the polynomial's unit of length, 1 mm in pixels for coefficients in mm; default: the focal
-        length as given.
+        Unit of length of a polynomial from measured to ideal coordinates, px. If the
+        coefficients are in mm, it is 1 mm in pixels. The default is the given focal
+        length.
     aspect : float
-        Samples are stretched by 1 + aspect: before the polynomial where it corrects, else behind it.
+        Samples are stretched by 1 + aspect. This is done before a polynomial from
+        measured to ideal coordinates, and after a polynomial of the other direction.
     sigma : mapping
-        Unknowns of the adjustment by name (:data:`UNKNOWNS`, :data:`NAVIGATION`) with their prior sigmas (rad, m, px;
-        k and p have no unit). All others are held fixed.
+        Prior sigmas of the unknowns by name (:data:`UNKNOWNS`, :data:`NAVIGATION`), in
+        rad, m, px; k and p have no unit. All other parameters are held fixed.
     shared : mapping
-        Unknowns shared with other images, as id by name: all images with the same id for a name have one unknown
-        ({"focal": "camera 1"}). Their start values and sigmas must agree.
+        Ids of shared unknowns by name, for example {"focal": "camera 1"}. All images with
+        the same id for a name have one common unknown. Their start values and prior
+        sigmas must agree.
     further : mapping
-        Values of further coefficients by name (:data:`FURTHER`): shear, fisheye lens, affinity, Brown's additional
-        parameters, alternative terms. With one of these as a value or an unknown, with a value of the next five, or
-        with an aspect from ideal to measured coordinates, the equation is ``factors.cameras.frame_extended``.
+        Values of further coefficients by name (:data:`FURTHER`): shear, fisheye lens,
+        affinity, Brown's additional parameters, alternative terms. The equation is
+        ``factors.cameras.frame_extended`` if one of these is a value or an unknown, if
+        one of the next five arguments is given, or if there is an aspect from ideal to
+        measured coordinates.
     is_fisheye : bool
         Fisheye projection (Kannala, Brandt 2006; OpenCV).
     lines_up : bool
         Lines are counted upwards.
     nominal_px, radius_px : float, optional
-        Fixed principal distance of the additional parameters, and radius of the orthogonal polynomials, in the unit of
-        the coefficients; default 1.
+        Fixed principal distance of the additional parameters, px, and radius of the
+        orthogonal polynomials, in the unit of the coefficients; default 1.
     is_condition : bool
-        Residuals are those of conditions: pixels times metres (Ayhan 1996, eq. 76), not pixels.
+        Residuals are misclosures of conditions in pixels times metres (Ayhan 1996, eq. 76), not pixels.
 
     Raises
     ------
     InputError
-        A value is not finite, the matrix is not a rotation, the focal length, unit or a sigma is not above zero, or a
-        name or the model is wrong.
+        A value is not finite; the matrix is not a rotation; the focal length, the unit or
+        a prior sigma is not above zero; or a name or the model is unknown.
     """
 
     rotation: Array
@@ -158,12 +168,12 @@ class FrameCamera:
 
     @property
     def equation(self) -> Equation:
-        """Observation equation."""
+        """Return the observation equation."""
         return FRAME_EXTENDED if self.is_extended else FRAME_COLLINEARITY
 
     @cached_property
     def record(self) -> Array:
-        """Record of the equation, of pixel 0, 0, whitening 1 and origin 0."""
+        """Return a record of the equation with pixel 0, 0, whitening 1 and origin 0."""
         return self._all if self.is_extended else self._all[: RECORD.size]
 
     @cached_property
@@ -182,21 +192,25 @@ class FrameCamera:
 
     @property
     def corrects_measured(self) -> bool:
-        """Whether the polynomial leads from measured to ideal coordinates."""
+        """Return whether the polynomial converts measured to ideal coordinates."""
         return self.model == MEASURED_TO_IDEAL
 
     def corrected(self, correction: npt.ArrayLike | None = None) -> Array:
-        """Camera of ``factors.cameras.frame_corrections``, which gives its pixels and directions.
+        """Return the corrected camera of ``factors.cameras.frame_corrections``; it computes pixels and directions.
 
-        ``correction`` (k,): in physical units, in the order of :data:`fg_orient.sensors.frame_unknowns.NAMES`, of all
-        or of the first unknowns.
+        ``correction`` (k,) contains corrections of all unknowns or of the first k
+        unknowns, in physical units, in the order of
+        :data:`fg_orient.sensors.frame_unknowns.NAMES`.
         """
         x = np.zeros(0) if correction is None else np.array(correction, dtype=float)
         codes = np.stack([np.arange(len(x), dtype=float), np.ones(len(x))])
         return np.asarray(frame_extended.camera(self._all, codes, x))
 
     def linearised(self, names: Sequence[str], line: Array, sample: Array, ground_m: Array) -> tuple[Array, Array]:
-        """Residuals (n, 2) px of pixels (n,) of ground points (n, 3), and their derivatives (n, 2, k) by k unknowns."""
+        """Return residuals (n, 2), px, of pixels (n,) and ground points (n, 3).
+
+        Also return their derivatives (n, 2, k) by k unknowns.
+        """
         n, k = len(line), len(names)
         records = np.tile(self.record, (n, 1))
         records[:, RECORD.line], records[:, RECORD.sample] = line, sample
@@ -210,10 +224,11 @@ class FrameCamera:
 
 
 def rotation_of_opk(omega_rad: float, phi_rad: float, kappa_rad: float) -> Array:
-    """Rotation (3, 3) of a :class:`FrameCamera` from photogrammetric angles.
+    """Compute the rotation (3, 3) of a :class:`FrameCamera` from the photogrammetric angles omega, phi, kappa.
 
-    ``R3(kappa) R2(phi) R1(omega)`` leads from ground axes to photogrammetric camera axes; each rotation is that of the
-    axes (Kraus 2007; DBAT). :data:`HALF_TURN` leads to the axes of this module.
+    ``R3(kappa) R2(phi) R1(omega)`` converts ground axes to photogrammetric camera axes.
+    Each of the three matrices rotates the axes, not the points (Kraus 2007; DBAT).
+    :data:`HALF_TURN` converts the result to the axes of this module.
     """
     (so, co), (sp, cp), (sk, ck) = ((np.sin(a), np.cos(a)) for a in (omega_rad, phi_rad, kappa_rad))
     r1 = np.array([[1.0, 0.0, 0.0], [0.0, co, so], [0.0, -so, co]])
@@ -223,15 +238,17 @@ def rotation_of_opk(omega_rad: float, phi_rad: float, kappa_rad: float) -> Array
 
 
 def opk_of_rotation(rotation: Array) -> tuple[Array, Array]:
-    """Omega, phi, kappa (3,) rad of a rotation, and their derivatives (3, 3) by rotations about the camera's axes.
+    """Compute omega, phi, kappa (3,), rad, of a rotation, and their derivatives (3, 3).
 
-    Phi lies in [-pi/2, pi/2]; at its ends only the sum of omega and kappa is defined, and the derivatives are nan.
+    The derivatives are with respect to rotations about the camera's axes. Phi lies in
+    [-pi/2, pi/2]. At the ends of this interval only the sum of omega and kappa is
+    defined, and the derivatives are nan.
     """
     r = HALF_TURN @ rotation
     angles = np.array([np.arctan2(-r[2, 1], r[2, 2]), np.arcsin(np.clip(r[2, 0], -1.0, 1.0)),
                        np.arctan2(-r[1, 0], r[0, 0])])  # fmt: skip
     (sp, cp), (sk, ck) = ((np.sin(a), np.cos(a)) for a in angles[1:])
-    # omega rotates the axes about the first ground axis, phi about the second rotated one, kappa about the third
+    # omega rotates about the first ground axis, phi about the rotated second, kappa about the rotated third axis
     turns = -np.array([[cp * ck, sk, 0.0], [-cp * sk, ck, 0.0], [sp, 0.0, 1.0]])
     with np.errstate(divide="ignore"):
         derivatives = np.linalg.inv(turns) @ HALF_TURN if cp > 1e-9 else np.full((3, 3), np.nan)
@@ -239,7 +256,7 @@ def opk_of_rotation(rotation: Array) -> tuple[Array, Array]:
 
 
 class FrameSensor(Sensor):
-    """A frame image.
+    """Sensor of a frame image.
 
     Parameters
     ----------
@@ -247,14 +264,15 @@ class FrameSensor(Sensor):
     n_lines, n_samples : int
         Size of the image.
     first_line, first_sample : float, optional
-        Pixel coordinates of the first pixel's centre; not 0 where pixels are counted from the principal point.
+        Pixel coordinates of the first pixel's centre. They are not 0 if pixels are
+        relative to the principal point.
     georeferenced : bool, optional
-        False for a local coordinate system, in which pixels cannot be located at ellipsoidal heights.
+        False for a local coordinate system; pixels can then not be located at ellipsoidal heights.
     file : str, optional
     notes : tuple of Finding, optional
     """
 
-    orients = False  # start values of its orientation may be of any accuracy
+    orients = False  # the start values of its orientation may be inaccurate
 
     def __init__(
         self, camera: FrameCamera, n_lines: int, n_samples: int, *, first_line: float = 0.0, first_sample: float = 0.0,
@@ -266,16 +284,16 @@ class FrameSensor(Sensor):
         self.georeferenced, self.notes, self.file = georeferenced, notes, file
 
     def with_camera(self, camera: FrameCamera, file: str) -> FrameSensor:
-        """Sensor with the same size, pixels and notes, and another camera."""
+        """Return a sensor with another camera; size, pixels and notes are the same."""
         return FrameSensor(
             camera, self.n_lines, self.n_samples, first_line=self.first_line, first_sample=self.first_sample,
             georeferenced=self.georeferenced, file=file, notes=self.notes,
         )  # fmt: skip
 
     def records(self, line: npt.ArrayLike, sample: npt.ArrayLike, origin_m: Array | None = None) -> Array:
-        """Constants of the camera's equation for N image points, unwhitened: (N, d).
+        """Return the constants (N, d) of the camera's equation for N image points without whitening.
 
-        ``origin_m`` (3,): local origin of the ground unknowns (default 0).
+        ``origin_m`` (3,) is the local origin of the ground unknowns (default 0).
         """
         line, sample = same_length(line, sample)
         out = np.tile(self.camera.record, (len(line), 1))
@@ -289,9 +307,9 @@ class FrameSensor(Sensor):
     def rays(
         self, line: npt.ArrayLike, sample: npt.ArrayLike, correction: npt.ArrayLike | None = None
     ) -> tuple[Array, Array]:
-        """Projection centre (N, 3) m and unit viewing directions (N, 3) of N pixels.
+        """Return the projection centre (N, 3), m, and unit viewing directions (N, 3) of N pixels.
 
-        InputError if the distortion cannot be inverted at a pixel.
+        InputError: the distortion cannot be inverted at a pixel.
         """
         line, sample = same_length(line, sample)
         camera = self.camera.corrected(correction)
@@ -307,7 +325,7 @@ class FrameSensor(Sensor):
     # --- ground to image ---------------------------------------------------------------------
 
     def project(self, ground_m: npt.ArrayLike, correction: npt.ArrayLike | None = None) -> tuple[Array, Array]:
-        """Line and sample of N ground points (N, 3) m; nan for points that are not in front of the camera."""
+        """Return line and sample of N ground points (N, 3), m; nan if a point is not in front of the camera."""
         ground = np.atleast_2d(np.ascontiguousarray(ground_m, dtype=float))
         line, sample, inverse = frame_corrections.pixels(self.camera.corrected(correction), ground).T
         seen = inverse > 0.0
@@ -315,7 +333,10 @@ class FrameSensor(Sensor):
 
     @cached_property
     def centre_m(self) -> Array:
-        """Ground point (3,) m of the image centre at height 0; the projection centre if the ray misses the ground."""
+        """Return the ground point (3,), m, of the image centre at height 0.
+
+        If the ray misses the ground, return the projection centre.
+        """
         if not self.georeferenced:
             return self.camera.centre_m
         p, u = self.rays(0.5 * (self.first_line + self.last_line), 0.5 * (self.first_sample + self.last_sample))
@@ -329,11 +350,17 @@ class FrameSensor(Sensor):
         return FrameImageModel(self, options)
 
     def correction_of(self, values: Mapping[str, float], options: Options) -> Array:
-        """Corrections from the values of the unknowns by name; see :meth:`Sensor.correction_of`."""
+        """Make corrections from the values of the unknowns by name.
+
+        See :meth:`Sensor.correction_of`.
+        """
         return placed(values, NAMES if self.camera.is_extended else UNKNOWNS)
 
     def shared_starts(self) -> dict[tuple[str, str], float]:
-        """Values of shared unknowns, and unit and direction of the polynomial; see :meth:`Sensor.shared_starts`."""
+        """Return values of shared unknowns, and the polynomial's unit and direction.
+
+        See :meth:`Sensor.shared_starts`.
+        """
         camera, at = self.camera, self.camera.corrected()
         interior = at[CAMERA.focal], *at[CAMERA.principal], *at[CAMERA.distortion], camera.aspect
         values = dict(zip(INTERIOR, interior, strict=False)) | dict(camera.further)
@@ -355,8 +382,9 @@ class FrameImageModel(ImageModel):
     ----------
     sensor : FrameSensor
     options : Options
-        The unknowns and their prior sigmas are those of the camera; ``image_unknowns`` may select some. A camera
-        without unknowns is held fixed: its images are the datum.
+        Options of the adjustment. The camera states the unknowns and their prior sigmas;
+        ``image_unknowns`` may select some of them. A camera without unknowns is held
+        fixed; its images define the datum.
 
     Raises
     ------
@@ -371,23 +399,26 @@ class FrameImageModel(ImageModel):
             require_unknowns(options, self.parameters.codes, sensor.file, sensor.camera.sigma)
 
     def records(self, points: ImagePoints, ground_m: Array, origin_m: Array) -> Array:
-        """Whiten with the pixel sigmas."""
+        """Return constants that are whitened with the standard deviations of the pixels."""
         out = self.sensor.records(points.line, points.sample, origin_m)
         out[:, RECORD.a_line], out[:, RECORD.a_sample] = 1.0 / points.sigma_line_px, 1.0 / points.sigma_sample_px
         return out
 
     def correction(self, x: Array) -> Array:
-        """Corrections (15,) in physical units that change pixels, by code; (k,) with further coefficients."""
+        """Return the corrections that change pixels, in physical units, by code.
+
+        The shape is (15,), or (k,) with further coefficients.
+        """
         out = np.zeros(len(NAMES))
         out[list(self.parameters.codes)] = x * self.parameters.sigma
         return out if self.sensor.camera.is_extended else out[: len(UNKNOWNS)]
 
     def is_valid(self, ground_m: Array) -> Mask:
-        """Whether points lie in front of the camera at its approximate orientation."""
+        """Return a mask of the points that lie in front of the camera in its approximate orientation."""
         return np.isfinite(self.sensor.project(ground_m)[0])
 
     def facts(self) -> dict[str, Any]:
-        """Metadata of a frame image."""
+        """Return the metadata of a frame image."""
         return {
             "model": "frame", "mission": "frame camera", "instrument": "", "format": "camera",
             "metadata_polynomials": [],

@@ -1,6 +1,6 @@
-"""Unknowns of a frame image: names, units and words, by code.
+"""Unknowns of a frame image: names, units and descriptions.
 
-The code of an unknown is its place in :data:`NAMES`, as in ``factors.cameras.frame_extended``.
+The code of an unknown is its position in :data:`NAMES`, as in ``factors.cameras.frame_extended``.
 """
 
 from __future__ import annotations
@@ -15,23 +15,26 @@ from fg_orient.model.parameters import ImageParameters
 if TYPE_CHECKING:
     from fg_orient.sensors.frame import FrameCamera
 
-#: Exterior orientation and interior orientation with Brown's distortion (``factors.cameras.frame``).
+#: Names of the exterior orientation, and of the interior orientation with Brown's distortion
+#: (``factors.cameras.frame``).
 UNKNOWNS: Final = (
     "rotation_x", "rotation_y", "rotation_z", "centre_x", "centre_y", "centre_z", "focal", "principal_sample",
     "principal_line", "k1", "k2", "k3", "p1", "p2", "aspect",
 )  # fmt: skip
-#: Further unknowns, of a receiver and an inertial unit on board (``factors.conditions.navigation``), which no image
-#: point depends on: shift and drift of the position in the axes of the strip, of the attitude about the axes of the
-#: body, lever arm, boresight.
+#: Names of the unknowns of a receiver and an inertial unit on board
+#: (``factors.conditions.navigation``). Image points do not depend on them. They are shift
+#: and drift of the position in the axes of the strip, shift and drift of the attitude
+#: about the axes of the body, lever arm, and boresight.
 NAVIGATION: Final = (
     "gnss_shift_east", "gnss_shift_north", "gnss_shift_up", "gnss_drift_east", "gnss_drift_north", "gnss_drift_up",
     "ins_shift_roll", "ins_shift_pitch", "ins_shift_heading", "ins_drift_roll", "ins_drift_pitch", "ins_drift_heading",
     "lever_x", "lever_y", "lever_z", "boresight_x", "boresight_y", "boresight_z",
 )  # fmt: skip
-#: Further coefficients of the interior orientation (``factors.cameras.frame_corrections``): shear, fisheye lens,
-#: affinity, Brown's additional parameters, alternative terms.
+#: Names of further coefficients of the interior orientation
+#: (``factors.cameras.frame_corrections``): shear, fisheye lens, affinity, Brown's
+#: additional parameters, alternative terms.
 FURTHER: Final = frame_corrections.NAMES
-#: Unknowns of the interior orientation, which images of one camera may share.
+#: Names of the unknowns of the interior orientation. Images of one camera may share them.
 INTERIOR: Final = (*UNKNOWNS[6:], *FURTHER)
 NAMES: Final = (*UNKNOWNS, *NAVIGATION, *FURTHER)
 UNITS: Final = (
@@ -53,7 +56,7 @@ _WORDS: Final = (
 
 
 def camera_parameters(camera: FrameCamera, only: tuple[str, ...] = ()) -> ImageParameters:
-    """Return unknowns of a frame image by code: unknowns with a prior sigma of the camera, restricted to ``only``."""
+    """Return the unknowns of a frame image by code: those with a prior sigma that are also in ``only``."""
     codes = tuple(k for k, name in enumerate(NAMES) if name in camera.sigma and (not only or name in only))
     sigma = np.array([camera.sigma[NAMES[k]] for k in codes])
     names = tuple(NAMES[k] for k in codes)

@@ -1,9 +1,10 @@
-"""The sensor of a frame image whose position and angles are given in an inertial frame, on any body.
+"""Sensor of a frame image whose position and angles are given in an inertial frame, on any body.
 
-Image support data (ISD) of ALE and states of the Community Sensor Model (CSM) describe such images. Ground points are
-body-fixed metres. The unknowns are those of ISIS jigsaw: the position in inertial axes, right ascension, declination
-and twist (``factors.cameras.frame_angles``). Distortion and detector are constants; residuals are differences on the
-ideal focal plane in pixels of the image.
+Image support data (ISD) of ALE and states of the Community Sensor Model (CSM) describe
+such images. Ground points have body-fixed coordinates, m. The unknowns are those of ISIS
+jigsaw: position in inertial axes, right ascension, declination and twist
+(``factors.cameras.frame_angles``). Distortion and detector are constants. Residuals are
+differences on the ideal focal plane, in pixels of the image.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ WORDS: Final = (
 
 
 def turn_of(angles_rad: npt.ArrayLike) -> Array:
-    """Rotation (3, 3) R3(twist) R1(90 deg - dec) R3(90 deg + ra) to camera axes from inertial axes."""
+    """Return the rotation (3, 3) from inertial to camera axes, R3(twist) R1(90 deg - dec) R3(90 deg + ra)."""
     ra, dec, twist = np.asarray(angles_rad, float)
     out = np.eye(3)
     for axis, angle in ((2, 0.5 * np.pi + ra), (0, 0.5 * np.pi - dec), (2, twist)):
@@ -50,9 +51,10 @@ def turn_of(angles_rad: npt.ArrayLike) -> Array:
 
 
 def angles_of(turn: Array) -> Array:
-    """Right ascension, declination and twist (3,) rad of a rotation; inverse of :func:`turn_of`.
+    """Return right ascension, declination and twist (3,), rad, of a rotation; inverse of :func:`turn_of`.
 
-    At a declination of 90 degrees only the difference of the other two is defined; right ascension is then 0.
+    At a declination of 90 degrees, only the difference of the other two angles is
+    defined. Right ascension is then 0.
     """
     dec = np.arctan2(turn[2, 2], np.hypot(turn[2, 0], turn[2, 1]))
     if np.hypot(turn[2, 0], turn[2, 1]) < 1e-15:
@@ -62,20 +64,20 @@ def angles_of(turn: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class FramingCamera:
-    """Orientation and interior orientation of one frame image.
+    """Exterior and interior orientation of one frame image in an inertial frame.
 
     Parameters
     ----------
     position_m : (3,) array
-        Projection centre in inertial axes.
+        Projection centre in inertial axes, m.
     angles_rad : (3,) array
-        Right ascension, declination, twist.
+        Right ascension, declination, twist, rad.
     mounting : (3, 3) array
-        Camera axes from the axes that the three angles give.
+        Rotates the axes that the three angles give to camera axes.
     inertial : (3, 3) array
-        Inertial axes from body-fixed axes.
+        Rotates body-fixed axes to inertial axes.
     focal_mm : float
-        Negative for a camera that looks along its third axis backwards.
+        Focal length; negative if the camera looks along its negative third axis.
     detector : Detector
     distortion : Distortion
 
@@ -107,7 +109,7 @@ class FramingCamera:
             raise InputError.of("frame.camera", place="focal_mm", value=self.focal_mm, expected="mm, not zero")
 
     def corrected(self, correction: npt.ArrayLike | None) -> FramingCamera:
-        """Camera with corrections (6,) in m and rad, in the order of :data:`UNKNOWNS`."""
+        """Return the camera with corrections (6,) in m and rad, in the order of :data:`UNKNOWNS`."""
         if correction is None:
             return self
         d = np.asarray(correction, float)
@@ -115,18 +117,18 @@ class FramingCamera:
 
     @property
     def centre_m(self) -> Array:
-        """Projection centre (3,) in body-fixed axes."""
+        """Return the projection centre (3,) in body-fixed axes."""
         return np.asarray(self.inertial.T @ self.position_m)
 
     @property
     def rotation(self) -> Array:
-        """Camera axes from body-fixed axes (3, 3)."""
+        """Return the rotation (3, 3) from body-fixed axes to camera axes."""
         return np.asarray(self.mounting @ turn_of(self.angles_rad) @ self.inertial)
 
 
 @dataclass(frozen=True)
 class Taken:
-    """Names of an image: platform, instrument, serial number of ISIS; and the format of its metadata."""
+    """Description of an image: platform, instrument, serial number of ISIS, and format of the metadata."""
 
     platform: str = ""
     instrument: str = ""
@@ -135,14 +137,14 @@ class Taken:
 
 
 class FramingSensor(Sensor):
-    """A frame image in an inertial frame.
+    """Sensor of a frame image in an inertial frame.
 
     Parameters
     ----------
     camera : FramingCamera
     n_lines, n_samples : int
     body : Body or None
-        None for the Earth.
+        Body that the image shows; None for the Earth.
     taken : Taken, optional
     file : str, optional
     notes : tuple of Finding, optional
@@ -162,7 +164,7 @@ class FramingSensor(Sensor):
     def rays(
         self, line: npt.ArrayLike, sample: npt.ArrayLike, correction: npt.ArrayLike | None = None
     ) -> tuple[Array, Array]:
-        """Projection centre (N, 3) m and unit viewing directions (N, 3) of N pixels, body-fixed."""
+        """Return the body-fixed projection centre (N, 3), m, and unit viewing directions (N, 3) of N pixels."""
         line, sample = same_length(line, sample)
         camera = self.camera.corrected(correction)
         ideal = camera.distortion.ideal(camera.detector.millimetres(line, sample))
@@ -175,7 +177,7 @@ class FramingSensor(Sensor):
         return np.tile(camera.centre_m, (len(line), 1)), direction
 
     def project(self, ground_m: npt.ArrayLike, correction: npt.ArrayLike | None = None) -> tuple[Array, Array]:
-        """Line and sample of N body-fixed points (N, 3) m; nan for points that are not in front of the camera."""
+        """Return line and sample of N body-fixed points (N, 3), m; nan if a point is not in front of the camera."""
         camera = self.camera.corrected(correction)
         q = (np.atleast_2d(np.asarray(ground_m, float)) - camera.centre_m) @ camera.rotation.T
         seen = q[:, 2] * camera.focal_mm > 0.0
@@ -186,14 +188,20 @@ class FramingSensor(Sensor):
         return np.where(seen, line, np.nan), np.where(seen, sample, np.nan)
 
     def footprint(self) -> Array:
-        """Corners in image order, clockwise: (4, 2) longitude, latitude in degrees; on the limb if beyond it."""
+        """Return the corners in the order of the image, clockwise: (4, 2) longitude, latitude, degrees.
+
+        If a corner shows the sky, its nearest point on the limb is used.
+        """
         if self.body is None:
             return super().footprint()
         return self.body.coordinates(self.body.nearest(*self.rays(*self.corners())))[:, :2]
 
     @cached_property
     def centre_m(self) -> Array:
-        """Ground point (3,) m of the image centre, or of the limb."""
+        """Return the ground point (3,), m, of the image centre.
+
+        If the centre shows the sky, a point on the limb.
+        """
         middle = 0.5 * (self.first_line + self.last_line), 0.5 * (self.first_sample + self.last_sample)
         if self.body is None:
             return np.asarray(self.locate(*middle, height_m=0.0)[0])
@@ -204,7 +212,10 @@ class FramingSensor(Sensor):
         return FramingImageModel(self, options)
 
     def correction_of(self, values: Mapping[str, float], options: Options) -> Array:
-        """Corrections from the values of the unknowns by name; see :meth:`Sensor.correction_of`."""
+        """Make corrections from the values of the unknowns by name.
+
+        See :meth:`Sensor.correction_of`.
+        """
         return placed(values, UNKNOWNS)
 
 
@@ -215,7 +226,8 @@ class FramingImageModel(ImageModel):
     ----------
     sensor : FramingSensor
     options : Options
-        Prior sigmas are the constants of ``position_sigma_m`` and ``attitude_sigma_rad``; ``image_unknowns`` selects.
+        Options of the adjustment. ``position_sigma_m`` and ``attitude_sigma_rad`` give
+        the prior sigmas by their constant terms. ``image_unknowns`` selects the unknowns.
 
     Raises
     ------
@@ -235,7 +247,7 @@ class FramingImageModel(ImageModel):
         )  # fmt: skip
 
     def records(self, points: ImagePoints, ground_m: Array, origin_m: Array) -> Array:
-        """Whiten with the pixel sigmas on the ideal focal plane."""
+        """Return constants that are whitened with the standard deviations of the pixels on the ideal focal plane."""
         camera, n = self.sensor.camera, len(points)
         ideal = camera.distortion.ideal(camera.detector.millimetres(points.line, points.sample))
         sigma = np.stack([points.sigma_line_px, points.sigma_sample_px], axis=1)
@@ -247,17 +259,17 @@ class FramingImageModel(ImageModel):
         )  # fmt: skip
 
     def correction(self, x: Array) -> Array:
-        """Corrections (6,) in physical units by code."""
+        """Return the corrections (6,) in physical units by code."""
         out = np.zeros(len(UNKNOWNS))
         out[list(self.parameters.codes)] = x * self.parameters.sigma
         return out
 
     def is_valid(self, ground_m: Array) -> Mask:
-        """Whether points lie in front of the camera at its approximate orientation."""
+        """Return a mask of the points that lie in front of the camera in its approximate orientation."""
         return np.isfinite(self.sensor.project(ground_m)[0])
 
     def facts(self) -> dict[str, Any]:
-        """Metadata of the image."""
+        """Return the metadata of the image."""
         own = self.sensor.taken
         return {
             "model": "frame", "mission": own.platform or "frame camera", "instrument": own.instrument,

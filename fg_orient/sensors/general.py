@@ -1,12 +1,16 @@
-"""The general pushbroom: image -> line -> camera -> payload -> orbit -> inertial axes -> Earth, from a description.
+"""General pushbroom sensor from a description: line, camera, payload, orbit, inertial axes, Earth.
+
+The description states a chain of transformations from the image to the Earth::
 
     P = P_U + R_OG R_UY (C_M + s R_KU p_k),   p_k = (0, y, 0) - c_s + delta       (Terlemezoğlu 2019, eqs. 2.3-2.21)
 
-The chain of the metadata is converted to the look-angle collinearity: the mounting of a line is
-``M = R_OG^T R_ECEF_from_camera`` with R_OG of the projection centre, so that the unknowns, kernels and backends of
-``fg_orient.sensors.pushbroom`` are used. Light time, aberration and refraction rotate the line of sight of each pixel
-by up to 3e-5 rad. This rotation is computed from the metadata and the distance of the ground point and held fixed (a
-correction of 1 km or 1e-3 rad changes it by less than 1e-8 rad).
+The chain is converted to the look-angle collinearity. The mounting of a line is ``M =
+R_OG^T R_ECEF_from_camera``, where R_OG belongs to the projection centre. The unknowns,
+kernels and backends of ``fg_orient.sensors.pushbroom`` can then be used.
+
+Light time, aberration and refraction rotate the line of sight of each pixel by up to 3e-5
+rad. This rotation is computed from the metadata and the distance of the ground point, and
+it is held fixed. A correction of 1 km or 1e-3 rad would change it by less than 1e-8 rad.
 """
 
 from __future__ import annotations
@@ -37,12 +41,13 @@ from fg_orient.sensors.surface import landed
 if TYPE_CHECKING:
     from fg_orient.model.block import Options
 
-#: Iterations of ground point, distance and line of sight: on slopes the error is 0.3 mm after two, 1e-7 m after three.
+#: Number of iterations of ground point, distance and line of sight. On slopes, the error
+#: is 0.3 mm after two iterations and 1e-7 m after three.
 _ROUNDS = 3
 
 
 class GeneralPushbroom(PushbroomSensor):
-    """One image of a pushbroom that a sensor description defines.
+    """Sensor of one pushbroom image that a sensor description defines.
 
     Parameters
     ----------
@@ -53,7 +58,7 @@ class GeneralPushbroom(PushbroomSensor):
     InputError
         All samples look in the same direction.
     OutOfTimeRange
-        Orbit or attitudes do not cover the image; nothing is extrapolated.
+        Orbit or attitudes do not cover the image. They are never extrapolated.
     """
 
     metadata: GeneralMetadata
@@ -68,7 +73,7 @@ class GeneralPushbroom(PushbroomSensor):
         return ()
 
     def with_effects(self, effects: LightEffects) -> GeneralPushbroom:
-        """Sensor of the same image with other effects on light."""
+        """Return a sensor of the same image with other effects on light."""
         return GeneralPushbroom(replace(self.metadata, effects=effects))
 
     def image_model(self, options: Options) -> ImageModel:
@@ -82,7 +87,7 @@ class GeneralPushbroom(PushbroomSensor):
         self._require_listed("earth.list_span", line, self.attitude.time_s, "attitude")
 
     def _orbit(self, t: Array) -> tuple[Array, Array]:
-        """Position and Earth-fixed velocity (N, 3) of the point that the orbit describes, Earth-fixed axes."""
+        """Return position and Earth-fixed velocity (N, 3) of the orbit's reference point in Earth-fixed axes."""
         p, v = super()._orbit(t)
         if self.metadata.ephemeris.frame != "ITRF":
             turn = self._earth(t)
@@ -101,7 +106,7 @@ class GeneralPushbroom(PushbroomSensor):
         return light.EARTH_RATE_RAD_S if earth is None else earth.rate_rad_s(float(t[0]))
 
     def _ecef_from_payload(self, t: Array, p: Array, v: Array) -> Array:
-        """Rotations (N, 3, 3) of the metadata."""
+        """Return the rotations (N, 3, 3) from payload axes to ECEF, from the metadata."""
         source, kind = self.attitude, self.metadata.orbital_frame
         if isinstance(source, AngleAttitude):
             inertial = v + np.cross([0.0, 0.0, self._rate(t)], p)
@@ -116,7 +121,10 @@ class GeneralPushbroom(PushbroomSensor):
         return matrices if source.frame == "ITRF" else np.asarray(self._earth(t) @ matrices)
 
     def states(self, line: npt.ArrayLike) -> LineStates:
-        """State of the projection centre at N lines; angles are 0, the mounting contains the whole attitude."""
+        """Return the state of the projection centre at N lines.
+
+        Angles are 0, as the mounting contains the attitude.
+        """
         line = np.atleast_1d(np.asarray(line, float))
         self._require_listed("earth.list_span", line, self.metadata.ephemeris.time_s, "orbit")
         self._require_attitude(line)
@@ -135,10 +143,11 @@ class GeneralPushbroom(PushbroomSensor):
     # --- light -------------------------------------------------------------------------------
 
     def _mounting(self, states: LineStates, psi: tuple[Array, Array], to_ground_m: Array | None) -> Array:
-        """Mountings (N, 3, 3) with the effects on light, see :meth:`PushbroomSensor._mounting`.
+        """Return the mountings (N, 3, 3) with the effects on light; see :meth:`PushbroomSensor._mounting`.
 
-        Light time and refraction depend on the distance of the ground point. If it is the distance to height 0 and the
-        point is at 5000 m, light time is wrong by 1 mm and refraction by 1 m tan z.
+        Light time and refraction depend on the distance of the ground point. If the point
+        is at 5000 m but the distance to height 0 is used, light time is wrong by 1 mm,
+        and refraction by 1 m tan z.
         """
         effects = self.metadata.effects
         if not effects:
@@ -156,12 +165,13 @@ class GeneralPushbroom(PushbroomSensor):
         return np.asarray(np.swapaxes(frame, 1, 2) @ turned)
 
     def _shifted(self, p: Array, direction: Array, distance_m: Array | None) -> Array:
-        """Compute true directions to ground points from apparent directions, at given distances (None: height 0)."""
+        """Convert apparent to true directions of ground points at given distances; None means height 0."""
         effects = self.metadata.effects
         if distance_m is None:
             ground = ellipsoid.intersect(p, np.ascontiguousarray(direction), np.zeros(len(p)))
             distance_m = np.linalg.norm(ground - p, axis=1)
-            if not np.isfinite(distance_m).all():  # the ray misses the Earth: distance of the point nearest to it
+            # if a ray misses the Earth, the distance of its point nearest to the Earth is used
+            if not np.isfinite(distance_m).all():
                 distance_m = np.where(np.isfinite(distance_m), distance_m, -np.einsum("ni,ni->n", p, direction))
         ground = p + distance_m[:, None] * direction
         shift = np.zeros_like(ground)
@@ -177,7 +187,7 @@ class GeneralPushbroom(PushbroomSensor):
         self, line: Array, sample: Array, height_m: npt.ArrayLike | None, dem: HeightSurface | None,
         correction: Correction | None,
     ) -> Array:  # fmt: skip
-        """Ground points with the effects on light at their own distance."""
+        """Return ground points, with the effects on light at the distance of each point."""
         to_ground, ground = None, np.empty((0, 3))
         for _ in range(_ROUNDS if self.metadata.effects else 1):
             p, u = self.rays(line, sample, correction, to_ground)
@@ -187,10 +197,13 @@ class GeneralPushbroom(PushbroomSensor):
 
 
 class GeneralModel(PushbroomModel):
-    """Image model of a general pushbroom: the model of every pushbroom, with the sizes of the effects on light."""
+    """Image model of a general pushbroom: the model of a pushbroom, with the sizes of the effects on light."""
 
     sensor: GeneralPushbroom
 
     def facts(self) -> dict[str, Any]:
-        """Entries of every pushbroom and ``light``, see :func:`fg_orient.sensors.light_sizes.light_sizes`."""
+        """Return the entries of a pushbroom and ``light``.
+
+        See :func:`fg_orient.sensors.light_sizes.light_sizes`.
+        """
         return super().facts() | {"light": light_sizes(self.sensor)}

@@ -1,7 +1,7 @@
-"""Records of located, projected and intersected points, for commands and files.
+"""Make records of located, projected and intersected points for commands and files.
 
-Angles are in degrees, lengths in metres, heights are ellipsoidal above WGS84; pixels (line,
-sample) with (0, 0) = centre of the first pixel.
+Angles are in degrees, and lengths are in metres. Heights are above the WGS84 ellipsoid.
+Pixels are (line, sample); (0, 0) is the centre of the first pixel.
 """
 
 from __future__ import annotations
@@ -25,14 +25,15 @@ if TYPE_CHECKING:
 
 Records = list[dict[str, Any]]
 
-#: Smallest slope of a ray, horizontal metres per metre of height, that determines the height of a frame point.
+#: Minimum slope of a ray, horizontal metres per metre of height. A steeper ray does not
+#: determine the height of a frame point.
 LEAST_SLOPE = 0.01
-#: Largest number of steps to these heights, and length of the last step.
+#: Maximum number of iterations for these heights, and length of the last step, m.
 MAX_STEPS, STEP_M = 20, 1e-4
 
 
 def ground_records(ids: Sequence[str], line: Array, sample: Array, ecef_m: Array, body: Body | None = None) -> Records:
-    """One record per point: id, line, sample, geodetic and ECEF coordinates, or those of another body.
+    """Return a record for each point: id, line, sample, geodetic and ECEF coordinates, or those of another body.
 
     Parameters
     ----------
@@ -53,8 +54,9 @@ def frame_records(sensor: Any, height_m: float | None = None, dem: HeightSurface
     """Locate the frame points of a file and compare them with their coordinates in the file.
 
     Points are located at the height in the file, unless a height or a DEM is given. If the file has no height, the
-    height is computed at which the ray is closest to the position in the file; the remaining misfit is perpendicular to
-    the vertical plane of the ray. Rays steeper than 1 : 100 do not determine a height and are located at height 0.
+    height is computed at which the ray is closest to the position in the file. The remaining misfit is then
+    perpendicular to the vertical plane of the ray. Rays steeper than 1 : 100 do not determine a height and are located
+    at height 0.
 
     Parameters
     ----------
@@ -66,10 +68,11 @@ def frame_records(sensor: Any, height_m: float | None = None, dem: HeightSurface
     Returns
     -------
     list of dict
-        Beside the keys of :func:`ground_records`: ``file_lon_deg``, ``file_lat_deg``,
-        ``misfit_m`` (horizontal, model minus file), ``misfit_east_m``, ``misfit_north_m``,
-        ``height_from`` ("file", "given", "dem", "solved" or "none") and ``note`` (None, or the reason why the
-        points of the file may disagree with the model).
+        The keys of :func:`ground_records`, and ``file_lon_deg``, ``file_lat_deg``,
+        ``misfit_m`` (horizontal, model minus file), ``misfit_east_m``,
+        ``misfit_north_m``, ``height_from`` ("file", "given", "dem", "solved" or "none")
+        and ``note`` (None, or the reason why the points of the file may disagree with the
+        model).
 
     Raises
     ------
@@ -99,7 +102,7 @@ def frame_records(sensor: Any, height_m: float | None = None, dem: HeightSurface
 
 
 def _horizontal(ecef_m: Array, lon_deg: Array, lat_deg: Array, height_m: Array) -> Array:
-    """East and North (n, 2) m of points relative to positions at the same heights."""
+    """Return East and North (n, 2), m, of points relative to positions at the same heights."""
     apart = ecef_m - geodetic_to_ecef(lon_deg, lat_deg, height_m)
     return np.asarray(np.einsum("nij,nj->ni", enu_from_ecef(lon_deg, lat_deg)[:, :2], apart))
 
@@ -108,7 +111,10 @@ def _frame_heights(
     sensor: Any, points: Sequence[FramePoint], pixel: tuple[Array, Array], place: tuple[Array, Array],
     height_m: float | None,
 ) -> tuple[Array, list[str]]:  # fmt: skip
-    """Heights (n,) of the frame points, and the source of each; missing heights are solved for."""
+    """Return the heights (n,), m, of the frame points, and the source of each.
+
+    Missing heights are computed.
+    """
     stated = [p.height_m for p in points]
     if height_m is not None:
         return np.full(len(stated), height_m), ["given"] * len(stated)
@@ -130,10 +136,10 @@ def _frame_heights(
 
 
 def pixel_records(sensor: Any, ids: Sequence[str], ecef_m: Array) -> Records:
-    """Project ground points (n, 3) ECEF m: id, line, sample and ``inside``.
+    """Project ground points (n, 3), ECEF m, and return records of id, line, sample and ``inside``.
 
-    Outside the image, line and sample are the linear continuation from its border; nan if the point is invisible from
-    the satellite or the iteration does not converge.
+    Outside the image, line and sample are extrapolated linearly from its border. They are
+    nan if the satellite cannot see the point or if the iteration does not converge.
     """
     line, sample = sensor.project(ecef_m)
     inside = sensor.is_inside(line, sample)
@@ -144,7 +150,7 @@ def pixel_records(sensor: Any, ids: Sequence[str], ecef_m: Array) -> Records:
 
 
 def intersection_records(images: tuple[Image, ...], observations: ImagePoints, ids: Sequence[str]) -> Records:
-    """Intersect all points seen in two images or more, with the metadata orientation.
+    """Intersect the rays of all points that are measured in at least two images; use the metadata orientation.
 
     Parameters
     ----------
@@ -156,15 +162,16 @@ def intersection_records(images: tuple[Image, ...], observations: ImagePoints, i
     Returns
     -------
     list of dict
-        Beside the keys of :func:`ground_records` (line and sample in the first image):
-        ``miss_m``, the largest distance between the foot points on two of its rays; ``convergence_deg``;
-        ``sigma_east_m``, ``sigma_north_m``, ``sigma_up_m`` and ``covariance_enu_m2`` from the sigmas of the image
-        points, the orientation being free of error; ``pixels``, all image points.
+        The keys of :func:`ground_records` (line and sample in the first image), and
+        ``miss_m``, the largest distance between the foot points on two rays;
+        ``convergence_deg``; ``sigma_east_m``, ``sigma_north_m``, ``sigma_up_m`` and
+        ``covariance_enu_m2`` from the standard deviations of the image points, if the
+        orientation has no error; ``pixels``, all image points.
 
     Raises
     ------
     InputError
-        Rays are parallel or meet behind a sensor.
+        Rays are parallel or intersect behind a sensor.
     """
     count = np.bincount(observations.point, minlength=len(ids))
     wanted = np.zeros((len(ids), 3))

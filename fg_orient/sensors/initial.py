@@ -1,7 +1,7 @@
-"""Start values: intersection of rays with the metadata orientation.
+"""Compute start values of ground points by space intersection with the metadata orientation.
 
-The point nearest to all rays solves ``sum (I - u u^T) X = sum (I - u u^T) P``
-(docs/equations.md 6, any number of images).
+The point X with the smallest distances from the rays solves ``sum (I - u u^T) X = sum (I
+- u u^T) P``, for any number of images (docs/equations.md 6).
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ from fg_orient.model.block import Image, ImagePoints
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.base import Sensor
 
-#: Smallest angle between rays that give a point.
+#: Minimum angle between the rays of a point.
 MIN_CONVERGENCE_DEG = 0.1
 
 
 def local_origin(images: Sequence[Image]) -> Array:
-    """Origin (3,) of the ground unknowns, ECEF m: mean of the image centres on the ground."""
+    """Return the origin (3,) of the ground unknowns, ECEF m: the mean of the image centres on the ground."""
     return np.asarray(np.mean([image.sensor.centre_m for image in images], axis=0))
 
 
 def missing_rows(coordinates_m: Array) -> Mask:
-    """Rows without coordinates among (N, 3): (N,)."""
+    """Return a mask (N,) of the rows of (N, 3) without coordinates."""
     return np.asarray(np.isnan(coordinates_m).any(axis=1))
 
 
 def all_rays(
     images: tuple[Image, ...], observations: ImagePoints, corrections: Sequence[Any] | None = None
 ) -> tuple[Array, Array]:
-    """Projection centres and unit directions (n, 3) of all image points, ECEF."""
+    """Return projection centres and unit directions (n, 3) of all image points, ECEF."""
     centre, direction = np.empty((2, len(observations), 3))
     for sensor, rows, correction in _by_image(images, observations, corrections):
         centre[rows], direction[rows] = sensor.rays(observations.line[rows], observations.sample[rows], correction)
@@ -45,7 +45,7 @@ def all_rays(
 def _by_image(
     images: tuple[Image, ...], observations: ImagePoints, corrections: Sequence[Any] | None
 ) -> Iterator[tuple[Any, Index, Any]]:
-    """Sensor, image points and correction of each image that has image points."""
+    """Yield the sensor, the image points and the correction of each image that has image points."""
     for k, image in enumerate(images):
         rows = np.flatnonzero(observations.image == k)
         if len(rows):
@@ -53,19 +53,19 @@ def _by_image(
 
 
 def nearest_points(centre_m: Array, direction: Array, point: Index, n_points: int) -> tuple[Array, Array]:
-    """Points nearest to their rays.
+    """Compute the points that are nearest to their rays.
 
     Parameters
     ----------
     centre_m, direction : (n, 3) arrays
-        Rays, ECEF; directions of unit length.
+        Rays in ECEF; directions are unit vectors.
     point : (n,) int array
-        Point of each ray, counted from 0.
+        Number of the point of each ray, from 0.
 
     Returns
     -------
     points_m : (n_points, 3) array
-        ECEF; nan for points with fewer than two rays or with parallel rays.
+        ECEF coordinates; nan for points with fewer than two rays or with parallel rays.
     convergence_deg : (n_points,) array
         Largest angle between any two rays of the point; 0 for parallel rays and for fewer than two rays.
     """
@@ -84,7 +84,10 @@ def nearest_points(centre_m: Array, direction: Array, point: Index, n_points: in
 
 
 def _projections(direction: Array, point: Index, n_points: int) -> Array:
-    """Sums (n_points, 3, 3) of I - u u^T over the rays of each point, element by element: no matrix of each ray."""
+    """Sum I - u u^T over the rays of each point: (n_points, 3, 3).
+
+    The elements are summed one by one, so that no matrix is stored for each ray.
+    """
     out, count = np.empty((n_points, 3, 3)), np.bincount(point, minlength=n_points)
     for i in range(3):
         for j in range(i, 3):
@@ -94,13 +97,15 @@ def _projections(direction: Array, point: Index, n_points: int) -> Array:
 
 
 def intersection_covariances(images: tuple[Image, ...], observations: ImagePoints, ground_m: Array) -> Array:
-    """Covariances (n_points, 3, 3) ECEF m^2 of :func:`nearest_points` from the sigmas of the image points.
+    """Return covariance matrices (n_points, 3, 3), ECEF m^2, of the points of :func:`nearest_points`.
 
-    With P = I - u u^T and D the shift of a ray at the ground by a pixel (over half a pixel to either side)::
+    The standard deviations of the image points are propagated. P is I - u u^T. D is the
+    shift of a ray at the ground for one pixel, computed from half a pixel to either
+    side::
 
         C = N^-1 (sum P D S D^T P) N^-1,   N = sum P
 
-    The orientation is assumed to be free of error. nan for points of fewer than two rays.
+    The orientation is assumed to have no error. The result is nan for points with fewer than two rays.
     """
     shift, point = np.zeros((len(observations), 3, 2)), observations.point
     for sensor, rows, _ in _by_image(images, observations, None):
@@ -119,7 +124,10 @@ def intersection_covariances(images: tuple[Image, ...], observations: ImagePoint
 
 
 def _pixel_shifts(sensor: Any, pixel: tuple[Array, Array], ground_m: Array) -> Array:
-    """Shift (n, 3, 2) m of rays at ground points by a line and by a sample; differences stay inside the image."""
+    """Return the shifts (n, 3, 2), m, of rays at ground points by one line and one sample.
+
+    The differences are formed inside the image.
+    """
     limits = ((sensor.first_line, sensor.last_line), (sensor.first_sample, sensor.last_sample))
     out = np.zeros((len(ground_m), 3, 2))
     for k, (first, last) in enumerate(limits):
@@ -134,13 +142,16 @@ def _pixel_shifts(sensor: Any, pixel: tuple[Array, Array], ground_m: Array) -> A
 
 
 def foot_points(centre_m: Array, direction: Array, ground_m: Array) -> Array:
-    """Points (n, 3) of rays that are closest to ground points (n, 3)."""
+    """Return the points (n, 3) on rays that are closest to ground points (n, 3)."""
     along = np.einsum("ni,ni->n", ground_m - centre_m, direction)
     return np.asarray(centre_m + along[:, None] * direction)
 
 
 def _largest_angles_deg(direction: Array, point: Index, count: Index) -> Array:
-    """Largest angle between any two rays of each point; all points with the same number of rays together."""
+    """Return the largest angle between two rays of each point, degrees.
+
+    All points with the same number of rays are computed together.
+    """
     out = np.zeros(len(count))
     order, first = np.argsort(point, kind="stable"), np.cumsum(count) - count
     for rays in np.unique(count[count >= 2]):
@@ -160,26 +171,26 @@ def intersect(
     sample: npt.ArrayLike,
     corrections: Sequence[Any] | None = None,
 ) -> Array:
-    """Ground points seen by every sensor: stereo and multi-ray intersection.
+    """Intersect the rays of points that every sensor shows, for two or more images.
 
     Parameters
     ----------
     sensors : sequence of k sensors, at least two
     line, sample : (k,) or (k, N) arrays
-        Pixels of the same points in each image, (0, 0) = centre of the first pixel.
+        Pixels of the same points in each image; (0, 0) is the centre of the first pixel.
     corrections : sequence of k corrections of the sensors, or None, optional
-        Adjusted orientation, for instance ``solution.correction("left")``.
+        Adjusted orientations, for example ``solution.correction("left")``.
 
     Returns
     -------
     (N, 3) array
-        Points nearest to their rays, ECEF m.
+        Points that are nearest to their rays, ECEF m.
 
     Raises
     ------
     InputError
-        A pixel lies outside its image, rays are parallel or meet behind a sensor, or the number of rows of pixels or
-        of corrections is not that of the sensors.
+        A pixel lies outside its image, rays are parallel or intersect behind a sensor, or
+        the number of rows of pixels or of corrections differs from the number of sensors.
     """
     if not isinstance(sensors, Sequence) or not sensors:
         raise arrays.wrong("sensors", repr(sensors), "two sensors or more")
@@ -211,12 +222,13 @@ def ground_points(
     known_m: Array,
     corrections: Sequence[Any] | None = None,
 ) -> Array:
-    """Start coordinates (N, 3) ECEF m: known points as given, other points by intersection.
+    """Return start coordinates (N, 3), ECEF m: known points as given, other points by intersection.
 
     Raises
     ------
     InputError
-        A point without coordinates is seen once, by parallel rays, or behind the sensors.
+        A point without coordinates has only one ray, its rays are parallel, or they
+        intersect behind the sensors.
     """
     start = known_m.copy()
     unknown = missing_rows(known_m)

@@ -1,7 +1,8 @@
-"""Interior orientation of a frame camera, direct georeferencing, and distortion in the other direction.
+"""Interior orientation of a frame camera, conversion of its distortion polynomial, and direct georeferencing.
 
-The two polynomials of ``sensors.frame`` are not inverse to each other. :func:`converted` fits one to the other and
-returns their difference in pixels: an exact conversion does not exist.
+``sensors.frame`` has two distortion polynomials of opposite directions. They are not
+exactly inverse to each other. Therefore :func:`converted` fits one of them to the other
+and returns their difference in pixels.
 """
 
 from __future__ import annotations
@@ -18,31 +19,31 @@ from factors.cameras import frame_corrections
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.frame import IDEAL_TO_MEASURED, MEASURED_TO_IDEAL, FrameCamera
 
-#: Points per side of the image in a conversion.
+#: Number of points per side of the image in a conversion.
 GRID: Final = 41
 
 
 @dataclass(frozen=True, eq=False)
 class Interior:
-    """Interior orientation of all images of a camera.
+    """Interior orientation that is common to all images of a camera.
 
     Parameters
     ----------
     n_lines, n_samples : int
     focal_px : float
     principal_px : (2,) array
-        Line and sample; (0, 0) is the centre of the first pixel.
+        Line and sample of the principal point; (0, 0) is the centre of the first pixel.
     distortion : (5,) array
         k1, k2, k3, p1, p2; see :class:`fg_orient.sensors.frame.FrameCamera`.
     model : str
-        Direction of the polynomial.
+        Direction of the distortion polynomial.
     unit_px, aspect : float
         See :class:`fg_orient.sensors.frame.FrameCamera`.
     name : str
     further : mapping
-        Further coefficients by name, see :class:`fg_orient.sensors.frame.FrameCamera`.
+        Further coefficients by name; see :class:`fg_orient.sensors.frame.FrameCamera`.
     is_fisheye : bool
-        Fisheye projection.
+        True for the fisheye projection.
     """
 
     n_lines: int
@@ -58,27 +59,30 @@ class Interior:
     is_fisheye: bool = False
 
     def __post_init__(self) -> None:
-        self.camera(np.eye(3), np.zeros(3))  # refuses impossible values
+        self.camera(np.eye(3), np.zeros(3))  # raises InputError for impossible values
 
     def camera(
         self, rotation: Array, centre_m: Array, sigma: Mapping[str, float] | None = None,
         shared: Mapping[str, str] | None = None,
     ) -> FrameCamera:  # fmt: skip
-        """Camera of an image with this rotation and projection centre; InputError for impossible values."""
+        """Make the camera of an image with this rotation and projection centre.
+
+        InputError for impossible values.
+        """
         return FrameCamera(
             rotation, centre_m, self.focal_px, self.principal_px, self.distortion, sigma or {}, self.model,
             self.unit_px, self.aspect, shared or {}, self.further, self.is_fisheye,
         )  # fmt: skip
 
     def ideal(self, line: Array, sample: Array) -> Array:
-        """Ideal directions X/Z, Y/Z (N, 2) of pixels; nan where the polynomial folds."""
+        """Return ideal directions X/Z, Y/Z (N, 2) of pixels; nan where the polynomial has no unique inverse."""
         own = self.camera(np.eye(3), np.zeros(3))
         return np.asarray(frame_corrections.directions(own.corrected(), line, sample))
 
 
 @dataclass(frozen=True)
 class Conversion:
-    """Camera with the other polynomial, and the largest and root mean square difference in the image."""
+    """Camera with the other polynomial, and the largest and root mean square difference in the image, px."""
 
     interior: Interior
     max_px: float
@@ -86,10 +90,10 @@ class Conversion:
 
 
 def converted(interior: Interior, model: str, *, brown: bool = False) -> Conversion:
-    """Polynomial in the other direction, fitted over the whole image by least squares.
+    """Fit the polynomial of the other direction over the whole image by least squares.
 
-    Focal length and principal point do not change. An aspect, further coefficients and the projection of a fisheye
-    lens become part of the difference.
+    Focal length and principal point do not change. An aspect, further coefficients and a
+    fisheye projection cannot be converted and become part of the difference.
 
     Parameters
     ----------
@@ -97,12 +101,12 @@ def converted(interior: Interior, model: str, *, brown: bool = False) -> Convers
     model : str
         "brown_ideal_to_measured" or "brown_measured_to_ideal".
     brown : bool
-        Fit Brown's five coefficients to a camera of the same direction, too.
+        If the camera already has this direction, fit Brown's five coefficients to it.
 
     Raises
     ------
     InputError
-        No such model, or the polynomial folds inside the image.
+        The model is unknown, or the polynomial has no unique inverse inside the image.
     """
     if model not in (IDEAL_TO_MEASURED, MEASURED_TO_IDEAL):
         known = f"{IDEAL_TO_MEASURED} or {MEASURED_TO_IDEAL}"
@@ -123,7 +127,7 @@ def converted(interior: Interior, model: str, *, brown: bool = False) -> Convers
 
 
 def pixel_grid(interior: Interior) -> tuple[Array, Array]:
-    """Lines and samples (N,) of a grid over the whole image."""
+    """Return lines and samples (N,) of a grid over the whole image."""
     line, sample = np.meshgrid(
         np.linspace(0.0, interior.n_lines - 1.0, GRID), np.linspace(0.0, interior.n_samples - 1.0, GRID)
     )
@@ -131,7 +135,10 @@ def pixel_grid(interior: Interior) -> tuple[Array, Array]:
 
 
 def directions(interior: Interior, line: Array, sample: Array) -> Array:
-    """Ideal coordinates (N, 2) of pixels; InputError where the polynomial folds."""
+    """Return ideal coordinates (N, 2) of pixels.
+
+    Raise InputError if the polynomial has no unique inverse there.
+    """
     ideal = interior.ideal(line, sample)
     bad = int((~np.isfinite(ideal).all(axis=1)).sum())
     if bad:
@@ -140,7 +147,7 @@ def directions(interior: Interior, line: Array, sample: Array) -> Array:
 
 
 def _columns(xy: Array, axis: int) -> Array:
-    """Derivatives (N, 5) of the polynomial's x (axis 0) or y by its coefficients."""
+    """Return the derivatives (N, 5) of the polynomial's x (axis 0) or y (axis 1) by its coefficients."""
     own, r = xy[:, axis], np.sum(xy**2, axis=1)
     along, across = r + 2.0 * own**2, 2.0 * xy[:, 0] * xy[:, 1]
     p = (across, along) if axis == 0 else (along, across)
@@ -150,23 +157,25 @@ def _columns(xy: Array, axis: int) -> Array:
 def direct_orientation(
     receiver_m: npt.ArrayLike, ground_from_body: npt.ArrayLike, lever_m: npt.ArrayLike, camera_from_body: npt.ArrayLike
 ) -> tuple[Array, Array]:
-    """Rotation and projection centre of an image from a receiver and an inertial unit (Terlemezoğlu 2019, eq. 2.2).
+    """Compute rotation and projection centre of an image from a receiver and an inertial unit.
+
+    Source: Terlemezoğlu 2019, eq. 2.2.
 
     Parameters
     ----------
     receiver_m : (3,) array
-        Position of the receiver, ground system.
+        Position of the receiver in the ground system, m.
     ground_from_body : (3, 3) array
-        Attitude of the inertial unit.
+        Attitude of the inertial unit: rotates body axes to ground axes.
     lever_m : (3,) array
-        From the receiver to the projection centre, body axes.
+        Vector from the receiver to the projection centre in body axes, m.
     camera_from_body : (3, 3) array
-        Boresight: camera axes (X right, Y down, Z along the view) from body axes.
+        Boresight: rotates body axes to camera axes (X right, Y down, Z along the view).
 
     Returns
     -------
     rotation : (3, 3) array
-        Camera axes from ground axes.
+        Rotates ground axes to camera axes.
     centre_m : (3,) array
     """
     attitude = np.asarray(ground_from_body, dtype=float)

@@ -1,4 +1,4 @@
-"""Control points that are observed by latitude, longitude and radius, as in ISIS jigsaw."""
+"""Observe control points by latitude, longitude and radius, as ISIS jigsaw does."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from fg_orient.sensors.initial import local_origin
 
 
 def with_angles(block: Block) -> Block:
-    """Block whose control points are observed by longitude, latitude and radius in place of their axes.
+    """Return the block with control points that are observed by longitude, latitude and radius.
 
-    The standard deviations are lengths along them; fixed points stay fixed.
+    These observations replace those of the coordinates. The standard deviations are
+    lengths along the three directions, m. Fixed points remain fixed.
     """
     known, origin, extra = block.points.known, local_origin(block.images), []
     rows = [j for j in block.points.where(Role.CONTROL).tolist() if not known.fixed[j]]
@@ -34,7 +35,7 @@ def with_angles(block: Block) -> Block:
 
 
 def observed_by_angles(block: Block) -> Mask:
-    """Points (N,) that are observed by latitude, longitude and radius."""
+    """Return a mask (N,) of the points that are observed by latitude, longitude and radius."""
     named = {e.unknowns[0] for e in block.extra if getattr(e, "equation", None) is LATITUDINAL_POINT}
     if not named:
         return np.zeros(len(block.points.ids), bool)

@@ -1,9 +1,11 @@
-"""Lattice of lines of sight: directions at a grid of pixels and positions of the satellite, brought to a pushbroom.
+"""Convert a lattice of lines of sight to a pushbroom sensor.
 
-A pushbroom looks with one camera all the time. The directions of row r and column c are therefore ``R_r k_c``: the
-rotations R_r of the rows and the directions k_c of the columns are fitted to the lattice by least squares, and the
-largest difference is stated. Cubic splines lead from row to row and from column to column. The image is then a general
-pushbroom with the same unknowns as every other one.
+A lattice contains viewing directions at a grid of pixels, and positions of the satellite.
+A pushbroom has the same camera all the time. Therefore the direction of row r and column
+c is ``R_r k_c``. The rotations R_r of the rows and the directions k_c of the columns are
+fitted to the lattice by least squares, and the largest difference is stated. Cubic
+splines interpolate between rows and between columns. The image is then a general
+pushbroom with the usual unknowns.
 """
 
 from __future__ import annotations
@@ -29,11 +31,11 @@ from fg_orient.sensors.metadata import (
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-#: Largest difference of the lattice from one camera, pixels.
+#: Maximum difference between the lattice and the fitted camera, pixels.
 MOST_PX: Final = 0.5
-#: Smallest numbers of rows and columns: a cubic.
+#: Minimum numbers of rows and columns, because the splines are cubic.
 LEAST: Final = 4
-#: States between two rows: the splines through the rows become tables that the sensor interpolates.
+#: Number of states between two rows. The splines are tabulated, and the sensor interpolates in the table.
 DENSE: Final = 40
 _ROUNDS: Final = 3
 
@@ -47,13 +49,14 @@ class Lattice:
     file, mission, instrument, format : str
     n_lines, n_samples : int
     line, sample : (r,), (c,) arrays
-        Pixels of rows and columns, increasing; 0 is the centre of the first pixel. They cover the image.
+        Pixels of rows and columns in increasing order; 0 is the centre of the first
+        pixel. They cover the image.
     direction : (r, c, 3) array
-        Directions to the ground, Earth-fixed axes.
+        Directions to the ground in Earth-fixed axes.
     position_m : (r, 3) array
-        Positions of the satellite, Earth-fixed, m.
+        Positions of the satellite in Earth-fixed axes, m.
     line_period_s : float
-        It scales the velocities only.
+        Line period, s. Only the velocities depend on it.
     """
 
     file: str
@@ -69,12 +72,13 @@ class Lattice:
     line_period_s: float
 
     def metadata(self, effects: LightEffects) -> GeneralMetadata:
-        """Metadata of the pushbroom with these lines of sight.
+        """Return the metadata of the pushbroom that has these lines of sight.
 
         Raises
         ------
         InputError
-            The lattice is too small, does not cover the image, or is not the lattice of one camera.
+            The lattice is too small or does not cover the image, or one camera cannot
+            have these lines of sight.
         """
         self._require_cover()
         from scipy.interpolate import CubicSpline
@@ -100,7 +104,7 @@ class Lattice:
         )  # fmt: skip
 
     def _require_cover(self) -> None:
-        """Refuse a lattice that is small or does not cover the image."""
+        """Refuse a lattice that is too small or does not cover the image."""
         for name, at, first, last in (("line", self.line, -0.5, self.n_lines - 0.5),
                                       ("sample", self.sample, 0.0, self.n_samples - 1.0)):  # fmt: skip
             if len(at) < LEAST or at[0] > first or at[-1] < last:
@@ -112,7 +116,7 @@ class Lattice:
                 )  # fmt: skip
 
     def _factors(self, velocity: Array) -> tuple[Rotation, Array, float]:
-        """Rotations of the r rows, camera directions (c, 3) with Z away from the ground, largest difference in px."""
+        """Return the rotations of the r rows, camera directions (c, 3) with Z up, and the largest difference, px."""
         from scipy.spatial.transform import Rotation
 
         direction = self.direction / np.linalg.norm(self.direction, axis=2, keepdims=True)

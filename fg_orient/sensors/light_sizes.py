@@ -1,4 +1,4 @@
-"""Effects on light that a user may choose, and their sizes on the ground and in the image."""
+"""Effects on light that the user can choose, and their sizes on the ground and in the image."""
 
 from __future__ import annotations
 
@@ -15,14 +15,17 @@ if TYPE_CHECKING:
     from fg_orient.sensors.general import GeneralPushbroom
 
 EFFECTS: Final = tuple(asdict(LightEffects()))
-#: Word for no effect.
+#: Name that selects no effect.
 NONE: Final = "none"
-#: Lines and samples of the grid on which sizes are computed.
+#: Number of lines, and of samples, of the grid on which sizes are computed.
 SIDE: Final = 3
 
 
 def chosen(names: tuple[str, ...], usual: LightEffects) -> LightEffects:
-    """Effects of these names, ``usual`` without names; InputError for other names."""
+    """Return the effects with these names, or ``usual`` if there are no names.
+
+    InputError for unknown names.
+    """
     if not names:
         return usual
     wrong = [name for name in names if name not in (*EFFECTS, NONE)]
@@ -35,13 +38,14 @@ def chosen(names: tuple[str, ...], usual: LightEffects) -> LightEffects:
 
 
 def light_sizes(sensor: GeneralPushbroom) -> list[dict[str, Any]]:
-    """Size of each effect alone, over a grid of 3 x 3 pixels at the mean height.
+    """Compute the size of each single effect over a grid of 3 x 3 pixels at the mean height.
 
     Returns
     -------
     list of dict
-        ``effect``, ``applied``; ``ground_m``: mean shift of the ground point of a pixel; ``line_px``, ``sample_px``:
-        mean shift of the pixel of a ground point; ``largest_px``: largest length of this shift.
+        ``effect``, ``applied``; ``ground_m``: mean shift of the ground point of a pixel;
+        ``line_px``, ``sample_px``: mean shift of the pixel of a ground point;
+        ``largest_px``: largest length of this shift.
     """
     without = sensor.with_effects(LightEffects())
     line, sample = sensor.grid(SIDE)
@@ -64,7 +68,7 @@ def light_sizes(sensor: GeneralPushbroom) -> list[dict[str, Any]]:
 
 
 def _inwards(at: Array) -> Array:
-    """Steps of a pixel towards the middle of the image."""
+    """Return steps of one pixel towards the middle of the image."""
     return np.where(at > at.mean(), -1.0, 1.0)
 
 
@@ -73,13 +77,13 @@ def _ground(sensor: GeneralPushbroom, line: Array, sample: Array) -> Array:
 
 
 def noted(sensor: GeneralPushbroom) -> GeneralPushbroom:
-    """Sensor with a note on the sizes of the effects."""
+    """Return the sensor with a note on the sizes of the effects."""
     sensor.notes = (*sensor.notes, light_note(light_sizes(sensor)))
     return sensor
 
 
 def light_note(sizes: list[dict[str, Any]]) -> Finding:
-    """Note on the sizes of the effects, those that are applied and those that are not."""
+    """Return a note on the sizes of the effects that are applied, and of those that are not."""
     words = [[f"{one['effect'].replace('_', ' ')} {one['largest_px']:.2f} px ({one['ground_m']:.2f} m)"
               for one in sizes if one["applied"] == applied] for applied in (True, False)]  # fmt: skip
     return finding("image.light (note): effects on light: applied: {applied}; not applied: {left_out}",

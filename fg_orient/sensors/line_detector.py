@@ -1,8 +1,9 @@
 """Camera of a line-scan state: a straight detector line with distortion, fitted to the look angles of samples.
 
-The line is at ``(x, y) = (d, y0 + b d)`` pixels of the focal plane, d = +-(sample - s0). The distortion leads to ideal
-coordinates, and the line of sight is ``R (x, y, focal)`` in body axes turned to the ground (x right of flight, y
-backward, z down). Look angles that are linear in the sample need neither distortion nor R. Others get the nearer of:
+The line is at ``(x, y) = (d, y0 + b d)`` pixels of the focal plane, d = +-(sample - s0).
+The distortion leads to ideal coordinates, and the line of sight is ``R (x, y, focal)`` in
+body axes turned to the ground (x right of flight, y backward, z down). Look angles that
+are linear in the sample need neither distortion nor R. Others get the nearer of:
 
 * radial distortion, ``ideal = (x, y) (1 - k0 - k1 r^2 - k2 r^4)``: degree 5, with one set of coefficients;
 * transverse distortion: d and y0 are polynomials of degree 3 in the ideal x, so each direction has its own degree 3.
@@ -22,15 +23,15 @@ from fg_orient.sensors.focal_plane import Distortion
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-#: Residual, px, below which a straight line without distortion is exact: rounding of the tangents.
+#: A straight line without distortion counts as exact if its residual is below this, px. The tangents are rounded.
 EXACT_PX: Final = 1e-7
-#: Start values of the distance of the line from the axis and of its sample, in half lines.
+#: Start values: distance of the line from the axis, and sample of the axis; the unit is half the length of the line.
 _STARTS: Final = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0))
 #: Residual, px, below which the transverse distortion is taken without a look at the radial one.
 GOOD_PX: Final = 1e-6
-#: Samples to which the camera is fitted, and at which it is compared.
+#: Number of samples to which the camera is fitted; below: number of samples at which it is compared.
 FITTED: Final = 201
-#: Evaluations of the camera for each start.
+#: Maximum number of evaluations for each start value.
 MOST: Final = 1500
 COMPARED: Final = 6007
 _NONE: Final = Distortion()
@@ -38,18 +39,18 @@ _NONE: Final = Distortion()
 
 @dataclass(frozen=True)
 class LineDetector:
-    """See the module.
+    """Straight detector line with radial distortion; see the module.
 
     Parameters
     ----------
     rotation : (3, 3) array
-        R, turned body axes from camera axes.
+        Matrix R, which rotates camera axes to the rotated body axes.
     focal_px, origin_sample, sign, slope, offset_px : float
-        Focal length, s0, the sign of d, b and y0.
+        Focal length, s0, sign of d, b and y0.
     distortion : Distortion
         In pixels.
     largest_px : (2,) tuple
-        Largest differences of the look angles along lines and samples.
+        Largest differences of the look angles along lines and along samples, px.
     """
 
     rotation: Array
@@ -62,7 +63,7 @@ class LineDetector:
     largest_px: tuple[float, float] = (0.0, 0.0)
 
     def directions(self, sample: Array) -> Array:
-        """Lines of sight (n, 3) in turned body axes, z component 1."""
+        """Return lines of sight (n, 3) in rotated body axes; their z component is 1."""
         d = self.sign * (sample - self.origin_sample)
         measured = np.stack([d, self.offset_px + self.slope * d], axis=1)
         ideal = self.distortion.ideal(measured)
@@ -70,7 +71,7 @@ class LineDetector:
         return np.asarray(u / u[:, 2:])
 
     def compared(self, sample: Array, tangents: Array) -> LineDetector:
-        """Camera with its largest differences from tangents (n, 2) at samples (n,)."""
+        """Return the camera with its largest differences from tangents (n, 2) at samples (n,)."""
         apart = np.abs(self.directions(sample)[:, :2] - tangents).max(axis=0) * self.focal_px
         return replace(self, largest_px=(float(apart[1]), float(apart[0])))
 
@@ -78,8 +79,9 @@ class LineDetector:
 def fit_detector(sample: Array, tangents: Array, *, band: bool = False) -> LineDetector:
     """Camera whose directions at samples (n,) are nearest to tangents (n, 2): x right of flight, y backward.
 
-    ``band``: the samples are a part of a line, to which the transverse distortion is fitted only: the search for a
-    radial one takes seconds, and it did not find a better one for bands of SPOT 5.
+    ``band``: the samples are a part of a line, to which the transverse distortion is
+    fitted only: the search for a radial one takes seconds, and it did not find a better
+    one for bands of SPOT 5.
     """
     step = np.polyfit(sample, tangents[:, 0], 1)
     sign, focal = float(np.sign(step[0])), float(1.0 / abs(step[0]))
@@ -119,7 +121,10 @@ def _transverse(sample: Array, tangents: Array, sign: float, focal: float) -> Li
 
 
 def _radial(sample: Array, tangents: Array, sign: float, focal: float) -> LineDetector:
-    """Camera with rotation and radial distortion, the best of several starts."""
+    """Fit the camera with rotation and radial distortion from several start values.
+
+    Return the best one.
+    """
     from scipy.optimize import least_squares
     from scipy.spatial.transform import Rotation
 
@@ -128,7 +133,7 @@ def _radial(sample: Array, tangents: Array, sign: float, focal: float) -> LineDe
     at, seen = sample[rows], tangents[rows]
 
     def camera(x: Array) -> LineDetector:
-        """Camera of unknowns of size about 1."""
+        """Make a camera from scaled unknowns, whose size is about 1."""
         rotation = (turn * Rotation.from_rotvec(x[:3])).as_matrix()
         radial = Distortion("radial", (float(x[6]), float(x[7]) / half**2, float(x[8]) / half**4))
         return LineDetector(rotation, focal, middle + half * x[3], sign, float(x[5]), half * float(x[4]), radial)

@@ -1,10 +1,12 @@
-"""Control by linear features: image points on straight lines and splines whose place on the ground is known.
+"""Control by linear features: image points on straight lines and splines with known ground coordinates.
 
-Each image point on a feature is an image point of a ground point of its own. The position of this ground point on the
-feature is free; two observations hold it on the feature (``factors.conditions.curves``). So an image point contributes
-one condition, across the feature, and all backends and tests treat it as any other observation.
+Each image point on a feature gets its own ground point. This ground point can move freely
+along the feature. Two observations keep it on the feature
+(``factors.conditions.curves``). Therefore an image point contributes one condition,
+across the feature. Backends and tests treat it like any other observation.
 
-Errors of the points of one feature are assumed to be independent. A common shift of a feature is not modelled.
+The errors of the points of one feature are assumed to be independent. A common shift of a
+feature is not modelled.
 """
 
 from __future__ import annotations
@@ -27,34 +29,38 @@ __all__ = ["LineFeature", "LinePoints", "with_lines"]
 
 Kind = Literal["line", "spline"]
 
-#: Fewest vertices of a spline.
+#: Minimum number of vertices of a spline.
 LEAST_SPLINE: Final = 3
-#: Smallest sine of the angle between the tangents of a feature and the vertical, for normals horizontal and upwards.
+#: A feature is steep if the sine of the angle between one of its tangents and the
+#: vertical is smaller than this. Other features have one horizontal and one upward
+#: normal.
 STEEP: Final = 0.2
-#: Places of a segment that are compared with a ray, and repetitions in the shortened interval about the nearest.
+#: Number of places of a segment that are compared with a ray; number of repetitions in a
+#: shorter interval about the nearest place.
 _PLACES: Final = 33
 _ROUNDS: Final = 4
 
 
 @dataclass(frozen=True, eq=False)
 class LineFeature:
-    """Linear feature with known coordinates.
+    """Linear feature with known ground coordinates.
 
     Parameters
     ----------
     id : str
     kind : str
-        "line": straight, through two vertices; "spline": natural cubic spline through all vertices.
+        "line": straight line through two vertices. "spline": natural cubic spline through all vertices.
     vertices_m : (n, 3) array
-        ECEF, or the local system of the images.
+        Coordinates in ECEF or in the local system of the images, m.
     sigma_m : (2,) array
-        Standard deviations of a point of the feature across it: horizontal, and upwards. For a steep feature both are
-        across in any direction, and must be equal.
+        Standard deviations of a point of the feature, across the feature: horizontal and
+        upwards, m. For a steep feature, both apply to any direction across it and must be
+        equal.
 
     Raises
     ------
     InputError
-        Too few vertices, two equal vertices in sequence, or a sigma that is not above 0.
+        There are too few vertices, two successive vertices are equal, or a standard deviation is not above 0.
     """
 
     id: str
@@ -72,7 +78,7 @@ class LineFeature:
             raise InputError.of("lines.sigma", place=f"feature {self.id}", value=min(self.sigma_m))
 
     def segments(self, origin_m: Array) -> Array:
-        """Coefficients (K, 12) of the segments for :data:`CURVE_CONTROL`, relative to an origin."""
+        """Return the coefficients (K, 12) of the segments for :data:`CURVE_CONTROL`, relative to an origin."""
         vertices = self.vertices_m - origin_m
         if self.kind == "line":
             return np.concatenate([vertices[0], vertices[1] - vertices[0], np.zeros(6)])[None]
@@ -80,19 +86,19 @@ class LineFeature:
 
         chords = np.linalg.norm(np.diff(vertices, axis=0), axis=1)
         spline = CubicSpline(np.concatenate([[0.0], np.cumsum(chords)]), vertices, bc_type="natural")
-        # scipy: c[0] is the coefficient of the cube of the length; here t runs from 0 to 1 in each segment
+        # in scipy, c[0] is the coefficient of the cube of the length; here, t runs from 0 to 1 in each segment
         scaled = spline.c[::-1] * chords[None, :, None] ** np.arange(4)[:, None, None]
         return np.ascontiguousarray(np.moveaxis(scaled, 0, 1).reshape(len(chords), 12))
 
 
 @dataclass(frozen=True, eq=False)
 class LinePoints:
-    """Image points on features.
+    """Image points that lie on features.
 
     Parameters
     ----------
     features, images : tuples of str
-        One of each per row.
+        Feature and image of each image point.
     line, sample : (n,) arrays
         Pixels; (0, 0) is the centre of the first pixel.
     sigma_px : (n, 2) array
@@ -107,7 +113,7 @@ class LinePoints:
 
 
 def with_lines(block: Block, features: Sequence[LineFeature], measured: LinePoints) -> Block:
-    """The block with image points on features.
+    """Add image points on features to a block.
 
     Parameters
     ----------
@@ -118,12 +124,12 @@ def with_lines(block: Block, features: Sequence[LineFeature], measured: LinePoin
     Returns
     -------
     Block
-        With a further ground point ``FEATURE/k`` for each image point.
+        Block with a further ground point ``FEATURE/k`` for each image point.
 
     Raises
     ------
     InputError
-        A row names an unknown feature or image; a steep feature with unequal sigmas.
+        A row names an unknown feature or image, or a steep feature has unequal standard deviations.
     """
     known, origin = {feature.id: feature for feature in features}, local_origin(block.images)
     numbers = {image.id: k for k, image in enumerate(block.images)}
@@ -148,7 +154,7 @@ def with_lines(block: Block, features: Sequence[LineFeature], measured: LinePoin
 
 
 def _axis(feature: LineFeature, setup: Array, georeferenced: bool) -> Array:
-    """Reference direction of the normals: up, or for a steep feature the direction least parallel to its tangents."""
+    """Return the reference direction of the normals: up, or for a steep feature a direction far from its tangents."""
     t = np.linspace(0.0, 1.0, 9)
     tangents = np.array([curve(segment, one)[1] for segment in setup for one in t])
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
@@ -161,7 +167,10 @@ def _axis(feature: LineFeature, setup: Array, georeferenced: bool) -> Array:
 
 
 def _nearest_to_ray(setup: Array, centre: Array, direction: Array) -> Array:
-    """Point (3,) of a curve nearest to a ray, by refined sampling."""
+    """Return the point (3,) of a curve that is nearest to a ray.
+
+    It is found by sampling with finer and finer steps.
+    """
 
     def distances(k: int, t: Array) -> tuple[Array, Array]:
         places = np.array([curve(setup[k], one)[0] for one in t])
@@ -181,7 +190,7 @@ def _nearest_to_ray(setup: Array, centre: Array, direction: Array) -> Array:
 def _joined(
     block: Block, ids: list[str], starts: Array, images: list[int], measured: LinePoints, extra: list[ExtraObservation]
 ) -> Block:
-    """Add points, image points and observations."""
+    """Return the block with further points, image points and observations."""
     taken = sorted(set(ids) & set(block.points.ids))
     if taken:
         raise InputError.of("lines.taken", place="feature", value=taken[0])
@@ -200,7 +209,7 @@ def _joined(
 
 
 def on_features(extra: Sequence[ExtraObservation]) -> dict[str, tuple[str, Array]]:
-    """Feature and its chord (3,) by the id of each ground point that is on one."""
+    """Return, for each ground point on a feature, the feature and its chord (3,), by the id of the point."""
     found = {}
     for one in extra:
         if getattr(one, "equation", None) is CURVE_CONTROL:

@@ -1,11 +1,16 @@
-"""Metadata of pushbroom sensors, independent of file formats.
+"""Metadata records of pushbroom sensors, independent of file formats.
 
-Readers (``fg_orient.formats.dimap1``, ``dimap2``, ``metadata.pushbroom``) make these immutable records; the sensors
-(``fg_orient.sensors.pushbroom``, ``general``) use them. Conventions: times are seconds since ``epoch`` (0 h UTC of the
-day of the image), positions and velocities are Earth-fixed (ECEF, WGS84) in m and m/s unless a frame is stated, angles
-rad, pixels (line, sample) with (0, 0) = centre of the first pixel. Attitudes are body to orbital frame of convention B
-(X = V x Z right of flight, Y = Z x X forward, Z = radial outward) or body to ECEF quaternions. Camera and payload axes
-of the general pushbroom follow convention A: X forward, Y left of flight, Z away from the Earth.
+Readers (``fg_orient.formats.dimap1``, ``dimap2``, ``metadata.pushbroom``) make these
+immutable records. The sensors (``fg_orient.sensors.pushbroom``, ``general``) use them.
+The conventions are:
+
+- Times are seconds since ``epoch``, which is 0 h UTC of the day of the image.
+- Positions and velocities are Earth-fixed (ECEF, WGS84), in m and m/s, unless a frame is stated. Angles are in rad.
+- Pixels are (line, sample); (0, 0) is the centre of the first pixel.
+- Attitudes rotate body axes to the orbital frame of convention B (X = V x Z right of flight, Y = Z x X forward, Z =
+  radial outward), or they are quaternions from body axes to ECEF.
+- Camera and payload axes of the general pushbroom follow convention A: X forward, Y left of flight, Z away from the
+  Earth.
 """
 
 from __future__ import annotations
@@ -23,40 +28,44 @@ from fg_orient.model.errors import Finding
 from fg_orient.sensors.earth_rotation import EarthRotation
 
 Frame = Literal["ITRF", "GCRS", "EME2000"]
-#: Target frame of attitudes: an orbital frame, or a frame of the Earth or of the stars.
+#: Target frame of attitudes: an orbital frame, an Earth-fixed frame or an inertial frame.
 AttitudeFrame = Literal["orbital", "ITRF", "GCRS", "EME2000"]
-#: Interpolation of states in time. usual: Lagrange through the eight nearest samples, quaternions linear. lagrange:
-#: quaternions as well. centred: Lagrange for both with as many samples before as after the time, up to eight, fewer
-#: near the ends of the list (CSM line-scan states).
+#: Interpolation of states in time. "usual": Lagrange polynomials through the eight
+#: nearest samples for states, linear interpolation for quaternions. "lagrange": Lagrange
+#: polynomials for quaternions, too. "centred": Lagrange polynomials for both, with equal
+#: numbers of samples before and after the time, up to eight; near the ends of the list,
+#: there are fewer (CSM line-scan states).
 Scheme = Literal["usual", "lagrange", "centred"]
-#: Difference of two line times, in lines, that is rounding.
+#: Smaller differences between two line times, in lines, are rounding.
 SAME_LINE: Final = 1e-6
-#: Definition of the orbital frame: from position and Earth-fixed or inertial velocity, or from Kepler angles.
+#: Definition of the orbital frame: by position and Earth-fixed velocity, by position and
+#: inertial velocity, or by Kepler angles.
 OrbitalFrame = Literal["earth-fixed velocity", "inertial velocity", "kepler"]
 
 
 @dataclass(frozen=True)
 class LineTiming:
-    """``t(line) = reference_time_s + line_period_s * (line - reference_line)``."""
+    """Times of lines: ``t(line) = reference_time_s + line_period_s * (line - reference_line)``."""
 
-    reference_line: float  # 0-based
+    reference_line: float  # counted from 0
     reference_time_s: float
     line_period_s: float
 
     def time_s(self, line: Array) -> Array:
-        """Times of N lines, s."""
+        """Return the times of N lines, s."""
         return np.asarray(self.reference_time_s + self.line_period_s * (line - self.reference_line))
 
     def line(self, time_s: Array) -> Array:
-        """Lines at N times."""
+        """Return the lines at N times."""
         return np.asarray(self.reference_line + (time_s - self.reference_time_s) / self.line_period_s)
 
 
 @dataclass(frozen=True, eq=False)
 class SegmentTiming(LineTiming):
-    """``t(line) = start_time_s[k] + period_s[k] (line - start_line[k])``, k the last segment that has begun.
+    """Times of lines in segments: ``t(line) = start_time_s[k] + period_s[k] (line - start_line[k])``.
 
-    ``start_line``, ``start_time_s``, ``period_s`` (n,), lines increasing; the first segment also applies before its
+    k is the last segment that has begun. The arrays ``start_line``, ``start_time_s``,
+    ``period_s`` (n,) have increasing lines. The first segment is also used before its
     start. The fields of :class:`LineTiming` describe the first segment.
     """
 
@@ -66,7 +75,10 @@ class SegmentTiming(LineTiming):
 
     @classmethod
     def of(cls, start_line: Array, start_time_s: Array, period_s: Array) -> LineTiming:
-        """Timing of n segments; one rate, without jumps, is a plain :class:`LineTiming`."""
+        """Make the timing of n segments.
+
+        If all have one rate without jumps, it is a :class:`LineTiming`.
+        """
         first = float(start_line[0]), float(start_time_s[0]), float(period_s[0])
         plain = LineTiming(*first)
         off_lines = (plain.time_s(start_line) - start_time_s) / period_s
@@ -75,19 +87,22 @@ class SegmentTiming(LineTiming):
         return cls(*first, start_line, start_time_s, period_s)
 
     def time_s(self, line: Array) -> Array:
-        """Times of N lines, s."""
+        """Return the times of N lines, s."""
         k = np.clip(np.searchsorted(self.start_line, line, side="right") - 1, 0, None)
         return np.asarray(self.start_time_s[k] + self.period_s[k] * (line - self.start_line[k]))
 
     def line(self, time_s: Array) -> Array:
-        """Lines at N times, for times that increase with the line."""
+        """Return the lines at N times; times must increase with the line."""
         k = np.clip(np.searchsorted(self.start_time_s, time_s, side="right") - 1, 0, None)
         return np.asarray(self.start_line[k] + (time_s - self.start_time_s[k]) / self.period_s[k])
 
 
 @dataclass(frozen=True)
 class Ephemeris:
-    """State vectors: ``time_s`` (n,), ``position_m`` (n, 3), ``velocity_m_s`` (n, 3) in ``frame``, ITRF being ECEF."""
+    """State vectors: ``time_s`` (n,), ``position_m`` (n, 3), ``velocity_m_s`` (n, 3) in ``frame``.
+
+    ITRF means ECEF.
+    """
 
     time_s: Array
     position_m: Array
@@ -96,7 +111,7 @@ class Ephemeris:
     scheme: Scheme = "usual"
 
     def at(self, time_s: Array) -> Array:
-        """Position and velocity (N, 6) at N times."""
+        """Interpolate position and velocity (N, 6) at N times."""
         samples = np.hstack([self.position_m, self.velocity_m_s])
         if self.scheme == "centred":
             return interpolation.centred(self.time_s, samples, time_s)
@@ -105,10 +120,12 @@ class Ephemeris:
 
 @dataclass(frozen=True)
 class AngleAttitude:
-    """Sampled angles to an orbital frame, linear in time: ``time_s`` (n,), ``angles_rad`` (n, 3) = roll, pitch, yaw.
+    """Sampled attitude angles relative to an orbital frame, interpolated linearly in time.
 
-    Signs of DIMAP v1 are already changed: roll and pitch are the negated values of the file, yaw is the value of the
-    file (docs/equations.md 2). Angles of a general pushbroom are defined in ``factors.geometry.orbital``.
+    The fields are ``time_s`` (n,) and ``angles_rad`` (n, 3) = roll, pitch, yaw. For DIMAP
+    v1, the signs have already been changed: roll and pitch are the negated values of the
+    file, and yaw is the value of the file (docs/equations.md 2).
+    ``factors.geometry.orbital`` defines the angles of a general pushbroom.
     """
 
     time_s: Array
@@ -117,10 +134,11 @@ class AngleAttitude:
 
 @dataclass(frozen=True)
 class QuaternionList:
-    """Sampled quaternions body to ``frame``, scalar part first: ``time_s`` (n,), ``quaternion`` (n, 4).
+    """Sampled quaternions from body axes to ``frame``: ``time_s`` (n,), ``quaternion`` (n, 4), scalar part first.
 
-    They are interpolated component by component and then normalised. Signs are aligned
-    (``factors.geometry.interpolation.sign_aligned``): neighbours have a positive product.
+    Each component is interpolated, then the quaternion is normalised. Signs are chosen
+    such that neighbours have a positive product
+    (``factors.geometry.interpolation.sign_aligned``).
     """
 
     time_s: Array
@@ -129,7 +147,7 @@ class QuaternionList:
     scheme: Scheme = "usual"
 
     def at(self, time_s: Array) -> Array:
-        """Unit quaternions (N, 4) at N times."""
+        """Interpolate unit quaternions (N, 4) at N times."""
         if self.scheme == "usual":
             return interpolation.quaternion_linear(self.time_s, self.quaternion, time_s)
         scheme = interpolation.centred if self.scheme == "centred" else interpolation.lagrange
@@ -139,7 +157,10 @@ class QuaternionList:
 
 @dataclass(frozen=True)
 class QuaternionPolynomial:
-    """``Q_j(t) = sum_i coefficients[j, i] ((t - offset_s) / scale_s)^i``, body to ECEF; (4, k)."""
+    """Polynomials of quaternions from body axes to ECEF; ``coefficients`` has the shape (4, k).
+
+    ``Q_j(t) = sum_i coefficients[j, i] ((t - offset_s) / scale_s)^i``
+    """
 
     offset_s: float
     scale_s: float
@@ -148,9 +169,10 @@ class QuaternionPolynomial:
 
 @dataclass(frozen=True)
 class LookAngleTable:
-    """Look angles per detector, tangents linear in the sample.
+    """Table of look angles by detector; between its rows, the tangents are linear in the sample.
 
-    ``sample`` (n,) 0-based detector numbers, increasing; ``psi_x_rad`` and ``psi_y_rad`` (n,).
+    ``sample`` (n,) contains increasing detector numbers from 0. ``psi_x_rad`` and
+    ``psi_y_rad`` (n,) are the look angles.
     """
 
     sample: Array
@@ -158,7 +180,7 @@ class LookAngleTable:
     psi_y_rad: Array
 
     def angles(self, sample: Array) -> tuple[Array, Array]:
-        """Look angles psi_x (along), psi_y (across), rad, of N samples."""
+        """Return the look angles psi_x (along track), psi_y (across track), rad, of N samples."""
         return look.from_table(self.sample, *self._tangents, sample)
 
     @cached_property
@@ -170,7 +192,7 @@ class LookAngleTable:
 class LookAnglePolynomial:
     """Tangents of the look angles as polynomials of ``sample - origin_sample``.
 
-    ``tan_psi_x`` (k,) along track and ``tan_psi_y`` (k,) across track, constant term first.
+    ``tan_psi_x`` (k,) is along track, ``tan_psi_y`` (k,) is across track. The constant term is first.
     """
 
     origin_sample: float
@@ -178,7 +200,7 @@ class LookAnglePolynomial:
     tan_psi_y: Array
 
     def angles(self, sample: Array) -> tuple[Array, Array]:
-        """Look angles psi_x (along), psi_y (across), rad, of N samples."""
+        """Return the look angles psi_x (along track), psi_y (across track), rad, of N samples."""
         return look.from_polynomial(self.tan_psi_x, self.tan_psi_y, self.origin_sample, sample)
 
 
@@ -186,31 +208,33 @@ class Camera:
     """Interior orientation of a general pushbroom: viewing directions of the detectors."""
 
     def tangents(self, sample: Array) -> tuple[Array, Array]:
-        """Forward and left components of N samples per unit of depth."""
+        """Return the forward and left components of the viewing directions of N samples, per unit of depth."""
         raise NotImplementedError
 
     def angles(self, sample: Array) -> tuple[Array, Array]:
-        """Look angles psi_x (forward), psi_y (left), rad, of N samples."""
+        """Return the look angles psi_x (forward), psi_y (left), rad, of N samples."""
         forward, left = self.tangents(sample)
         return np.arctan(forward), np.arctan(left)
 
 
 @dataclass(frozen=True, eq=False)
 class LineCamera(Camera):
-    """A line of detectors behind a lens: ``p_k = (0, y, 0) - (x_s, y_s, c) + delta`` (Terlemezoğlu 2019, eq. 2.5).
+    """Line of detectors behind a lens: ``p_k = (0, y, 0) - (x_s, y_s, c) + delta`` (Terlemezoğlu 2019, eq. 2.5).
 
     Parameters
     ----------
     focal_length_m : float
     pitch_m : float
-        Step along camera Y (left of flight) from one sample to the next; below zero where samples run to the right.
+        Step along camera Y (left of flight) from one sample to the next; negative if
+        samples increase to the right.
     principal_sample : float
-        Sample of y_s; it may lie outside the image.
+        Sample at y_s; it may lie outside the image.
     forward_m : float
         Position -x_s of the line along camera X.
     n_samples : int
     delta_forward_m, delta_left_m : (k,) arrays
-        Systematic image corrections: coefficients of s^0, s^1, ..., s = -1 at the first and 1 at the last sample.
+        Coefficients of systematic image corrections for s^0, s^1, ...; s is -1 at the
+        first and 1 at the last sample.
     """
 
     focal_length_m: float
@@ -232,14 +256,17 @@ class LineCamera(Camera):
 
 @dataclass(frozen=True, eq=False)
 class DirectionTable(Camera):
-    """Viewing directions by sample: ``tan_forward`` and ``tan_left`` (n,) at ``sample`` (n,), linear between."""
+    """Table of viewing directions: ``tan_forward``, ``tan_left`` (n,) at ``sample`` (n,), interpolated linearly."""
 
     sample: Array
     tan_forward: Array
     tan_left: Array
 
     def tangents(self, sample: Array) -> tuple[Array, Array]:
-        """See :class:`Camera`; the last interval is extrapolated beyond the table, for half a pixel."""
+        """See :class:`Camera`.
+
+        Beyond the table, the last interval is extrapolated by half a pixel.
+        """
         k = np.clip(np.searchsorted(self.sample, sample) - 1, 0, len(self.sample) - 2)
         f = (sample - self.sample[k]) / (self.sample[k + 1] - self.sample[k])
         forward, left = ((1.0 - f) * t[k] + f * t[k + 1] for t in (self.tan_forward, self.tan_left))
@@ -248,7 +275,10 @@ class DirectionTable(Camera):
 
 @dataclass(frozen=True)
 class LightEffects:
-    """Effects on light in a sensor description; vendor attitudes often contain the aberration."""
+    """Effects on light that are applied.
+
+    Vendors' attitudes often contain the aberration already.
+    """
 
     light_time: bool = False
     aberration: bool = False
@@ -260,7 +290,7 @@ class LightEffects:
 
 @dataclass(frozen=True)
 class FramePoint:
-    """A point with a ground position in the file; ``height_m`` is None if not given."""
+    """Point whose ground position is in the metadata file; ``height_m`` is None if the file does not state it."""
 
     id: str
     line: float
@@ -287,23 +317,24 @@ class PushbroomMetadata:
     look: LookAngleTable | LookAnglePolynomial | Camera
     frame_points: tuple[FramePoint, ...] = ()
     notes: tuple[Finding, ...] = field(default=())
-    frame_note: Finding | None = None  # reason why the frame points may disagree with the model; also among the notes
+    frame_note: Finding | None = None  # why the frame points may not agree with the model; also in the notes
 
 
 @dataclass(frozen=True, kw_only=True)
 class GeneralMetadata(PushbroomMetadata):
-    """Data of the general model of one pushbroom image; ``attitude`` leads from the payload to its frame.
+    """Data of the general model of one pushbroom image; ``attitude`` rotates payload axes to its frame.
 
     Parameters
     ----------
     offset_m : (3,) array
-        Projection centre in the payload frame, from the point that the orbit describes (C_M).
+        Vector in the payload frame from the point that the orbit describes to the projection centre (C_M).
     mounting : (3, 3) array
-        Rotation from camera to payload (R_KU).
+        Rotation from camera axes to payload axes (R_KU).
     orbital_frame : str
-        Used with angles only.
+        Definition of the orbital frame; it is used only if attitudes are angles.
     earth : EarthRotation or None
-        Required if orbit or attitudes are inertial, or ``orbital_frame`` is "kepler" of an inertial orbit.
+        Earth rotation. It is required if the orbit or the attitudes are inertial, or if
+        ``orbital_frame`` is "kepler" and the orbit is inertial.
     effects : LightEffects
     """
 

@@ -1,8 +1,8 @@
-"""Positions of a receiver and attitudes of an inertial unit on board, as observations of frame images.
+"""Use positions of a receiver and attitudes of an inertial unit on board as observations of frame images.
 
-Direct georeferencing holds them fixed. Here they are observations; shift and drift of each strip, lever arm and
-boresight are unknowns if they have a prior sigma (``factors.conditions.navigation``). Body axes: X forward, Y right,
-Z down.
+Direct georeferencing holds positions and attitudes fixed. Here they are observations.
+Shift and drift of each strip, lever arm and boresight are unknowns if they have a prior
+sigma (``factors.conditions.navigation``). Body axes are X forward, Y right, Z down.
 """
 
 from __future__ import annotations
@@ -23,29 +23,29 @@ from fg_orient.sensors.frame_unknowns import NAVIGATION
 
 Three = tuple[float, float, float]
 
-#: Camera axes (X right, Y down the lines, Z along the view) from body axes, the upper edge of the image being forward.
+#: Rotates body axes to camera axes (X right, Y down the lines, Z along the view) if the top of the image is forward.
 TOP_FORWARD: Final = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-#: Id of the lever arm and boresight that all images share.
+#: Shared id of the lever arm and boresight, which are common to all images.
 MOUNTING: Final = "mounting"
 
 
 @dataclass(frozen=True, eq=False)
 class Fix:
-    """Observations on board at the exposure of one image.
+    """Observations on board at the exposure time of one image.
 
     Parameters
     ----------
     image, strip : str
     time_s : float
-        Any time scale, the same for a strip.
+        Time in any scale; all images of a strip must have the same scale.
     position_m : (3,) array
-        Receiver, ECEF.
+        Position of the receiver, ECEF m.
     position_sigma_m : (3,) array
-        East, North, Up.
+        Standard deviations East, North, Up, m.
     ground_from_body : (3, 3) array, optional
-        Attitude: ECEF axes from body axes; None if it was not observed.
+        Attitude: rotates body axes to ECEF axes; None if it was not observed.
     attitude_sigma_rad : (3,) array, optional
-        Rotations about the body's X (roll), Y (pitch) and Z (heading).
+        Standard deviations of rotations about the body's X (roll), Y (pitch) and Z (heading), rad.
     """
 
     image: str
@@ -59,20 +59,24 @@ class Fix:
 
 @dataclass(frozen=True, eq=False)
 class Mounting:
-    """Mounting of receiver, inertial unit and camera, with prior sigmas of its unknowns. None: held fixed, or zero.
+    """Mounting of receiver, inertial unit and camera, with the prior sigmas of its unknowns.
+
+    A prior sigma of None means that the value is held fixed, or that the error is zero.
 
     Parameters
     ----------
     lever_m : (3,) array
-        From the receiver to the projection centre, body axes.
+        Vector from the receiver to the projection centre in body axes, m.
     camera_from_body : (3, 3) array
-        Boresight.
+        Boresight: rotates body axes to camera axes.
     shift_sigma_m, drift_sigma_m : three floats or None
-        Prior sigmas of the error of a strip's positions, East, North, Up: constant, and at the ends of the strip.
+        Prior sigmas of the errors of a strip's positions, East, North, Up, m: constant
+        part, and drift at the ends of the strip.
     turn_sigma_rad, turn_drift_sigma_rad : three floats or None
-        The same for the attitudes of a strip, roll, pitch, heading.
+        Prior sigmas of the errors of a strip's attitudes, roll, pitch, heading, rad: constant part, and drift.
     lever_sigma_m, boresight_sigma_rad : three floats or None
-        Lever arm (body axes) and boresight (rotations about the camera's axes), common to all images.
+        Prior sigmas of the lever arm (body axes) and of the boresight (rotations about
+        the camera's axes). Both are common to all images.
     """
 
     lever_m: Array = field(default_factory=lambda: np.zeros(3))
@@ -86,7 +90,7 @@ class Mounting:
 
     @property
     def sigmas(self) -> dict[str, float]:
-        """Prior sigmas of the unknowns by name."""
+        """Return the prior sigmas of the unknowns by name."""
         given = (self.shift_sigma_m, self.drift_sigma_m, self.turn_sigma_rad, self.turn_drift_sigma_rad,
                  self.lever_sigma_m, self.boresight_sigma_rad)  # fmt: skip
         pairs = zip(NAVIGATION, (value for three in given for value in (three or (None,) * 3)), strict=True)
@@ -94,9 +98,10 @@ class Mounting:
 
 
 def body_attitude(roll_rad: float, pitch_rad: float, heading_rad: float, place_m: Array) -> Array:
-    """ECEF axes from body axes (3, 3) of roll, pitch and heading from North at a place (3,) ECEF m.
+    """Compute the rotation (3, 3) from body axes to ECEF axes from roll, pitch and heading at a place (3,), ECEF m.
 
-    ``Rz(heading) Ry(pitch) Rx(roll)`` leads from the body to North, East, Down.
+    The heading is counted from North. ``Rz(heading) Ry(pitch) Rx(roll)`` converts body
+    axes to North, East, Down.
     """
     (sr, cr), (sp, cp), (sh, ch) = ((np.sin(a), np.cos(a)) for a in (roll_rad, pitch_rad, heading_rad))
     rx = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
@@ -107,19 +112,19 @@ def body_attitude(roll_rad: float, pitch_rad: float, heading_rad: float, place_m
 
 
 def with_navigation(block: Block, fixes: Sequence[Fix], mounting: Mounting) -> Block:
-    """The block with the observations on board as extra observations, and with their unknowns.
+    """Add the observations on board to a block as extra observations, together with their unknowns.
 
     Parameters
     ----------
     block : Block
     fixes : sequence of Fix
-        At most one per image; other images keep only their priors.
+        At most one record for each image. Images without a record have only their priors.
     mounting : Mounting
 
     Raises
     ------
     InputError
-        There is no such image, it is not a georeferenced frame image, or it has two fixes.
+        An image does not exist, is not a georeferenced frame image, or has two records.
     """
     images, extra = list(block.images), list(block.extra)
     seen: set[str] = set()
@@ -139,7 +144,7 @@ def with_navigation(block: Block, fixes: Sequence[Fix], mounting: Mounting) -> B
 
 
 def _in_strips(fixes: Sequence[Fix]) -> list[tuple[Fix, float, Array]]:
-    """Each fix with its tau in [-1, 1] and the axes East, North, Up (3, 3) of its strip."""
+    """Return each record with its time tau in [-1, 1] and the axes East, North, Up (3, 3) of its strip."""
     out = []
     for fix in fixes:
         strip = [other for other in fixes if other.strip == fix.strip]
@@ -150,7 +155,7 @@ def _in_strips(fixes: Sequence[Fix]) -> list[tuple[Fix, float, Array]]:
 
 
 def _with_unknowns(sensor: FrameSensor, fix: Fix, mounting: Mounting) -> FrameSensor:
-    """The sensor with the unknowns of strip and mounting on which its observations depend."""
+    """Return the sensor with those unknowns of strip and mounting on which its observations depend."""
     camera, known = sensor.camera, mounting.sigmas
     names = [n for n in known if fix.ground_from_body is not None or not n.startswith(("ins_", "boresight"))]
     sigma = {**camera.sigma, **{name: known[name] for name in names}}
@@ -161,7 +166,10 @@ def _with_unknowns(sensor: FrameSensor, fix: Fix, mounting: Mounting) -> FrameSe
 
 
 def _observations(fix: Fix, tau: float, axes: Array, camera: FrameCamera, mounting: Mounting) -> list[ExtraObservation]:
-    """Position, and attitude if there is one; records of ``factors.conditions.navigation``."""
+    """Return the observations of the position, and of the attitude if it was observed.
+
+    The records are those of ``factors.conditions.navigation``.
+    """
     common = {"rotation": camera.rotation.ravel(), "mounting": mounting.camera_from_body.ravel(), "tau": tau}
     weight, image = axes / fix.position_sigma_m[:, None], (f"image:{fix.image}",)
     offset, arm, strip = fix.position_m - camera.centre_m, mounting.lever_m, axes.T.ravel()
@@ -175,6 +183,6 @@ def _observations(fix: Fix, tau: float, axes: Array, camera: FrameCamera, mounti
 
 
 def enu_axes(place_m: Array) -> Array:
-    """Axes East, North, Up (3, 3), rows, at a place (3,) ECEF m."""
+    """Return the axes East, North, Up as rows of a matrix (3, 3), at a place (3,), ECEF m."""
     lon, lat, _ = ecef_to_geodetic(place_m[None])
     return np.asarray(enu_from_ecef(lon, lat)[0])

@@ -1,11 +1,16 @@
-"""Ground to image for a pushbroom: the zero of the look-angle collinearity in (line, sample).
+"""Project ground points into a pushbroom image by solving the look-angle collinearity for line and sample.
 
-Newton on both pixel coordinates at once (docs/equations.md 6). The conditions F_y, F_x belong to the observation
-equation, so that every correction (EOP, look angles) is included. Their derivatives are differences over half a pixel
-to both sides: attitudes and look angles are piecewise linear, and a pixel may contain a knot. Up to 30 steps are
-therefore needed. They end below 1e-9 px, or below 1e-6 px if they no longer shrink (a time of day has 11 digits: 1e-8
-px). Lines are evaluated inside the image only. A point outside gets the linear continuation from the border. A point
-that is invisible from the satellite, or for which the steps do not converge, gets nan.
+Newton's method solves for both pixel coordinates together (docs/equations.md 6). The
+conditions F_y, F_x are those of the observation equation. Therefore every correction
+(EOP, look angles) is included. Their derivatives are differences over half a pixel to
+both sides. Attitudes and look angles are piecewise linear, and a pixel may contain a
+knot. For this reason, up to 30 steps are needed. The iteration ends when steps are below
+1e-9 px, or below 1e-6 px if they no longer become smaller: a time of day has 11 digits
+after rounding, which is 1e-8 px.
+
+Lines are evaluated only inside the image. For a point outside, line and sample are
+extrapolated linearly from the border. They are nan if the satellite cannot see the point,
+or if the steps do not converge.
 """
 
 from __future__ import annotations
@@ -27,17 +32,17 @@ if TYPE_CHECKING:
 MAX_STEPS = 30
 STEP_PX = 1e-9
 ROUNDING_PX = 1e-6
-#: Step below which the derivative of the last step is used.
+#: If a step is shorter than this, the derivative of the last step is used again.
 SAME_SLOPE_PX = 0.5
-#: Number of points whose four neighbours are evaluated together; more points need more memory, not less time.
+#: Number of points whose four neighbours are evaluated together. More points would need more memory and not less time.
 AT_ONCE = 4096
 
 
 def physical_unknowns(correction: Correction) -> tuple[Array, Array]:
-    """Setup (2, k) and unknowns (k,) of the equation for a correction in physical units; zeros are left out."""
+    """Return setup (2, k) and unknowns (k,) of the equation for a correction in physical units, without zeros."""
     codes = np.arange(N_EOP + correction.look.size, dtype=float)
     x = np.concatenate([correction.eop.ravel(), correction.look.T.ravel()])
-    if correction.curve.shape[1]:  # their sums follow the record: one "curve" of 1 for each EOP
+    if correction.curve.shape[1]:  # the sums of the curves follow the record: one "curve" with amplitude 1 for each EOP
         codes = np.concatenate([codes, CURVE + (CURVES + 1.0) * np.arange(9)])
         x = np.concatenate([x, np.ones(9)])
     codes, x = codes[x != 0.0], x[x != 0.0]
@@ -45,13 +50,13 @@ def physical_unknowns(correction: Correction) -> tuple[Array, Array]:
 
 
 def conditions(sensor: PushbroomSensor, line: Array, sample: Array, ground_m: Array, correction: Correction) -> Array:
-    """F_y, F_x (tangents) of N pixels and ground points: (N, 2)."""
+    """Return the conditions F_y, F_x (N, 2), which are tangents, of N pixels and ground points."""
     records = sensor.records(line, sample, ground_m, small_angle=correction.small_angle)
     return _conditions(records, ground_m, correction)
 
 
 def _conditions(records: Array, ground_m: Array, correction: Correction) -> Array:
-    """Conditions (N, 2) of records (N, d)."""
+    """Return the conditions (N, 2) of records (N, d)."""
     setup, x = physical_unknowns(correction)
     if correction.curve.shape[1]:
         records = np.hstack([records, correction.curve_at(records[:, RECORD.tau])])
@@ -59,11 +64,11 @@ def _conditions(records: Array, ground_m: Array, correction: Correction) -> Arra
 
 
 def residuals(records: Array, setup: Array, x: Array, ground: Array) -> Array:
-    """Residuals of N observations of one image at N ground points: (N, d), (N, 3) -> (N, 2)."""
+    """Return the residuals (N, 2) of N observations (N, d) of one image at N ground points (N, 3)."""
     if len(records) > FEW_ARRAYS:
         return _residuals(records, setup, x, ground)
-    record = np.ascontiguousarray(records.T)  # entries of all observations at once
-    with np.errstate(all="ignore"):  # as compiled code does
+    record = np.ascontiguousarray(records.T)  # the equation computes all observations together
+    with np.errstate(all="ignore"):  # compiled code gives no warnings either
         changes = plain(correction)(plain(corrections)(record, setup, x), 0, 1)
         small = record[RECORD.small_angle].any()
         constants = plain(observation)(record, 0, 1)
@@ -73,7 +78,7 @@ def residuals(records: Array, setup: Array, x: Array, ground: Array) -> Array:
 
 @compiled
 def _residuals(records: Array, setup: Array, x: Array, ground: Array) -> Array:
-    """Compute :func:`residuals` in a compiled loop."""
+    """Compute :func:`residuals` by a compiled loop."""
     out = np.empty((len(records), 2))
     for i in range(len(records)):
         value = pushbroom.residual(records[i], setup, x, ground[i])
@@ -84,12 +89,12 @@ def _residuals(records: Array, setup: Array, x: Array, ground: Array) -> Array:
 def pixel_derivative(
     sensor: PushbroomSensor, line: Array, sample: Array, ground_m: Array, correction: Correction
 ) -> Array:
-    """Local derivative J = dF/d(line, sample) of the conditions: (N, 2, 2), rad per pixel."""
+    """Return the derivative J = dF/d(line, sample) of the conditions: (N, 2, 2), rad per pixel."""
     return linearised(sensor, line, sample, ground_m, correction).slope
 
 
 class Linearised(NamedTuple):
-    """Records (N, 34) of pixels, and the derivative (N, 2, 2) of their conditions by line and sample."""
+    """Records (N, 34) of pixels, and the derivatives (N, 2, 2) of their conditions by line and sample."""
 
     records: Array
     slope: Array
@@ -98,7 +103,7 @@ class Linearised(NamedTuple):
 def linearised(
     sensor: PushbroomSensor, line: Array, sample: Array, ground_m: Array, correction: Correction
 ) -> Linearised:
-    """Give records of pixels inside the image and the derivative of their conditions."""
+    """Return the records of pixels inside the image, and the derivatives of their conditions."""
     if len(line) > AT_ONCE:
         parts = [slice(lo, lo + AT_ONCE) for lo in range(0, len(line), AT_ONCE)]
         found = [linearised(sensor, line[k], sample[k], ground_m[k], correction) for k in parts]
@@ -113,23 +118,23 @@ def linearised(
     records = sensor.records_of(states, *thrice, ground, small_angle=small)
     f_before, f_after = _conditions(records[n:], ground[n:], correction).reshape(2, n, 2)
     by_line = (f_after - f_before) / (after - before)[:, None]
-    if sensor.bends_light:  # the mounting depends on the sample
+    if sensor.bends_light:  # then the mounting depends on the sample
         here, other = states.first(n), ((s, sensor.look_angles(s)) for s in (low, high))
         there = [sensor.records_of(here, *one, ground_m, small_angle=small) for one in other]
         f_low, f_high = (_conditions(part, ground_m, correction) for part in there)
-    else:  # F_y = f1/f3 - tan psi_y, F_x = f2/f3 + tan psi_x: the rest does not depend on the sample
+    else:  # F_y = f1/f3 - tan psi_y, F_x = f2/f3 + tan psi_x: f1, f2, f3 do not depend on the sample
         f_low, f_high = (_tangents(sensor, s, correction) for s in (low, high))
     return Linearised(records[:n], np.stack([by_line, (f_high - f_low) / (high - low)[:, None]], axis=2))
 
 
 def _tangents(sensor: PushbroomSensor, sample: Array, correction: Correction) -> Array:
-    """Terms -tan psi_y, tan psi_x (N, 2) of the conditions."""
+    """Return the terms -tan psi_y, tan psi_x (N, 2) of the conditions."""
     psi_x, psi_y = sensor.corrected_look(sensor.look_angles(sample), sample, correction)
     return np.stack([-np.tan(psi_y), np.tan(psi_x)], axis=1)
 
 
 def project(sensor: PushbroomSensor, ground_m: Array, correction: Correction) -> tuple[Array, Array]:
-    """Line and sample of N ECEF points (N, 3) m; see the module docstring."""
+    """Return line and sample of N ECEF points (N, 3), m; see the module docstring."""
     line = np.full(len(ground_m), (sensor.first_line + sensor.last_line) / 2.0)
     sample = np.full(len(ground_m), (sensor.first_sample + sensor.last_sample) / 2.0)
     centre = sensor.centre_position()
@@ -144,7 +149,7 @@ def project(sensor: PushbroomSensor, ground_m: Array, correction: Correction) ->
         at = line[todo], sample[todo]
         inside = (np.clip(at[0], sensor.first_line - 0.5, sensor.last_line + 0.5),
                   np.clip(at[1], sensor.first_sample - 0.5, sensor.last_sample + 0.5))  # fmt: skip
-        # less than a pixel away the derivative is nearly the same: each step is still a thousandth of the last
+        # within a pixel, the derivative is nearly constant: each step is still a thousand times shorter than the last
         if (previous > SAME_SLOPE_PX).any():
             records, slope[todo] = linearised(sensor, *inside, ground_m[todo], correction)
             f = _conditions(records, ground_m[todo], correction)

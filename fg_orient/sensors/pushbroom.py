@@ -1,9 +1,9 @@
-"""The rigorous pushbroom sensor: binds metadata to the look-angle collinearity.
+"""Rigorous pushbroom sensor; it connects metadata with the look-angle collinearity.
 
-One class serves DIMAP v1 (angles in the orbital frame) and DIMAP v2 (quaternions body to ECEF). Pixels are (line,
-sample), (0, 0) = centre of the first pixel; ground points are ECEF metres; ``Correction`` contains EOP and look-angle
-corrections in physical units. Light time and aberration are not applied: the vendor attitudes contain the aberration
-(docs/equations.md 2).
+One class is used for DIMAP v1 (angles in the orbital frame) and DIMAP v2 (quaternions from body to ECEF). Pixels are
+(line, sample); (0, 0) is the centre of the first pixel. Ground points are ECEF, m. ``Correction`` contains corrections
+of EOPs and look angles in physical units. Light time and aberration are not applied, because the vendor's attitudes
+contain the aberration (docs/equations.md 2).
 """
 
 from __future__ import annotations
@@ -45,20 +45,20 @@ from fg_orient.sensors.metadata import (
 if TYPE_CHECKING:
     from fg_orient.model.block import ImagePoints, Options
 
-#: Smallest plausible field of view; the narrowest known one is 0.015 rad.
+#: Minimum plausible field of view, rad. The narrowest known field of view is 0.015 rad.
 MIN_FIELD_RAD = 1e-4
-#: Rounding of printed times; the lists of SPOT 6 start and end with the image.
+#: Rounding of printed times, s. The lists of SPOT 6 start and end exactly with the image.
 TIME_PRINT_S = 2e-6
-#: Highest power of the sample in a look-angle polynomial.
+#: Maximum power of the sample in a look-angle polynomial.
 MAX_LOOK_DEGREE = 10
 _YAW = 8
-#: Vendor v2 body axes (x along, y across, z to the Earth) from our body axes.
+#: Rotates our body axes to the vendor's body axes of DIMAP v2 (x along track, y across track, z to the Earth).
 V2_BODY_FROM_BODY = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
 @dataclass(frozen=True)
 class LineStates:
-    """Metadata state of N lines: the constants of the observation equation."""
+    """States of N lines from the metadata; they are constants of the observation equation."""
 
     tau: Array
     position_m: Array
@@ -67,12 +67,12 @@ class LineStates:
     mount: Array  # (N, 3, 3)
 
     def first(self, n: int) -> LineStates:
-        """States of the first n lines."""
+        """Return the states of the first n lines."""
         return LineStates(*(a[:n] for a in (self.tau, self.position_m, self.velocity_m_s, self.angles_rad, self.mount)))
 
 
 def _extended(source: AngleAttitude | QuaternionList, seconds: Array) -> AngleAttitude | QuaternionList:
-    """Attitudes, extrapolated with the last rate by ``seconds`` (2,) before and after their list."""
+    """Extrapolate attitudes with the last rate by ``seconds`` (2,) before and after their list."""
     if not seconds.any():
         return source
     if isinstance(source, AngleAttitude):
@@ -88,20 +88,20 @@ class PushbroomSensor(Sensor):
     metadata : PushbroomMetadata
         Contents of the file.
     extrapolate_attitude_s : float
-        If the list of attitudes ends inside the image, it is extrapolated with the last rate by at most this number of
-        seconds, and a note states it. Default 0: lines without attitude are refused when they are used.
+        If the list of attitudes ends inside the image, it is extrapolated with the last rate by at most this time, s,
+        and a note reports this. With the default 0, lines without attitude are refused when they are used.
 
     Raises
     ------
     InputError
-        All samples look in the same direction, or the number of seconds is invalid.
+        All samples look in the same direction, or the extrapolation time is invalid.
     OutOfTimeRange
         The ephemeris does not cover the image, or the attitudes do not cover any line.
     """
 
-    #: Name of the camera in messages.
+    #: Words for the camera in messages.
     _camera = "look angles"
-    #: Whether effects on light turn each line of sight, so that the mounting depends on the sample.
+    #: Whether effects on light rotate each line of sight. The mounting then depends on the sample.
     bends_light = False
 
     def __init__(self, metadata: PushbroomMetadata, *, extrapolate_attitude_s: float = 0.0) -> None:
@@ -124,7 +124,7 @@ class PushbroomSensor(Sensor):
         return self.metadata.timing.time_s(line)
 
     def _bind_attitude(self, seconds: float) -> tuple[Finding, ...]:
-        """Check the ephemeris, extrapolate the attitudes and restrict the lines to them; notes state both."""
+        """Check the ephemeris, extrapolate the attitudes, and restrict the lines to them; notes report changes."""
         times, covered = self._line_time(np.array([0.0, self.n_lines - 1.0])), self.metadata.ephemeris.time_s
         image = f"image {times.min():.6f} .. {times.max():.6f} s"
         if times.min() < covered[0] - TIME_PRINT_S or times.max() > covered[-1] + TIME_PRINT_S:
@@ -161,13 +161,13 @@ class PushbroomSensor(Sensor):
                                  first=listed[0], last=listed[-1], gap=gap, lines=lines)  # fmt: skip
 
     def require_inside(self, line: Array, sample: Array) -> None:
-        """Refuse pixels outside the image (OutOfImage), and lines that the attitudes do not cover (OutOfTimeRange)."""
+        """Refuse pixels outside the image (OutOfImage) and lines without attitudes (OutOfTimeRange)."""
         in_image = (line >= -0.5) & (line <= self.n_lines - 0.5)
         super().require_inside(np.where(in_image, np.clip(line, self.first_line, self.last_line), line), sample)
         self._require_attitude(line)
 
     def _require_attitude(self, line: Array) -> None:
-        """Refuse lines without attitude; a hundredth of a pixel is rounding."""
+        """Refuse lines without attitude; a hundredth of a pixel is tolerated as rounding."""
         if isinstance(self.attitude, QuaternionPolynomial):
             return
         beyond = (line < self.first_line - 0.51) | (line > self.last_line + 0.51)
@@ -178,9 +178,9 @@ class PushbroomSensor(Sensor):
     # --- constants of the equation -----------------------------------------------------------
 
     def states(self, line: npt.ArrayLike) -> LineStates:
-        """Metadata state at N lines (0-based, fractions allowed).
+        """Return the states of the metadata at N lines; lines are counted from 0 and may be fractions.
 
-        OutOfTimeRange if the ephemeris or the attitudes do not cover a line.
+        OutOfTimeRange: the ephemeris or the attitudes do not cover a line.
         """
         line = np.atleast_1d(np.asarray(line, float))
         self._require_listed("sensor.ephemeris_span", line, self.metadata.ephemeris.time_s)
@@ -188,18 +188,18 @@ class PushbroomSensor(Sensor):
         return self.states_at(self._line_time(line), line)
 
     def states_at(self, t: Array, line: Array) -> LineStates:
-        """Metadata state at N times, s, and their lines; the lists must cover the times, which is not checked here."""
+        """Return the states of the metadata at N times, s, with given lines; the lists must cover the times."""
         p, v = self._orbit(t)
         angles, mount = self._attitude(t, p, v)
         return LineStates(polynomials.normalised(line, self.n_lines), p, v, angles, mount)
 
     def _orbit(self, t: Array) -> tuple[Array, Array]:
-        """Position and velocity (N, 3) of the state vectors at N times."""
+        """Interpolate position and velocity (N, 3) of the state vectors at N times."""
         state = self.metadata.ephemeris.at(t)
         return state[:, :3], state[:, 3:]
 
     def _require_listed(self, code: str, line: Array, listed_s: Array, table: str = "") -> None:
-        """Refuse lines outside a list of times; half a line, the border of a pixel, is allowed."""
+        """Refuse lines outside a list of times; half a line is allowed, because a pixel extends so far."""
         t = self._line_time(line)
         gap = np.maximum(listed_s[0] - t, t - listed_s[-1])
         beyond = gap > TIME_PRINT_S + 0.51 * abs(self.metadata.timing.line_period_s)
@@ -211,7 +211,7 @@ class PushbroomSensor(Sensor):
             )  # fmt: skip
 
     def _attitude(self, t: Array, p: Array, v: Array) -> tuple[Array, Array]:
-        """Angles (N, 3) and mounting (N, 3, 3) of the observation equation."""
+        """Return the angles (N, 3) and the mounting (N, 3, 3) of the observation equation."""
         source = self.attitude
         if isinstance(source, AngleAttitude):
             angles = interpolation.linear(source.time_s, source.angles_rad, t)
@@ -225,25 +225,25 @@ class PushbroomSensor(Sensor):
         return np.zeros((len(t), 3)), mount
 
     def centre_position(self) -> Array:
-        """Position at the central line, ECEF m (3,)."""
+        """Return the position (3,) at the central line, ECEF m."""
         return np.asarray(self.states((self.first_line + self.last_line) / 2.0).position_m[0])
 
     def look_angles(self, sample: npt.ArrayLike) -> tuple[Array, Array]:
-        """Look angles psi_x (along), psi_y (across), rad, of N samples."""
+        """Return the look angles psi_x (along track), psi_y (across track), rad, of N samples."""
         return self.metadata.look.angles(np.atleast_1d(np.asarray(sample, float)))
 
     def _mounting(self, states: LineStates, psi: tuple[Array, Array], to_ground_m: Array | None) -> Array:
-        """Mountings (N, 3, 3) for ground points at differences (N, 3) from the projection centre (None: height 0)."""
+        """Return mountings (N, 3, 3) for ground points minus projection centres (N, 3); None means height 0."""
         return states.mount
 
     def records(
         self, line: npt.ArrayLike, sample: npt.ArrayLike, reference_m: Array, origin_m: Array | None = None, *,
         small_angle: bool = False,
     ) -> Array:  # fmt: skip
-        """Constants of the look-angle collinearity for N image points, unwhitened: (N, 34).
+        """Return the constants (N, 34) of the look-angle collinearity for N image points without whitening.
 
-        ``reference_m`` (N, 3) or (3,): ECEF points near the observed ones; differences are formed
-        against them. ``origin_m`` (3,): local origin of the ground unknowns, ECEF (default 0).
+        ``reference_m`` (N, 3) or (3,) are ECEF points near the observed points. Differences are
+        relative to them. ``origin_m`` (3,) is the local origin of the ground unknowns, ECEF (default 0).
         """
         s = np.atleast_1d(np.asarray(sample, float))
         records = self.records_of(self.states(line), s, self.look_angles(s), reference_m, small_angle=small_angle)
@@ -254,7 +254,7 @@ class PushbroomSensor(Sensor):
     def records_of(
         self, states: LineStates, sample: Array, psi: tuple[Array, Array], reference_m: Array, *, small_angle: bool
     ) -> Array:
-        """Records as of :meth:`records`, of N states, samples and their look angles; local origin 0."""
+        """Make the same records as :meth:`records` from N states, samples and look angles; the local origin is 0."""
         to_ground = reference_m - states.position_m
         return RECORD.pack(
             position=states.position_m, velocity=states.velocity_m_s, angles=states.angles_rad,
@@ -264,7 +264,7 @@ class PushbroomSensor(Sensor):
         )  # fmt: skip
 
     def corrected_look(self, psi: tuple[Array, Array], sample: Array, correction: Correction) -> tuple[Array, Array]:
-        """Look angles psi_x, psi_y of N samples with their corrections."""
+        """Return the look angles psi_x, psi_y of N samples with their corrections."""
         if not correction.look.shape[1]:
             return psi
         bend = polynomials.evaluate(correction.look, polynomials.normalised(sample, self.n_samples))
@@ -276,11 +276,11 @@ class PushbroomSensor(Sensor):
         self, line: npt.ArrayLike, sample: npt.ArrayLike, correction: Correction | None = None,
         to_ground_m: Array | None = None,
     ) -> tuple[Array, Array]:  # fmt: skip
-        """Projection centres (N, 3) m and unit viewing directions (N, 3) in ECEF; errors as of :meth:`states`.
+        """Return projection centres (N, 3), m, and unit viewing directions (N, 3), ECEF.
 
-        The inverse of the observation equation (``factors.cameras.pushbroom``). It is a separate formula because a
-        direction has no ground point; tests/40_sensors compare the two to 1e-6 px. ``to_ground_m`` (N, 3): ground
-        points minus projection centres, for effects on light (``fg_orient.sensors.general``).
+        This is the inverse of the observation equation. It has its own formula, because a direction has no ground
+        point; tests/40_sensors compare both within 1e-6 px. ``to_ground_m`` (N, 3) contains ground points minus
+        projection centres, for effects on light (``fg_orient.sensors.general``). Errors: see :meth:`states`.
         """
         c = correction or Correction()
         lines, s = same_length(line, sample)
@@ -289,7 +289,7 @@ class PushbroomSensor(Sensor):
         return p, light.unit(np.einsum("nij,nj->ni", ecef, look.direction(*self.corrected_look(psi, s, c))))
 
     def oriented(self, states: LineStates, mount: Array, correction: Correction) -> tuple[Array, Array]:
-        """Projection centres (N, 3) m and rotations (N, 3, 3) from the body to ECEF, of N states and mountings."""
+        """Return projection centres (N, 3), m, and rotations (N, 3, 3) from body to ECEF."""
         delta = correction.eop_at(states.tau)
         p = states.position_m + delta[:, 0:3]
         p_frame, v_frame = states.position_m, states.velocity_m_s
@@ -299,17 +299,16 @@ class PushbroomSensor(Sensor):
         return p, np.asarray(rotations.orbital_frames(p_frame, v_frame) @ orbital)
 
     def central_mounting(self, states: LineStates) -> Array:
-        """Mountings (N, 3, 3) of N states for the central sample and height 0."""
+        """Return the mountings (N, 3, 3) of N states for the central sample and height 0."""
         psi = self.look_angles(np.full(len(states.tau), 0.5 * (self.first_sample + self.last_sample)))
         return self._mounting(states, psi, None)
 
     # --- ground to image ---------------------------------------------------------------------
 
     def project(self, ground_m: npt.ArrayLike, correction: Correction | None = None) -> tuple[Array, Array]:
-        """Line and sample of N ECEF points (N, 3) m, by Newton on both at once (``fg_orient.sensors.projection``).
+        """Return line and sample of N ECEF points (N, 3), m; Newton's method (``fg_orient.sensors.projection``).
 
-        Points outside the image get the linear continuation from its border. Points that are invisible from the
-        satellite, and points whose iteration does not converge, get nan.
+        See the module for points outside the image and for nan.
         """
         return projection.project(self, np.atleast_2d(np.asarray(ground_m, float)), correction or Correction())
 
@@ -320,7 +319,10 @@ class PushbroomSensor(Sensor):
         return PushbroomModel(self, options)
 
     def correction_of(self, values: Mapping[str, float], options: Options) -> Correction:
-        """Correction from the values of the EOP coefficients by name; see :meth:`Sensor.correction_of`."""
+        """Make a correction from the values of the EOP coefficients by name.
+
+        See :meth:`Sensor.correction_of`.
+        """
         known = (*range(N_EOP + 2 * (MAX_LOOK_DEGREE + 1)), *range(CURVE, CURVE + 9 * CURVES))
         codes = {parameter_name(code): code for code in known}
         by_code = {codes[name]: value for name, value in values.items()}
@@ -328,9 +330,9 @@ class PushbroomSensor(Sensor):
 
 
 def _correction(values: Mapping[int, float], small_angle: bool, n_curves: int) -> Correction:
-    """Correction from the values of unknowns by code, in physical units."""
+    """Make a correction from the values of unknowns by code, in physical units."""
     eop, curve = np.zeros(N_EOP), np.zeros((9, n_curves))
-    # psi_x and psi_y in turn: a polynomial of both has an even number
+    # the codes of psi_x and psi_y alternate: polynomials of both have an even number of codes
     highest = max((code for code in values if code < CURVE), default=0) - N_EOP
     look = np.zeros(2 * (highest // 2 + 1) if highest >= 0 else 0)
     for code, value in values.items():
@@ -344,7 +346,7 @@ def _correction(values: Mapping[int, float], small_angle: bool, n_curves: int) -
 
 
 def require_pushbroom(sensor: Any, image: str) -> PushbroomSensor:
-    """Sensor of an image; InputError unless it is a rigorous pushbroom: an RPC has neither orbit nor look angles."""
+    """Return the sensor of an image; raise InputError if it is not a rigorous pushbroom."""
     if not isinstance(sensor, PushbroomSensor):
         kind = type(sensor).__name__
         raise InputError.of("sensor.not_rigorous", file=sensor.file, place=f"image {image}", value=kind)
@@ -361,7 +363,7 @@ class PushbroomModel(ImageModel):
     ----------
     sensor : PushbroomSensor
     options : Options
-        EOP set, look polynomial, their prior sigmas, small-angle form.
+        EOP set and look polynomial with their prior sigmas; whether to use the small-angle form.
     """
 
     equation = LOOK_ANGLE_COLLINEARITY
@@ -373,7 +375,7 @@ class PushbroomModel(ImageModel):
         self.n_curves = options.curve_intervals if max(self.parameters.codes) >= CURVE else 0
 
     def records(self, points: ImagePoints, ground_m: Array, origin_m: Array) -> Array:
-        """Whiten with ``-S^-1 J^-1``, J = dF/d(line, sample) of the metadata orientation."""
+        """Return constants whitened with ``-S^-1 J^-1``, J = dF/d(line, sample) of the metadata orientation."""
         metadata = Correction(small_angle=self.small_angle)
         out, j = projection.linearised(self.sensor, points.line, points.sample, ground_m, metadata)
         out[:, RECORD.reference] -= origin_m
@@ -384,15 +386,15 @@ class PushbroomModel(ImageModel):
         return np.hstack([out, polynomials.curves(out[:, RECORD.tau], self.n_curves)]) if self.n_curves else out
 
     def correction(self, x: Array) -> Correction:
-        """EOP corrections (9, 3), look corrections (2, degree + 1) and curves (9, k) in physical units."""
+        """Return EOP corrections (9, 3), look corrections (2, degree + 1) and curves (9, k) in physical units."""
         values = dict(zip(self.parameters.codes, x * self.parameters.sigma, strict=True))
         return _correction(values, self.small_angle, self.n_curves)
 
     def silent_directions(self) -> list[tuple[str, Array]]:
-        """Velocity acts through V x P only (docs/equations.md 3).
+        """Return the directions of velocity corrections that the image cannot observe.
 
-        Along track and radial it has no effect. Across track it rotates the orbital frame like a yaw; with Earth-fixed
-        attitudes (DIMAP v2) it has no effect.
+        The velocity acts only through V x P (docs/equations.md 3). Corrections along track and in radial direction have
+        no effect. A correction across track acts like a yaw; with Earth-fixed attitudes (DIMAP v2), it has no effect.
         """
         out: list[tuple[str, Array]] = []
         frame, speed_m_s = self._central_frame()
@@ -419,13 +421,13 @@ class PushbroomModel(ImageModel):
         return out
 
     def _central_frame(self) -> tuple[Array, float]:
-        """Orbital frame at the image centre (columns across, along, radial) and the speed along it, m/s."""
+        """Return the orbital frame at the image centre (columns across, along, radial) and the speed, m/s."""
         state = self.sensor.states((self.sensor.first_line + self.sensor.last_line) / 2.0)
         frame = rotations.orbital_frames(state.position_m, state.velocity_m_s)[0]
         return frame, float(state.velocity_m_s[0] @ frame[:, 1])
 
     def per_line(self) -> tuple[Array, tuple[str, ...]]:
-        """Factors to coefficients of line minus central line; nan for the look polynomial."""
+        """Return factors to coefficients of line minus central line; nan for the look polynomial."""
         change = polynomials.per_line_from_tau(self.sensor.n_lines)
         codes, units = self.parameters.codes, self.parameters.units
         factors = np.array([change[code % 3] if code < N_EOP else np.nan for code in codes])
@@ -434,7 +436,7 @@ class PushbroomModel(ImageModel):
         return factors, tuple(unit + powers[code % 3] if code < N_EOP else "" for code, unit in named)
 
     def facts(self) -> dict[str, Any]:
-        """Entries of the file, and degree-2 fits of its EOPs (T-Table 4.1): per line, with residuals."""
+        """Return entries of the file, and degree-2 fits of its EOPs (Terlemezoğlu 2019, Table 4.1)."""
         meta, (per_tau, residuals) = self.sensor.metadata, fit_eop(self.sensor)
         per_line = per_tau * polynomials.per_line_from_tau(self.sensor.n_lines)
         rms, largest = np.sqrt(np.mean(residuals**2, axis=0)), np.abs(residuals).max(axis=0)

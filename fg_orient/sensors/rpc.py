@@ -1,9 +1,10 @@
-"""The immutable rational function model (RPC): longitude, latitude (degrees), ellipsoidal height (m) to pixels.
+"""Rational function model (RPC): converts longitude, latitude (degrees) and ellipsoidal height (m) to pixels.
 
-``fg_orient.sensors.rpc_sensor`` uses it on ECEF metres. Pixels are (line, sample), (0, 0) = centre of the first pixel:
-readers convert the pixel origin of the file (docs/rpc.md). Image-space compensation is (6,) pixels, see
-``factors.cameras.rfm_project``. All models are inverted by iteration; vendor inverse coefficients are used for its
-start values only.
+``fg_orient.sensors.rpc_sensor`` uses it for ECEF coordinates. Pixels are (line, sample);
+(0, 0) is the centre of the first pixel. Readers convert the pixel origin of the file
+(docs/rpc.md). A compensation in image space has 6 terms in pixels
+(``factors.cameras.rfm_project``). Iteration inverts all models. If a vendor gives inverse
+coefficients, they are used for start values only.
 """
 
 from __future__ import annotations
@@ -26,20 +27,20 @@ Range = tuple[float, float]
 
 COORDINATES = ("line", "sample", "longitude", "latitude", "height")
 POLYNOMIALS = ("line numerator", "line denominator", "sample numerator", "sample denominator")
-#: A file prints the constant of a denominator as 1.
+#: The constant of a denominator must be 1 within this tolerance; files print it as 1.
 CONSTANT_PRINT = 1e-12
-#: Number of pixels and heights per axis at which denominators are checked.
+#: Denominators are checked at this number of pixels and heights per axis.
 POLE_GRID = 11
-#: Limit of normalised ground coordinates: a located corner beyond it lies on another branch of the model, behind a
-#: pole. Real products reach 1.45.
+#: Limit of normalised ground coordinates. If the ground point of a corner exceeds it, it
+#: lies on another branch of the model, behind a pole. Real products reach 1.45.
 OTHER_BRANCH = 2.0
-#: Denominator below which it is near zero; in fitted models of satellite images it is 0.9 .. 1.1.
+#: A denominator below this value counts as near zero. In fitted models of satellite images, it is 0.9 to 1.1.
 NEAR_ZERO = 0.1
 NO_COMPENSATION = np.zeros(COMPENSATION.size)
 
 
 class RpcValidity(NamedTuple):
-    """Ranges in which a model may be used: pixels (0-based), degrees, m."""
+    """Ranges in which a model may be used: pixels (counted from 0), degrees, m."""
 
     line: Range
     sample: Range
@@ -50,33 +51,34 @@ class RpcValidity(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RpcModel:
-    """One rational function model; the arrays are copied and read-only.
+    """Rational function model; its arrays are copied and read-only.
 
     Parameters
     ----------
     offsets, scales : (5,) arrays
-        Line, sample (pixels), longitude, latitude (degrees), height (m).
+        Offsets and scales of line, sample (pixels), longitude, latitude (degrees), height (m).
     coefficients : (4, 20) array
-        Line numerator and denominator, sample numerator and denominator, RPC00B order.
+        Coefficients of the line's numerator and denominator, and of the sample's
+        numerator and denominator, in RPC00B order.
     stated_validity : RpcValidity, optional
-        Ranges in the file. ``validity`` is these, or offset -+ scale and the image's size.
+        Ranges that the file states. Without them, ``validity`` is offset -+ scale and the image's size.
     n_lines, n_samples : int, optional
         Size of the image, if the file contains it.
     err_bias_m, err_rand_m : float, optional
-        Error estimates of the file (RPC00B: 68 % horizontal, m).
+        Error estimates in the file (RPC00B: horizontal, 68 %, m).
     direct : (4, 20) array, optional
-        Vendor model image to ground: numerator and denominator of longitude, of latitude, as functions
-        of normalised (sample, line, height).
+        Vendor's model from image to ground: numerator and denominator of the longitude,
+        then of the latitude, as functions of normalised (sample, line, height).
     file, format : str
-        Source of the model.
+        File from which the model was read, and its format.
     notes : tuple of Finding
         Remarks for the user.
 
     Raises
     ------
     InputError
-        Wrong number of coefficients, a value that is not finite, a scale of zero, or a denominator
-        whose constant is not 1.
+        The number of coefficients is wrong, a value is not finite, a scale is zero, or
+        the constant of a denominator is not 1.
     """
 
     offsets: Array
@@ -115,7 +117,7 @@ class RpcModel:
 
     @cached_property
     def validity(self) -> RpcValidity:
-        """Ranges in which the model may be used."""
+        """Return the ranges in which the model may be used."""
         if self.stated_validity is not None:
             return self.stated_validity
         low, high = self.offsets - np.abs(self.scales), self.offsets + np.abs(self.scales)
@@ -131,14 +133,14 @@ class RpcModel:
         self, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike, height_m: npt.ArrayLike,
         compensation: npt.ArrayLike | None = None,
     ) -> tuple[Array, Array]:  # fmt: skip
-        """Line and sample (pixels) of N points: two (N,) arrays; nan where a denominator is zero."""
+        """Return line and sample (pixels) of N points as two arrays (N,); nan where a denominator is zero."""
         lon, lat, h = same_length(lon_deg, lat_deg, height_m)
         return rfm_project.project(
             self.coefficients, self.offsets, self.scales, checked_compensation(compensation), lon, lat, h
         )
 
     def inside(self, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike, height_m: npt.ArrayLike) -> Mask:
-        """Whether ground points lie in the validity range: (N,)."""
+        """Return a mask (N,) of the ground points in the validity range."""
         lon, lat, h = same_length(lon_deg, lat_deg, height_m)
         lon = lon - 360.0 * np.round((lon - self.offsets[RANGE.lon]) / 360.0)
         ranges = zip((lon, lat, h), self.validity[2:], strict=True)
@@ -147,9 +149,9 @@ class RpcModel:
     def require_valid(
         self, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike, height_m: npt.ArrayLike, names: Sequence[str] = ()
     ) -> None:
-        """Raise InputError for ground points outside the validity range; it names the first one and the range.
+        """Raise InputError if ground points lie outside the validity range; it names the first one and the range.
 
-        ``names`` of the points are for the message; default: their numbers, counted from 1.
+        The message uses the ``names`` of the points; by default, they are numbered from 1.
         """
         bad = np.flatnonzero(~self.inside(lon_deg, lat_deg, height_m))
         if len(bad):
@@ -167,10 +169,10 @@ class RpcModel:
         self, line: npt.ArrayLike, sample: npt.ArrayLike, height_m: npt.ArrayLike,
         compensation: npt.ArrayLike | None = None,
     ) -> tuple[Array, Array]:  # fmt: skip
-        """Longitude and latitude (degrees) of N pixels at ellipsoidal heights: two (N,) arrays.
+        """Return longitude and latitude (degrees) of N pixels at ellipsoidal heights as two arrays (N,).
 
-        Newton on the projection with analytic derivatives, to 1e-11 pixels; nan if it does not converge within 1e-7
-        pixels.
+        Newton's method inverts the projection with analytic derivatives, to 1e-11 pixels.
+        The result is nan if it does not converge within 1e-7 pixels.
         """
         line, sample, h = same_length(line, sample, height_m)
         image = self._without_compensation(line, sample, checked_compensation(compensation))
@@ -182,13 +184,13 @@ class RpcModel:
             start = np.where(np.isfinite(start).all(axis=1, keepdims=True), start, origin)
         xy = rfm_project.locate(self.coefficients, self.scales, image, z, start)
         lost = np.isnan(xy[:, 0])
-        if self.direct is not None and lost.any():  # the vendor's start value may have been the reason
+        if self.direct is not None and lost.any():  # the vendor's start value may be the reason: try without it
             xy[lost] = rfm_project.locate(self.coefficients, self.scales, image[lost], z[lost], origin[lost])
         lon = self.offsets[RANGE.lon] + self.scales[RANGE.lon] * xy[:, 0]
         return lon - 360.0 * np.round(lon / 360.0), self.offsets[RANGE.lat] + self.scales[RANGE.lat] * xy[:, 1]
 
     def _without_compensation(self, line: Array, sample: Array, b: Array) -> Array:
-        """Normalised line and sample (N, 2) of compensated pixels."""
+        """Remove the compensation from pixels and normalise them: line and sample (N, 2)."""
         matrix = np.array([
             [self.scales[RANGE.line] + b[COMPENSATION.line_l], b[COMPENSATION.line_s]],
             [b[COMPENSATION.sample_l], self.scales[RANGE.sample] + b[COMPENSATION.sample_s]],
@@ -200,9 +202,9 @@ class RpcModel:
     def locate_directly(
         self, line: npt.ArrayLike, sample: npt.ArrayLike, height_m: npt.ArrayLike
     ) -> tuple[Array, Array]:
-        """Longitude and latitude (degrees) by the vendor's own image-to-ground coefficients: two (N,) arrays.
+        """Return longitude and latitude (degrees) by the vendor's image-to-ground coefficients as two arrays (N,).
 
-        InputError if the file contains none.
+        InputError: the file does not contain these coefficients.
         """
         if self.direct is None:
             raise InputError.of("rpc.no_direct", file=self.file)
@@ -213,18 +215,20 @@ class RpcModel:
         return lon + self.scales[RANGE.lon] * xy[:, 0], lat + self.scales[RANGE.lat] * xy[:, 1]
 
     def require_no_pole(self) -> None:
-        """Refuse a model with a denominator that is zero or changes its sign inside the image.
+        """Refuse a model if a denominator is zero or changes its sign inside the image.
 
-        Points between the located corners of the image are checked at heights of the validity range. Near a zero the
-        model is wrong by many pixels, even if a numerator with nearly the same zeros makes it accurate on both sides.
+        Points between the located corners of the image are checked at heights of the
+        validity range. Near a zero of the denominator, the model is wrong by many pixels.
+        This is also true if the numerator has nearly the same zeros and the model is
+        accurate on both sides.
 
         Raises
         ------
         InputError
-            Names the denominator and a ground point.
+            A denominator is zero; the message names it and a ground point.
         """
         if np.all(np.abs(self.coefficients[1::2, 1:]).sum(axis=1) < 1.0 - 1e-6) and self._cube_covers_the_image():
-            return  # positive in the whole cube of normalised coordinates
+            return  # the denominators are positive in the whole cube of normalised coordinates
         ground = self._ground_grid()
         below = rfm.denominators(self.coefficients, ground)
         bad = np.argwhere(~(below > 0.0))
@@ -241,7 +245,7 @@ class RpcModel:
         return bool((np.abs(ends) <= (1.0 + 1e-9) * np.abs(self.scales[RANGE.ground])).all())
 
     def _ground_grid(self) -> Array:
-        """Normalised ground points between the corners of the image at several heights: (N, 3)."""
+        """Return normalised ground points (N, 3) between the corners of the image at several heights."""
         v = self.validity
         line, sample = np.repeat(v.line, 2), np.tile(v.sample, 2)
         t = np.linspace(0.0, 1.0, POLE_GRID)
@@ -253,7 +257,7 @@ class RpcModel:
             corner = rfm_project.locate(self.coefficients, self.scales, image, z, np.zeros((4, 2)))
             looked_at = [corner] if np.isfinite(corner).all() else []
             if not np.abs(corner).max() <= OTHER_BRANCH:
-                # a pole prevents the location of a corner: check the whole cube, too
+                # a pole prevents the location of a corner: also check the whole cube
                 looked_at.append(np.array([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]]))
             for c in looked_at:
                 xy = (1 - w) * ((1 - u) * c[0] + u * c[1]) + w * ((1 - u) * c[2] + u * c[3])
@@ -262,7 +266,7 @@ class RpcModel:
 
 
 def checked_compensation(values: npt.ArrayLike | None) -> Array:
-    """Compensation (6,) in pixels; zero if there is none."""
+    """Return the compensation (6,) in pixels; zero if there is none."""
     if values is None:
         return NO_COMPENSATION
     out = np.ascontiguousarray(values, dtype=float)
@@ -272,5 +276,5 @@ def checked_compensation(values: npt.ArrayLike | None) -> Array:
 
 
 def span(ends: Range) -> str:
-    """Text of a range."""
+    """Format a range as text."""
     return f"{ends[0]:.9g} .. {ends[1]:.9g}"

@@ -1,14 +1,16 @@
-"""The sensor of an image with a rational function model, with the methods of ``PushbroomSensor``.
+"""Sensor of an image with a rational function model; it has the same methods as ``PushbroomSensor``.
 
-Ground points are ECEF metres; pixels (line, sample), (0, 0) = centre of the first pixel. Image-space
-compensation is (6,) pixels, see ``factors.cameras.rfm_project``; its terms are the unknowns (Grodecki & Dial 2003).
-Compensation, pixels, with l, s the model's own normalised line and sample in [-1, 1]::
+Ground points are ECEF, m. Pixels are (line, sample); (0, 0) is the centre of the first
+pixel. The unknowns are the 6 terms of a compensation in image space, in pixels (Grodecki
+& Dial 2003; ``factors.cameras.rfm_project``). l and s are the normalised line and sample
+of the model, in [-1, 1]::
 
     line   += line_0   + line_l1 l   + line_s1 s
     sample += sample_0 + sample_l1 l + sample_s1 s
 
-"shift" has the first column, "shift_drift" the first two, "affine" all three. A shift is the effect of an error of
-position, roll or pitch in a narrow field of view; drift and affine terms model changes along and across the image.
+"shift" has the first column, "shift_drift" the first two columns, and "affine" all three.
+In a narrow field of view, an error of position, roll or pitch causes a shift. Drift and
+affine terms model changes along and across the image.
 """
 
 from __future__ import annotations
@@ -35,13 +37,15 @@ from fg_orient.sensors.surface import levels_below, on_surface
 if TYPE_CHECKING:
     from fg_orient.model.block import ImagePoints, Options
 
-#: Distance of the positions of rays up the line of sight: an RPC has no projection centre.
+#: The start point of a ray lies at this distance up the line of sight, m, because an RPC has no projection centre.
 RAY_START_M = 5e5
-#: Margins above and below the heights of a ray to a DEM: all heights of the DEM first, then the height of its hit.
+#: Margins, m, above and below the heights between which a line of sight is replaced by a
+#: chord. The first one is for all heights of the DEM, the second one for the height of
+#: the first hit.
 DEM_MARGINS_M = (50.0, 5.0)
-#: Names of option ``rpc_compensation`` in the terms of the equation.
+#: Values of the option ``rpc_compensation``, and the corresponding terms of the equation.
 _TERMS: Final = {"shift": "shift", "shift_drift": "drift", "affine": "affine"}
-#: Name and words of each code of the equation.
+#: Name of each code of the equation; below: its description.
 _NAMES: Final = ("line_0", "sample_0", "line_l1", "sample_l1", "line_s1", "sample_s1")
 _WORDS: Final = (
     "line shift (px)", "sample shift (px)", "line drift along the lines (px)", "sample drift along the lines (px)",
@@ -50,14 +54,14 @@ _WORDS: Final = (
 
 
 class RpcSensor(Sensor):
-    """An image with a rational function model.
+    """Sensor of an image with a rational function model.
 
     Parameters
     ----------
     model : RpcModel
-        From a file or fitted.
+        Model from a file, or fitted model.
     poles : bool
-        Accept the model even if a denominator changes its sign inside the image.
+        Whether to accept a model if a denominator changes its sign inside the image.
 
     Raises
     ------
@@ -78,10 +82,11 @@ class RpcSensor(Sensor):
     def records(
         self, line: npt.ArrayLike, sample: npt.ArrayLike, reference_m: Array, origin_m: Array | None = None
     ) -> Array:
-        """Constants of the equation ``rational_function`` for N image points, unwhitened: (N, 104).
+        """Return the constants (N, 104) of the equation ``rational_function`` for N image points without whitening.
 
-        ``reference_m`` (N, 3) or (3,): ECEF points near the observed ones; differences are formed
-        against them. ``origin_m`` (3,): local origin of the ground unknowns, ECEF (default 0).
+        ``reference_m`` (N, 3) or (3,) are ECEF points near the observed points.
+        Differences are relative to them. ``origin_m`` (3,) is the local origin of the
+        ground unknowns, ECEF (default 0).
         """
         line, sample = same_length(line, sample)
         reference = np.ascontiguousarray(np.broadcast_to(np.asarray(reference_m, float), (len(line), 3)))
@@ -105,10 +110,10 @@ class RpcSensor(Sensor):
         self, line: npt.ArrayLike, sample: npt.ArrayLike, correction: npt.ArrayLike | None = None,
         heights_m: tuple[npt.ArrayLike, npt.ArrayLike] | None = None,
     ) -> tuple[Array, Array]:  # fmt: skip
-        """Points 500 km up the lines of sight (N, 3) m and unit viewing directions (N, 3) in ECEF.
+        """Return points (N, 3), m, 500 km up the lines of sight, and unit viewing directions (N, 3), ECEF.
 
-        The lines join the ground points at two heights, by default the lowest and the highest valid height; InputError
-        if there is none.
+        A line of sight joins the ground points at two heights. By default, these are the
+        lowest and the highest valid height. InputError: there are no valid heights.
         """
         ends = []
         for height in heights_m or self.model.validity.height_m:
@@ -120,7 +125,7 @@ class RpcSensor(Sensor):
         return high - RAY_START_M * direction, direction
 
     def _at_height(self, line: Array, sample: Array, h: Array, correction: npt.ArrayLike | None) -> Array:
-        """Ground points (N, 3) ECEF m at ellipsoidal heights."""
+        """Return ground points (N, 3), ECEF m, at ellipsoidal heights."""
         lon, lat = self.model.locate(line, sample, h, correction)
         if np.isnan(lon).any():
             bad = int(np.flatnonzero(np.isnan(lon))[0])
@@ -132,10 +137,12 @@ class RpcSensor(Sensor):
     def _located(
         self, line: Array, sample: Array, height_m: npt.ArrayLike | None, dem: HeightSurface | None, correction: Any
     ) -> Array:
-        """Ground points (N, 3) ECEF m; a rational function has curved lines of sight.
+        """Return ground points (N, 3), ECEF m.
 
-        On a DEM, a ray follows first the chord over the heights of the DEM below it, then the chord about the height
-        of its first hit. The ground point comes from the model at the last height, so that its pixel is exact.
+        The lines of sight of a rational function are curved. On a DEM, a ray first
+        follows the chord over all heights of the DEM below it, then the chord about the
+        height of its first hit. The model computes the ground point at the final height,
+        so that its pixel is exact.
         """
         line, sample, h = same_length(line, sample, 0.0 if height_m is None else height_m)
         if dem is not None:
@@ -151,16 +158,19 @@ class RpcSensor(Sensor):
     # --- ground to image ---------------------------------------------------------------------
 
     def project(self, ground_m: npt.ArrayLike, correction: npt.ArrayLike | None = None) -> tuple[Array, Array]:
-        """Line and sample of N ECEF points (N, 3) m; nan at a pole of the model.
+        """Return line and sample of N ECEF points (N, 3), m; nan at a pole of the model.
 
-        Points outside the image or the validity range get the value of the rational function, too; see
-        :meth:`is_inside` and ``model.inside``.
+        The rational function is also evaluated outside the image and outside the validity
+        range; see :meth:`is_inside` and ``model.inside``.
         """
         lon, lat, h = ellipsoid.geodetic_array(np.atleast_2d(np.ascontiguousarray(ground_m, dtype=float))).T
         return self.model.project(np.degrees(lon), np.degrees(lat), h, correction)
 
     def footprint(self) -> Array:
-        """Corners at the model's mean height in image order (clockwise): (4, 2) longitude, latitude in degrees."""
+        """Return the corners at the model's mean height in the order of the image, clockwise.
+
+        The array (4, 2) contains longitude and latitude, degrees.
+        """
         return np.stack(self.model.locate(*self.corners(), self.mean_height_m), axis=1)
 
     # --- adjustment --------------------------------------------------------------------------
@@ -170,7 +180,7 @@ class RpcSensor(Sensor):
         return RpcImageModel(self, options)
 
     def correction_of(self, values: Mapping[str, float], options: Options) -> Array:
-        """Compensation (6,) from its terms by name; see :meth:`Sensor.correction_of`."""
+        """Make a compensation (6,) from its terms by name; see :meth:`Sensor.correction_of`."""
         return placed(values, _NAMES)
 
 
@@ -178,7 +188,10 @@ class RpcSensor(Sensor):
 
 
 def compensation_parameters(options: Options, file: str = "") -> ImageParameters:
-    """Unknowns of an RPC image: ``image_unknowns`` of the options, else their compensation; prior sigmas in pixels."""
+    """Return the unknowns of an RPC image with prior sigmas in pixels.
+
+    The option ``image_unknowns`` names them; otherwise the option ``rpc_compensation`` does.
+    """
     codes = COMPENSATIONS[_TERMS[options.rpc_compensation]]
     if options.image_unknowns:
         codes = tuple(code for code, name in enumerate(_NAMES) if name in options.image_unknowns)
@@ -196,7 +209,7 @@ class RpcImageModel(ImageModel):
     ----------
     sensor : RpcSensor
     options : Options
-        Kind of the compensation and its prior sigmas.
+        Options with the kind of the compensation and its prior sigmas.
     """
 
     equation = RATIONAL_FUNCTION
@@ -206,31 +219,34 @@ class RpcImageModel(ImageModel):
         self.parameters = compensation_parameters(options, sensor.file)
 
     def records(self, points: ImagePoints, ground_m: Array, origin_m: Array) -> Array:
-        """Whiten with the pixel sigmas."""
+        """Return constants that are whitened with the standard deviations of the pixels."""
         out = self.sensor.records(points.line, points.sample, ground_m, origin_m)
         out[:, RECORD.a11], out[:, RECORD.a22] = 1.0 / points.sigma_line_px, 1.0 / points.sigma_sample_px
         return out
 
     def correction(self, x: Array) -> Array:
-        """Compensation (6,) in pixels, codes of ``factors.cameras.rfm``."""
+        """Return the compensation (6,) in pixels, in the order of the codes of ``factors.cameras.rfm``."""
         out = np.zeros(COMPENSATION.size)
         out[list(self.parameters.codes)] = x * self.parameters.sigma
         return out
 
     def per_line(self) -> tuple[Array, tuple[str, ...]]:
-        """Factors of drifts per line and of shifts; nan for terms of the sample."""
+        """Return the factors of drifts per line and of shifts; nan for terms of the sample."""
         scale = float(self.sensor.model.scales[RANGE.line])
         table = ((1.0, "px"), (1.0 / scale, "px/line"), (np.nan, ""))
         rows = [table[code // 2] for code in self.parameters.codes]
         return np.array([factor for factor, _ in rows]), tuple(unit for _, unit in rows)
 
     def is_valid(self, ground_m: Array) -> Mask:
-        """Whether points lie in the validity range of the file; outside, cubics diverge."""
+        """Return a mask of the points in the validity range of the file.
+
+        Outside it, the cubic polynomials diverge.
+        """
         lon, lat, height = ellipsoid.geodetic_array(np.ascontiguousarray(ground_m)).T
         return self.sensor.model.inside(np.degrees(lon), np.degrees(lat), height)
 
     def facts(self) -> dict[str, Any]:
-        """Format of the file; an RPC has neither mission nor orientation."""
+        """Return the format of the file; an RPC has neither mission nor orientation."""
         return {
             "model": "RPC", "mission": "RPC", "instrument": "", "format": self.sensor.model.format,
             "metadata_polynomials": [],

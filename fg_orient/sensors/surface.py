@@ -1,10 +1,12 @@
-"""Intersection of rays with digital elevation models.
+"""Intersect rays with digital elevation models.
 
-The intersection is the first hit from above (docs/equations.md 5). Iterating height -> ellipsoid -> DEM height could
-converge behind a ridge. Every ray is therefore followed from the highest DEM value downwards, from one line between
-cell centres to the next, because a bilinear surface has its edges there. The first change of sign, at an edge or at
-the peak of a cell, is bisected. The highest value is that of the squares of the DEM below the ray
-(:mod:`fg_orient.sensors.dem`): a large DEM is not read whole, and no ray depends on the other rays.
+The intersection is the first hit from above (docs/equations.md 5). An iteration between
+height and DEM value could converge behind a ridge. Therefore every ray is followed
+downwards from the highest DEM value. It is tested at each line between cell centres,
+because a bilinear surface has its edges there, and at the peak of a cell. The interval of
+the first change of sign is bisected. The highest DEM value is that of the squares below
+the ray (:mod:`fg_orient.sensors.dem`). Therefore a large DEM is not read completely, and
+a ray does not depend on other rays.
 """
 
 from __future__ import annotations
@@ -25,41 +27,42 @@ if TYPE_CHECKING:
 
 __all__ = ["RasterDem"]
 
-#: Largest height difference of a hit and the DEM.
+#: Maximum height difference between a hit and the DEM, m.
 TOLERANCE_M = 1e-4
-#: Rays are followed from this far above to this far below all DEM values (10 times the tolerance).
+#: Rays are followed from this height above all DEM values to this height below them, m (10 times the tolerance).
 MARGIN_M = 1e-3
-#: Rays whose paths begin in the same square of so many cells are followed together.
+#: Rays whose paths begin in the same square with this edge, cells, are followed together.
 GROUP_CELLS = 4 * EDGE
 
 
 def _lon_lat(p: Array, u: Array, level_m: Array) -> tuple[Array, Array, Array]:
-    """Points (N, 3) of the rays at heights ``level_m``, their longitudes and latitudes in degrees."""
+    """Return the points (N, 3) of the rays at heights ``level_m``, and their longitudes and latitudes, degrees."""
     ground = ellipsoid.intersect(p, u, np.ascontiguousarray(level_m))
     lon, lat, _ = ellipsoid.geodetic_array(ground).T
     return ground, np.degrees(lon), np.degrees(lat)
 
 
 def _depth(p: Array, u: Array, level_m: Array, dem: HeightSurface) -> tuple[Array, Array]:
-    """Points of the rays at heights ``level_m``, and their depths below the DEM (nan: no DEM)."""
+    """Return the points of the rays at heights ``level_m``, and their depths below the DEM; nan without a DEM value."""
     ground, lon, lat = _lon_lat(p, u, level_m)
     return ground, dem.height_m(lon, lat) - level_m
 
 
 def on_surface(position_m: Array, direction: Array, dem: HeightSurface, file: str) -> Array:
-    """First hits of N rays with a DEM: (N, 3) ECEF m.
+    """Return the first hits (N, 3), ECEF m, of N rays with a DEM.
 
-    A ray that meets nodata, or comes from outside the DEM, before its first hit and below the highest DEM value of the
-    squares below it is refused: unknown ground there could hide the hit. Two crossings within half a cell, between
-    edges of the surface, are not separated.
+    A ray is refused if it meets nodata or comes from outside the DEM before its first
+    hit, at a height below the highest DEM value of the squares below it. Unknown ground
+    there could be the first hit. Two crossings within half a cell, between edges of the
+    surface, are not separated.
 
     Parameters
     ----------
     position_m, direction : (N, 3) arrays
-        Rays, ECEF, from above the DEM.
+        Rays in ECEF that start above the DEM.
     dem : HeightSurface
     file : str
-        Metadata file of the rays, for messages.
+        Metadata file of the rays; used in messages.
 
     Raises
     ------
@@ -83,10 +86,11 @@ def landed(
     position_m: Array, direction: Array, height_m: npt.ArrayLike | None, dem: HeightSurface | None,
     pixels: tuple[Array, Array], file: str, body: Body | None = None,
 ) -> Array:  # fmt: skip
-    """Points (N, 3) ECEF m of N rays on a DEM (:func:`on_surface`), or at ellipsoidal heights (default 0).
+    """Return the points (N, 3), ECEF m, of N rays on a DEM (:func:`on_surface`) or at ellipsoidal heights (default 0).
 
-    ``pixels`` are two (N,) arrays, line and sample of the rays; they and ``file`` are for messages. Points on another
-    ``body`` than the Earth are fixed to it.
+    ``pixels`` are two arrays (N,) with line and sample of the rays. They and ``file`` are
+    used in messages. Points on another ``body`` than the Earth have coordinates in its
+    body-fixed axes.
 
     Raises
     ------
@@ -97,7 +101,7 @@ def landed(
         raise InputError.of("body.dem", file=file, place=dem.path, value=body.name)
     if dem is not None:
         return on_surface(position_m, direction, dem, file)
-    # a copy: the kernel would be compiled again for a read-only array, which one height for all rays gives
+    # one height for all rays gives a read-only array; without a copy, the kernel would be compiled again for it
     h = np.array(np.broadcast_to(np.asarray(0.0 if height_m is None else height_m, float), pixels[0].shape))
     ground = (ellipsoid if body is None else body).intersect(position_m, direction, h)
     bad = np.flatnonzero(~np.isfinite(ground).all(axis=1))
@@ -109,9 +113,9 @@ def landed(
 
 
 def levels_below(position_m: Array, direction: Array, dem: HeightSurface) -> tuple[Array, Array]:
-    """Lowest and highest DEM value (N,) below each ray, nan if it does not pass over the DEM.
+    """Return the lowest and highest DEM value (N,) below each ray; nan if the ray does not pass over the DEM.
 
-    The highest value is at most the height of the ray's start: a camera may be in a valley.
+    The highest value is limited to the height of the ray's start, because a camera may be in a valley.
     """
     n = len(position_m)
     if not isinstance(dem, RasterDem):
@@ -125,7 +129,10 @@ def levels_below(position_m: Array, direction: Array, dem: HeightSurface) -> tup
 
 
 def _groups(p: Array, u: Array, level_m: Array, dem: HeightSurface) -> list[Index]:
-    """Rays in groups over neighbouring squares of a DEM, so that each square is read once; rays of nan are left out."""
+    """Group rays over neighbouring squares of a DEM, so that each square is read once.
+
+    Rays of nan are left out.
+    """
     good = np.flatnonzero(np.isfinite(level_m))
     if not isinstance(dem, RasterDem) or len(good) < 2:
         return [np.arange(len(p))]
@@ -134,13 +141,13 @@ def _groups(p: Array, u: Array, level_m: Array, dem: HeightSurface) -> list[Inde
 
 
 def _bracket(p: Array, u: Array, bottom: Array, top: Array, dem: HeightSurface) -> tuple[Array, Array]:
-    """Heights just above and below the first hit of each ray between two levels (N,); nan without a hit."""
+    """Return heights just above and below the first hit of each ray between two levels (N,); nan without a hit."""
     lines = _GridLines(*(_cells(p, u, level, dem) for level in (top, bottom)))
     above, below = np.full(len(p), np.nan), np.full(len(p), np.nan)
-    going, last, t = np.arange(len(p)), top.copy(), np.zeros(len(p))  # no cell reaches the top
+    going, last, t = np.arange(len(p)), top.copy(), np.zeros(len(p))  # no cell reaches the upper level
     depth = _depth(p, u, last, dem)[1]
     while len(going):
-        # along a ray the surface of one cell is a parabola: three depths determine its peak
+        # along a ray, the surface of a cell is a parabola: three depths determine its peak
         start, ahead = t[going], lines.after(going)
         level = top[going] + (bottom - top)[going] * (start + np.array([[0.5], [1.0]]) * (ahead - start))
         middle, end = (_depth(p[going], u[going], h, dem)[1] for h in level)
@@ -154,21 +161,24 @@ def _bracket(p: Array, u: Array, bottom: Array, top: Array, dem: HeightSurface) 
         hit = free & (end >= 0.0)
         above[going[hit]], below[going[hit]] = level[0][hit], level[1][hit]
         last[going], t[going], depth[going] = level[1], ahead, end
-        going = going[free & (end < 0.0) & (ahead < 1.0)]  # neither hit nor free: nodata
+        going = going[free & (end < 0.0) & (ahead < 1.0)]  # neither a hit nor above the ground: nodata
     return above, below
 
 
 def _peak(start: Array, middle: Array, end: Array) -> Array:
-    """Position (0 to 1) of the peak of parabolas through three values, nan unless it is inside and reaches 0."""
+    """Return the position (0 to 1) of the peak of parabolas through three values.
+
+    It is nan unless the peak is inside and reaches 0.
+    """
     curve, slope = 2.0 * (start - 2.0 * middle + end), 4.0 * middle - 3.0 * start - end
     with np.errstate(divide="ignore", invalid="ignore"):
         x = -0.5 * slope / curve
-        # within a centimetre of 0 the depth is computed from the surface
+        # if the peak is within a centimetre of 0, the caller computes the depth from the surface
         return np.where((curve < 0.0) & (x > 0.0) & (x < 1.0) & (start + 0.5 * slope * x > -0.01), x, np.nan)
 
 
 def _cells(p: Array, u: Array, level_m: Array, dem: HeightSurface) -> Array:
-    """Row and column (N, 2) of N rays at heights (N,)."""
+    """Return row and column (N, 2) of N rays at heights (N,)."""
     _, lon, lat = _lon_lat(p, u, level_m)
     return np.stack(dem.cell(lon, lat), axis=1)
 
@@ -176,8 +186,9 @@ def _cells(p: Array, u: Array, level_m: Array, dem: HeightSurface) -> Array:
 class _GridLines:
     """Successive crossings of N straight paths with the lines between cell centres.
 
-    Paths run from ``start`` to ``end`` (N, 2) rows and columns, t = 0 to 1 (Amanatides & Woo 1987).
-    A ray deviates from its straight path by centimetres over some kilometres.
+    A path runs from ``start`` to ``end`` (N, 2), rows and columns; t increases from 0 to
+    1 (Amanatides & Woo 1987). Over some kilometres, a ray deviates from its straight path
+    by centimetres.
     """
 
     def __init__(self, start: Array, end: Array) -> None:
@@ -187,7 +198,10 @@ class _GridLines:
         self._sign = sign
 
     def after(self, path: Index) -> Array:
-        """Parameter t of the next crossing of these paths, 1 if there is no further crossing or the path is nan."""
+        """Return the parameter t of the next crossing of these paths.
+
+        It is 1 if there is no further crossing or if the path is nan.
+        """
         travel = self._travel[path]
         with np.errstate(divide="ignore", invalid="ignore"):
             t = (self._line[path] - self._start[path]) / travel
@@ -198,7 +212,10 @@ class _GridLines:
 
 
 def _bisect(p: Array, u: Array, above: Array, below: Array, dem: HeightSurface) -> tuple[Array, Array]:
-    """Points of the rays on the DEM between two heights, and the remaining depths; nan for nan heights."""
+    """Find the points of the rays on the DEM between two heights by bisection; also return the remaining depths.
+
+    The result is nan for nan heights.
+    """
     widest = float(np.nan_to_num(above - below).max(initial=TOLERANCE_M))
     for _ in range(int(np.ceil(np.log2(widest / TOLERANCE_M)))):
         middle = 0.5 * (above + below)

@@ -1,11 +1,12 @@
-"""Viewing geometry: footprints, ground sampling distance, incidence, convergence, base to height.
+"""Compute viewing geometry: footprints, ground sampling distance, incidence, convergence, base to height.
 
-Angles are in degrees, lengths in metres, heights are ellipsoidal above WGS84. All values are
-computed from rays of the sensor, in the same way for rigorous models, RPC and frame images, with
-or without a correction. The *lean* of a ray at a ground point is its horizontal displacement
-(East, North) in metres per metre of height. The ratio of base and height of two rays is the
-length of the difference of their leans. It needs no projection centre (an RPC has none) and is
-``tan a + tan b`` for rays in one vertical plane.
+Angles are in degrees, lengths are in metres, and heights are above the WGS84 ellipsoid.
+All values are computed from rays of the sensor. The method is the same for rigorous
+models, RPC and frame images, with or without a correction. The *lean* of a ray at a
+ground point is its horizontal displacement (East, North) in metres per metre of height.
+The ratio of base to height of two rays is the length of the difference of their leans. It
+needs no projection centre, which an RPC does not have. For rays in one vertical plane, it
+is ``tan a + tan b``.
 """
 
 from __future__ import annotations
@@ -23,13 +24,13 @@ from fg_orient.geodesy.bodies import Body, coordinates_on
 from fg_orient.model.block import Image
 from fg_orient.sensors.correction import HeightSurface
 
-#: Points per side of a footprint, and of the grid for ranges and common ground.
+#: Number of points per side of a footprint, and of the grid for ranges and common ground.
 SIDE: Final = 17
 GRID: Final = 9
 
 
 class View:
-    """One image and its ground surface; with adjusted orientation its sensor is an ``OrientedSensor``.
+    """Image with its ground surface. If its orientation is adjusted, its sensor is an ``OrientedSensor``.
 
     Parameters
     ----------
@@ -46,21 +47,22 @@ class View:
         self.body = image.sensor.body
 
     def ground(self, line: Array, sample: Array) -> Array:
-        """Ground points (n, 3) ECEF m of n pixels."""
+        """Return the ground points (n, 3), ECEF m, of n pixels."""
         how: dict[str, Any] = {"height_m": self._height} if self._dem is None else {"dem": self._dem}
         return np.asarray(self.sensor.locate(line, sample, **how))
 
     def to_image(self, line: Array, sample: Array, ground_m: Array) -> Array:
-        """Unit vectors (n, 3) East, North, Up from ground points towards the sensor, through their pixels."""
+        """Return unit vectors (n, 3), East, North, Up, from the ground points of pixels towards the sensor."""
         _, direction = self.sensor.rays(line, sample)
         lon, lat, _ = coordinates_on(self.body, ground_m)
         return np.asarray(-np.einsum("nij,nj->ni", enu_from_ecef(lon, lat), direction))
 
 
 def footprint(view: View) -> Array:
-    """Border of the image on the ground, clockwise in the image, not closed: (4 (SIDE - 1), 2) degrees.
+    """Return the border of the image on the ground as a ring that is not closed, clockwise in the image.
 
-    Longitudes are continuous where the border crosses the 180th meridian.
+    The array (4 (SIDE - 1), 2) contains longitude and latitude, degrees. Longitudes are
+    continuous if the border crosses the 180th meridian.
     """
     s = view.sensor
     low, high = np.array([s.first_line - 0.5, s.first_sample - 0.5]), np.array([s.last_line + 0.5, s.last_sample + 0.5])
@@ -72,15 +74,17 @@ def footprint(view: View) -> Array:
 
 
 def image_record(view: View) -> dict[str, Any]:
-    """Viewing geometry of one image.
+    """Return the viewing geometry of one image.
 
     Returns
     -------
     dict
-        ``image``, ``file``, ``lon_deg``, ``lat_deg``, ``height_m`` of the ground point of the central pixel; at this
-        pixel ``gsd_line_m``, ``gsd_sample_m`` (distance of ground points half a pixel before and after it),
-        ``incidence_deg`` (ray against the ellipsoid normal), ``azimuth_deg`` (of the sensor seen from the ground,
-        clockwise from North); ``gsd_range_m`` and ``incidence_range_deg`` over the image; ``area_km2``.
+        ``image``, ``file``, ``lon_deg``, ``lat_deg``, ``height_m`` of the ground point of
+        the central pixel; at this pixel ``gsd_line_m``, ``gsd_sample_m`` (distance of
+        ground points half a pixel before and after it), ``incidence_deg`` (ray against
+        the ellipsoid normal), ``azimuth_deg`` (of the sensor seen from the ground,
+        clockwise from North); ``gsd_range_m`` and ``incidence_range_deg`` over the image;
+        ``area_km2``.
 
     Raises
     ------
@@ -106,7 +110,7 @@ def image_record(view: View) -> dict[str, Any]:
 
 
 def _sampling(view: View, line: Array, sample: Array) -> tuple[Array, Array]:
-    """Ground distances (n,) over a pixel, half a pixel to either side, along lines and samples."""
+    """Return ground distances (n,) over one pixel, half a pixel to either side, along lines and along samples."""
     out = []
     for dl, ds in ((0.5, 0.0), (0.0, 0.5)):
         low, high = (view.ground(line + sign * dl, sample + sign * ds) for sign in (-1.0, 1.0))
@@ -115,11 +119,10 @@ def _sampling(view: View, line: Array, sample: Array) -> tuple[Array, Array]:
 
 
 def _area_m2(ring_deg: Array, body: Body | None) -> float:
-    """Area of a polygon on the ellipsoid; on another body on its mean sphere.
+    """Return the area of a polygon on the ellipsoid, m^2; on another body, on its mean sphere.
 
-    Lambert's cylindrical equal-area projection, with straight edges.
-
-    Authalic latitude: Snyder 1987, Map Projections, eq. 3-12.
+    The edges are straight in Lambert's cylindrical equal-area projection. The authalic
+    latitude is from Snyder 1987, Map Projections, eq. 3-12.
     """
     e, s = np.sqrt(ellipsoid.E2), np.sin(np.radians(ring_deg[:, 1]))
     q = (1.0 - ellipsoid.E2) * (s / (1.0 - ellipsoid.E2 * s**2) + np.arctanh(e * s) / e)
@@ -131,16 +134,17 @@ def _area_m2(ring_deg: Array, body: Body | None) -> float:
 
 
 def pair_record(first: View, second: View) -> dict[str, Any]:
-    """Viewing geometry of two images on their common ground.
+    """Return the viewing geometry of two images on their common ground.
 
     Returns
     -------
     dict
-        ``images``; at the middle of the common ground ``lon_deg``, ``lat_deg``, ``convergence_deg`` (angle of
-        the rays), ``base_to_height`` (length of the difference of their leans), ``bisector_elevation_deg``
-        (90: symmetric rays), ``asymmetry_deg`` (angle of the bisector and the projection of the vertical on the plane
-        of the rays); ``overlap``: part of the first image that the second image shows. Without common ground, overlap
-        is 0 and all others are None.
+        ``images``; at the middle of the common ground ``lon_deg``, ``lat_deg``,
+        ``convergence_deg`` (angle of the rays), ``base_to_height`` (length of the
+        difference of their leans), ``bisector_elevation_deg`` (90: symmetric rays),
+        ``asymmetry_deg`` (angle of the bisector and the projection of the vertical on the
+        plane of the rays); ``overlap``: part of the first image that the second image
+        shows. Without common ground, overlap is 0, and all other values are None.
 
     Raises
     ------
@@ -181,7 +185,7 @@ def pair_record(first: View, second: View) -> dict[str, Any]:
 
 
 def viewing_records(views: Sequence[View]) -> dict[str, list[dict[str, Any]]]:
-    """Records of all images (``images``) and of all their pairs (``pairs``)."""
+    """Return the records of all images (``images``) and of all their pairs (``pairs``)."""
     return {
         "images": [image_record(view) for view in views],
         "pairs": [pair_record(a, b) for a, b in combinations(views, 2)],
@@ -192,9 +196,9 @@ def viewing_records(views: Sequence[View]) -> dict[str, list[dict[str, Any]]]:
 
 
 def feature_collection(views: Sequence[View], records: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Footprints as a GeoJSON FeatureCollection (RFC 7946): WGS84 degrees, records as properties.
+    """Return the footprints as a GeoJSON FeatureCollection (RFC 7946) in WGS84 degrees; records are properties.
 
-    Rings are counter-clockwise; one that crosses the 180th meridian is cut there into a MultiPolygon.
+    Rings are counter-clockwise. A ring that crosses the 180th meridian is divided there into a MultiPolygon.
     """
     features = [
         {"type": "Feature", "id": view.image.id, "geometry": polygon_geometry(footprint(view)), "properties": record}
@@ -204,7 +208,7 @@ def feature_collection(views: Sequence[View], records: Sequence[dict[str, Any]])
 
 
 def polygon_geometry(ring_deg: Array) -> dict[str, Any]:
-    """Polygon, or the parts of one on both sides of the 180th meridian."""
+    """Return a polygon; if it crosses the 180th meridian, return its parts on both sides."""
     x, y = ring_deg.T
     if np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) < 0.0:
         ring_deg = ring_deg[::-1]
@@ -217,7 +221,7 @@ def polygon_geometry(ring_deg: Array) -> dict[str, Any]:
 
 
 def _clipped(ring: Array, side: float) -> Array:
-    """Part of a ring with ``side * (longitude - 180) >= 0`` (Sutherland & Hodgman 1974)."""
+    """Return the part of a ring with ``side * (longitude - 180) >= 0`` (Sutherland & Hodgman 1974)."""
     out = []
     depth = side * (ring[:, 0] - 180.0)
     for k in range(len(ring)):
