@@ -1,4 +1,4 @@
-"""Commands ``adjust``, ``reduce`` and ``graph``: a project, the unknowns of its images, its factor graph."""
+"""Commands ``adjust``, ``reduce`` and ``graph``: adjust a project, reduce its unknowns, draw its factor graph."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ from fg_orient.model.options import Options, Reading
 if TYPE_CHECKING:
     from fg_orient.orientation.reduction import Reduction
 
-#: Modules loaded before the clock starts: ``seconds`` measure the work, not Python's imports.
+#: These modules are loaded before the time is measured. ``seconds`` then contains the work and not the imports.
 WORKING = ("fg_orient.orientation.run", "fg_orient.adjustment.schur", "fg_orient.report", "fg_orient.formats.schema",
            "fg_orient.formats.metadata.dimap", "fg_orient.sensors.projection", "jinja2")  # fmt: skip
-#: Names of the optimisers in sentences.
-#: Modules of one backend.
+#: Names of the optimisers in printed sentences.
+#: Further modules for each backend.
 OF_BACKEND = {
     "graph": ("gtsam", "fg_orient.adjustment.explicit", "fg_orient.quality.covariance"),
     "dense": ("fg_orient.adjustment.dense", "fg_orient.quality.covariance"),
@@ -114,7 +114,7 @@ def adjust(
 
 
 def _dem_control(path: Path | None, sigma_m: float | None, vertical_crs: str) -> tuple[Any, float] | None:
-    """Elevation model and sigma of its heights, if one is given."""
+    """Return the elevation model and the standard deviation of its heights, if it is given."""
     if path is None and sigma_m is None:
         return None
     if path is None or sigma_m is None:
@@ -124,7 +124,7 @@ def _dem_control(path: Path | None, sigma_m: float | None, vertical_crs: str) ->
 
 
 def load(backend: str | None = None) -> None:
-    """Load the modules of an adjustment and of the given backend before the time is measured."""
+    """Load the modules of an adjustment and of its backend, before the time is measured."""
     from importlib import import_module
 
     for name in (*WORKING, *OF_BACKEND.get(backend or "", ())):
@@ -132,7 +132,7 @@ def load(backend: str | None = None) -> None:
 
 
 def show(record: dict[str, Any]) -> None:
-    """Print warnings, assessment, accuracy and the path of the report."""
+    """Print the warnings, the assessment, the accuracy and the path of the report."""
     from fg_orient.report.words import orientation_words, regularised_words
 
     if session().quiet and record["status"] != Status.CONVERGED:
@@ -213,7 +213,7 @@ def reduce(
 
 
 def _folds(text: str | None) -> int | None:
-    """Return the number of parts; 0 means leave-one-out, None means no cross-validation."""
+    """Convert the option to a number of parts; 0 means leave-one-out, None means no cross-validation."""
     if text is None or text == "loo":
         return None if text is None else 0
     if text.isdecimal() and int(text) >= 2:
@@ -222,7 +222,7 @@ def _folds(text: str | None) -> int | None:
 
 
 def _show_reduction(found: Reduction) -> None:
-    """Print one line per model, the significant unknowns and the closest EOP set."""
+    """Print a line for each model, the significant unknowns and the most similar EOP set."""
     first = found.steps[0]
     columns = ["step", "u", "p", "sigma0", "AIC", "AICc", "BIC"]
     columns += ["image px", "ground m"] if first.validation else []
@@ -264,7 +264,8 @@ def graph(
 ) -> None:
     """Draw the factor graph of a project, its elimination tree and normal matrix; count variables, factors and fill.
 
-    Nothing is adjusted. Large blocks are drawn in part, but counted whole. Options replace those of the project file.
+    Nothing is adjusted. Large blocks are drawn in part, but counted whole. Options
+    replace those of the project file.
     """
     require_project(project)
     from fg_orient.formats.project import read_project
@@ -277,7 +278,7 @@ def graph(
 
 
 def _show_graph(record: dict[str, Any]) -> None:
-    """Print the counts of both graphs and of the elimination orders."""
+    """Print the numbers of both graphs and of the elimination orders."""
     forms = [("explicit points", record["explicit"]), ("eliminated points", record["eliminated"])]
     rows = [(name, one["image_vectors"], one["points"], one["unknowns"], one["factors"]) for name, one in forms if one]
     table("factor graph", ("form", "image vectors", "points", "unknowns", "factors"), rows)

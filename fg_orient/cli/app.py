@@ -1,4 +1,7 @@
-"""The application: commands by name, each loaded when it is called, completion, usage errors, signals."""
+"""The command-line application: its commands, shell completion, usage errors and signals.
+
+The module of a command is loaded only when the command is called.
+"""
 
 from __future__ import annotations
 
@@ -24,11 +27,11 @@ from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.model.machine import is_out_of_memory
 
 PROGRAM: Final = "fg-orient"
-#: Environment variable that the completion script of a shell sets.
+#: The completion script of a shell sets this environment variable.
 VARIABLE: Final = "_FG_ORIENT_COMPLETE"
 SHELLS: Final = ("bash", "zsh", "fish")
-#: Modules of this package, and the names of their commands in the order of the help. A command is a function or a group
-#: of its name, or the group ``app`` of its module.
+#: For each command its module in this package, in the order of the help. A command is a
+#: function or a group with this name, or the group ``app`` of the module.
 COMMANDS: Final = {name: module for module, names in (
     ("new", "new"), ("match", "match"), ("adjust", "adjust graph"), ("studies", "compare"), ("adjust", "reduce"),
     ("results", "accuracy dsm-points"),
@@ -37,18 +40,21 @@ COMMANDS: Final = {name: module for module, names in (
     ("simulate", "simulate"), ("rpc", "rpc"), ("convert", "camera"), ("rectify", "rectify"),
     ("closerange", "closerange"),
 ) for name in names.split()}  # fmt: skip
-#: Thresholds of the garbage collector. With Python's own 700, 10, 10 it scans modules repeatedly during their import.
+#: Thresholds of the garbage collector. With Python's default 700, 10, 10, it scans modules repeatedly during imports.
 COLLECT: Final = (50_000, 20, 50)
 
 
 def declared(name: str) -> Any:
-    """Function or group that declares a command."""
+    """Return the function or group that declares a command."""
     module = import_module(f"fg_orient.cli.{COMMANDS[name]}")
     return vars(module).get(name.replace("-", "_")) or module.app
 
 
 def help_of(name: str) -> str | None:
-    """Help of a command, from the same docstring or group as typer's, without building the command."""
+    """Return the help of a command without building the command.
+
+    The text is the same as typer's.
+    """
     one = declared(name)
     text: str | None = one.info.help if isinstance(one, typer.Typer) else inspect.getdoc(one)
     return text
@@ -56,7 +62,7 @@ def help_of(name: str) -> str | None:
 
 @cache
 def built(name: str) -> Any:
-    """Build a command when it is needed, because typer needs 0.1 s to build all commands."""
+    """Build a command when it is needed; typer needs 0.1 s to build all commands."""
     one, alone = declared(name), typer.Typer(add_completion=False)
     if not isinstance(one, typer.Typer):
         alone.command(name)(one)
@@ -67,18 +73,21 @@ def built(name: str) -> Any:
 
 
 class _Root(TyperGroup):
-    """The command line; its help needs the help texts of the commands, not their options."""
+    """Group of all commands.
+
+    Its help shows the help texts of the commands without building their options.
+    """
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
         self.commands: Any = dict.fromkeys(COMMANDS)
 
     def get_command(self, ctx: Any, name: str) -> Any:
-        """Return the command of this name; None if it does not exist."""
+        """Return the command with this name; None if it does not exist."""
         return (self.commands[name] or built(name)) if name in COMMANDS else None
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Write the help with commands that have no options."""
+        """Write the help; it uses commands that were built without options."""
         shown = copy.copy(self)
         shown.commands = {name: TyperCommand(name, help=help_of(name)) for name in COMMANDS}
         TyperGroup.format_help(shown, ctx, formatter)
@@ -88,7 +97,7 @@ app = typer.Typer(
     name=PROGRAM,
     cls=_Root,
     epilog="Exit codes: 0 good, 2 bad input, 3 no solution, 4 solution not trustworthy, 130 interrupted.",
-    add_completion=False,  # the command completion writes the script: two options less in every --help
+    add_completion=False,  # the command "completion" writes the script, so that --help needs no options for it
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -127,8 +136,9 @@ def completion(
 ) -> None:
     """Print the script that lets a shell complete commands and options.
 
-    bash, zsh: eval "$(fg-orient completion bash)" (or zsh, after compinit) in ~/.bashrc (~/.zshrc). fish: fg-orient
-    completion fish > ~/.config/fish/completions/fg-orient.fish
+    bash, zsh: eval "$(fg-orient completion bash)" (or zsh, after compinit) in ~/.bashrc
+    (~/.zshrc). fish: fg-orient completion fish >
+    ~/.config/fish/completions/fg-orient.fish
     """
     with outcome(as_json=False):
         if shell not in SHELLS:
@@ -139,10 +149,10 @@ def completion(
 
 
 def main() -> NoReturn:
-    """Run the command line; the entry point of ``fg-orient``."""
+    """Run the command line; this is the entry point of ``fg-orient``."""
     gc.set_threshold(*COLLECT)
     signal.signal(signal.SIGTERM, _terminate)
-    if VARIABLE in os.environ:  # called by the completion script of a shell
+    if VARIABLE in os.environ:  # the completion script of a shell has called the program
         from typer._completion_classes import completion_init
 
         completion_init()
@@ -153,25 +163,28 @@ def main() -> NoReturn:
         code = INTERRUPTED
     except Exception as error:
         code = _usage_error(error)
-    gc.freeze()  # otherwise the collections at the interpreter's end cost 0.5 s over numba's objects
+    gc.freeze()  # otherwise garbage collection of numba's objects takes 0.5 s when the interpreter ends
     sys.exit(code if isinstance(code, int) else 0)
 
 
 def _usage_error(error: Exception) -> int:
-    """Report a wrong option or argument, or too little memory, in one line; raise any other exception again."""
+    """Report a wrong option or argument, or too little memory, in one line.
+
+    Raise other exceptions again.
+    """
     explain = getattr(error, "format_message", None)
     if explain is None:
         if not is_out_of_memory(error):
             raise error
         try:
             note(f"error: {NoSolutionError.of('program.memory', value=in_short(error))}")
-        except Exception:  # not even for the words
+        except Exception:  # there is not even enough memory for the message
             os.write(2, b"error: the memory is not sufficient, and nothing was written\n")
         return NoSolutionError.exit_code
     context = getattr(error, "ctx", None)
     text = (
         explain().rstrip(".").replace("Value error, ", "")
-    )  # prefix of pydantic's message for a value that is not one of the choices
+    )  # pydantic's message begins like this if a value is not among the choices
     usage = InputError.of("cli.usage", place=context.command_path if context else PROGRAM, text=text)
     if "--json" in sys.argv:
         emit_errors(*usage.problems)
@@ -180,5 +193,5 @@ def _usage_error(error: Exception) -> int:
 
 
 def _terminate(number: int, frame: FrameType | None) -> NoReturn:
-    """Exit on SIGTERM so that temporary folders are removed."""
+    """Exit when SIGTERM is received, so that temporary folders are removed."""
     sys.exit(128 + number)

@@ -1,9 +1,11 @@
-"""Commands ``validate``, ``doctor`` and ``schema``: soundness of input and installation, contents of JSON output.
+"""Commands ``validate``, ``doctor`` and ``schema``: check input and installation, describe JSON output.
 
-``doctor`` reports versions and traps of the environment and runs a self-test, which adjusts a synthetic block in memory
-in about a second. The observations of the Zonguldak twin are free of errors here. Its metadata are wrong by constants,
-which an adjustment without priors recovers. A sound installation finds the check points to a micrometre; a wrong
-Jacobian, a broken compiler cache or a foreign GTSAM does not.
+``doctor`` reports versions and typical problems of the environment. It also runs a
+self-test, which adjusts a synthetic block in memory in about a second. The block is the
+synthetic Zonguldak block with observations that have no errors. Its metadata have
+constant errors, and an adjustment without priors recovers them. With a correct
+installation, the coordinates of the check points are right within a micrometre. With a
+wrong Jacobian, a damaged compiler cache or another version of GTSAM, they are not.
 """
 
 from __future__ import annotations
@@ -76,7 +78,7 @@ def validate(
 
 
 def _finish(record: dict[str, Any], errors: list[Finding], remarks: list[Finding], lines: list[str]) -> None:
-    """Print errors and remarks with the record or the lines; errors end the command."""
+    """Print errors and remarks together with the record or the lines; errors end the command."""
     as_json = session().as_json
     if as_json:
         emit({"errors": [p.as_dict(flag) for p in errors], "remarks": [p.as_dict(flag) for p in remarks], **record})
@@ -92,9 +94,9 @@ def _finish(record: dict[str, Any], errors: list[Finding], remarks: list[Finding
 
 
 def _validate_points(paths: list[Path], format_name: str, settings: Settings) -> None:
-    """Check points of another program; unverified formats are remarked.
+    """Check point files of another program; an unverified format causes a remark.
 
-    The files of a format with several files are one survey; otherwise each file is a survey.
+    If the format has several files, the files are one survey. Otherwise each file is a survey.
     """
     from fg_orient.formats.registry import format_named
 
@@ -121,7 +123,7 @@ def _validate_points(paths: list[Path], format_name: str, settings: Settings) ->
 def _checked_points(
     paths: list[Path], format_: Format, settings: Settings
 ) -> tuple[dict[str, Any], Sequence[Finding], Sequence[Finding]]:
-    """Counts, errors and remarks of one survey."""
+    """Return the numbers of points, the errors and the remarks of one survey."""
     from fg_orient.formats.exchange.convert import read_survey
 
     try:
@@ -133,7 +135,7 @@ def _checked_points(
 
 
 def _impossible(block: Block, project: Path) -> list[Finding]:
-    """Return errors of options that ``adjust`` would refuse."""
+    """Return the errors because of which ``adjust`` would refuse the options."""
     from fg_orient.orientation.run import require_possible_options
 
     try:
@@ -165,19 +167,19 @@ def _show_examination(record: dict[str, Any]) -> None:
             note(f"{c['name']}: {c['detail']}")
 
 
-#: Largest error of the check points: rounding of ECEF coordinates is 1e-9 m, one step leaves 1e-7 m.
+#: Maximum error of the check points, m. ECEF coordinates are rounded to 1e-9 m; after one step, 1e-7 m remain.
 TOLERANCE_M: Final = 1e-6
 
 
 def examine() -> dict[str, Any]:
-    """Examine the installation.
+    """Examine the installation and return what was found.
 
     Returns
     -------
     dict
-        ``good``; ``versions`` by name (None = missing); ``checks``: list of name, good, detail; ``cache``: ``folders``
-        with path, existence, owner and rights of each, ``files`` and ``bytes`` of all (None = no cache);
-        ``warnings``, ``findings``.
+        ``good``; ``versions`` by name (None = missing); ``checks``: list of name, good,
+        detail; ``cache``: ``folders`` with path, existence, owner and rights of each,
+        ``files`` and ``bytes`` of all (None = no cache); ``warnings``, ``findings``.
     """
     found = versions(REQUIRED)
     missing = [name for name, version in found.items() if version is None]
@@ -191,11 +193,11 @@ def examine() -> dict[str, Any]:
         findings.extend(cache_findings(*folders))
         return True, _describe(cache)
 
-    # the self-test compiles kernels: the cache is examined after it
+    # the self-test compiles kernels; therefore the cache is examined after it
     for name, check in (("PROJ", _proj), ("self-test", self_test), ("numba cache", numba_cache)):
         try:
             good, detail = check()
-        except Exception as error:  # a broken installation may fail in any way
+        except Exception as error:  # a broken installation may raise any exception
             good, detail = False, f"{type(error).__name__}: {error}"
         checks.append({"name": name, "good": good, "detail": detail})
     return {
@@ -205,7 +207,10 @@ def examine() -> dict[str, Any]:
 
 
 def _proj_findings() -> list[Finding]:
-    """Warnings of variables that redirect PROJ; a folder of grids without a database does no harm."""
+    """Return warnings of environment variables that redirect PROJ.
+
+    A folder with grids but no database is harmless.
+    """
     text = (
         "installation.proj_variable (warning): is set to {folder}: PROJ may read the data of another installation "
         "-> unset it"
@@ -217,7 +222,7 @@ def _proj_findings() -> list[Finding]:
 
 
 def _proj() -> tuple[bool, str]:
-    """Transform one point to ECEF and back; the detail is the folder of PROJ's data."""
+    """Transform a point to ECEF and back; the detail in the result is the folder of PROJ's data."""
     import numpy as np
 
     from fg_orient.geodesy import data_folder, ecef_to_geodetic, geodetic_to_ecef
@@ -229,7 +234,7 @@ def _proj() -> tuple[bool, str]:
 
 
 def _cache_folders() -> list[Path]:
-    """Cache folders of the loaded kernels, one for each folder of sources; without folders that are not writable."""
+    """Return the writable cache folders of the loaded kernels, one for each folder of sources."""
     from factors._kernel import Kernel
 
     modules = [module for name, module in sys.modules.items() if name.startswith(("factors.", "fg_orient.kernels."))]
@@ -240,15 +245,21 @@ def _cache_folders() -> list[Path]:
 
 
 def examine_cache(folders: Sequence[Path]) -> dict[str, Any]:
-    """Path, owner and rights of folders of compiled kernels, which may not exist yet, and their total size."""
+    """Return path, owner and rights of the folders of compiled kernels, and their total size.
+
+    The folders may not exist yet.
+    """
     files = [file for folder in folders for file in _inside(folder) if file.suffix in (".nbi", ".nbc")]
     sizes = [status.st_size for _, status in _readable(files)]
     return {"folders": list(map(_rights, folders)), "files": len(sizes), "bytes": sum(sizes)}
 
 
 def _rights(folder: Path) -> dict[str, Any]:
-    """Owner and rights of a folder, or of the nearest parent that exists."""
-    there = next(p for p in (folder, *folder.parents) if os.path.exists(p))  # False if not readable
+    """Return the owner and the rights of a folder.
+
+    If it does not exist, those of the nearest parent.
+    """
+    there = next(p for p in (folder, *folder.parents) if os.path.exists(p))  # also False if a path is not readable
     status = there.stat()
     return {
         "folder": str(folder), "exists": there == folder, "owner": _user(status.st_uid),
@@ -257,12 +268,12 @@ def _rights(folder: Path) -> dict[str, Any]:
 
 
 def _inside(folder: Path) -> list[Path]:
-    """Files and folders in a folder, at any depth; unreadable folders are skipped."""
+    """Yield all files and folders in a folder, at any depth; unreadable folders are skipped."""
     return sorted(Path(at, name) for at, folders, files in os.walk(folder) for name in (*folders, *files))
 
 
 def _readable(paths: Iterable[Path]) -> Iterator[tuple[Path, os.stat_result]]:
-    """Paths with their status; missing and unreadable paths are skipped."""
+    """Yield paths with their status; missing and unreadable paths are skipped."""
     for path in paths:
         with suppress(OSError):
             yield path, path.stat()
@@ -279,9 +290,9 @@ def _describe(cache: dict[str, Any]) -> str:
 
 
 def cache_findings(*folders: Path) -> list[Finding]:
-    """Findings on a cache that is missing, or that other users can change.
+    """Return findings if there is no cache, or if other users can change it.
 
-    Root and the owner of the program can change the program itself: they give no warning.
+    There is no warning about root and the owner of the program, because they can change the program itself.
     """
     if not folders:
         return [finding(
@@ -301,17 +312,17 @@ def cache_findings(*folders: Path) -> list[Finding]:
 
 
 def _open_places(folder: Path) -> Iterator[tuple[Path, str]]:
-    """Parent folders, the folder and its contents that another user can change, with the reason."""
+    """Yield paths that another user can change, with the reason: parent folders, the folder, its contents."""
     above = folder.resolve().parents
     for path, status in _readable((*reversed(above), folder, *_inside(folder))):
-        # in a sticky folder such as /tmp other users can only add names; the folder below it is tested separately
+        # in a sticky folder such as /tmp, other users can only add names; the folder below it is tested separately
         sticky = path in above and bool(status.st_mode & stat.S_ISVTX)
         if why := open_to(status, sticky):
             yield path, why
 
 
 def open_to(status: os.stat_result, sticky: bool) -> str:
-    """Description of the users who can change the file; "" if only its owner, root or the program's owner."""
+    """Describe the users who can change a file; "" if only its owner, root or the program's owner can."""
     import factors
 
     if status.st_uid not in (os.getuid(), 0, Path(factors.__file__).stat().st_uid):
@@ -324,7 +335,7 @@ def open_to(status: os.stat_result, sticky: bool) -> str:
 
 
 def _own_group(number: int) -> bool:
-    """True if the user is the only member of a group, as on many systems."""
+    """Return whether the user is the only member of a group, which is usual on many systems."""
     try:
         group = grp.getgrgid(number)
     except KeyError:
@@ -338,7 +349,10 @@ def _user(number: int) -> str:
 
 
 def _name(look_up: Callable[[int], Any], number: int) -> str:
-    """Name of a user or group; its number if it has no name, as in a container."""
+    """Return the name of a user or group.
+
+    If it has no name, as in a container, return its number.
+    """
     try:
         return str(look_up(number)[0])
     except KeyError:
@@ -346,14 +360,14 @@ def _name(look_up: Callable[[int], Any], number: int) -> str:
 
 
 def self_test() -> tuple[bool, str]:
-    """Adjust the synthetic block.
+    """Adjust the synthetic block and compare the check points.
 
     Returns
     -------
     good : bool
-        The coordinates of the check points are right within a micrometre.
+        Whether the coordinates of the check points are right within a micrometre.
     detail : str
-        Iterations, largest error and time, in words.
+        Number of iterations, largest error and time, in words.
     """
     from fg_orient.orientation.orient import adjust
     from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block

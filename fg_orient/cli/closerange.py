@@ -1,4 +1,4 @@
-"""Commands of close range: ``closerange dlt``, ``resect``, ``bundle`` and others."""
+"""Commands of close-range photogrammetry: ``closerange dlt``, ``resect``, ``bundle`` and others."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ Report = Annotated[Path | None, option("Write the report only, as one self-conta
 
 
 def _output(**given: Any) -> Any:
-    """Outputs of a command."""
+    """Combine the output options of a command."""
     from fg_orient.closerange.job import Output
 
     return Output(**given, command=command_line())
 
 
-#: Options of the outputs of a command, in place of its parameter ``output``.
+#: These output options replace the parameter ``output`` of a command.
 OUTPUT = {"output": Several({"out": (Out, None), "report": (Report, None), "overwrite": (Overwrite, False)}, _output)}
 
 
@@ -243,7 +243,7 @@ def surface(
 
 
 def _priors(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Priors of NAME=VALUE:SIGMA."""
+    """Read priors from texts NAME=VALUE:SIGMA."""
     out = {}
     for text in texts:
         name, equals, rest = text.partition("=")
@@ -258,7 +258,10 @@ def _priors(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
 
 
 def _show(record: dict[str, Any], show: Callable[[dict[str, Any]], None]) -> None:
-    """Print a result by ``show``, and then its doubts and files; doubts also under ``--quiet``."""
+    """Print a result by ``show``, then its doubts and files.
+
+    Doubts are also printed with ``--quiet``.
+    """
     show(record)
     for text in record["doubts"]:
         tell("warning", text)
@@ -297,12 +300,12 @@ def _show_photos(record: dict[str, Any]) -> None:
 
 
 def _numbers(parameters: Sequence[dict[str, Any]]) -> list[tuple[str, str, str]]:
-    """Name, value and sigma of parameters."""
+    """Return name, value and standard deviation of parameters as rows."""
     return [(p["name"], f"{p['value']:.8g}", _short(p["sigma"])) for p in parameters]
 
 
 def _centre(exterior: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """Name, value and sigma of the coordinates of a projection centre."""
+    """Return name, value and standard deviation of a projection centre's coordinates as rows."""
     numbers = zip("XYZ", exterior["centre_m"], exterior["sigma_centre_m"], strict=True)
     return [(f"centre {axis}, m", f"{v:.4f}", _short(s)) for axis, v, s in numbers]
 

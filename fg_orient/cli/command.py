@@ -1,4 +1,4 @@
-"""Frame of every command: options, exit codes, JSON or words; options and inputs that several commands share."""
+"""Common parts of all commands: options, exit codes, output as JSON or words, shared inputs."""
 
 from __future__ import annotations
 
@@ -28,22 +28,22 @@ if TYPE_CHECKING:
     from fg_orient.sensors.surface import RasterDem
 
 INTERRUPTED: Final = 130
-#: Keyword argument of a command that receives the declared options that were given, by name.
+#: A command receives the declared options that the user gives in this keyword argument, by name.
 GIVEN: Final = "options"
-#: Faults of a user's own file, whose traceback --debug shows.
+#: For these faults of a user's own file, --debug shows the traceback.
 PLUGINS: Final = ("plugin.failed", "sensor.own_reader")
-#: Time of compilation, in s, from which a command notes it.
+#: A command prints a note if compilation takes longer than this, s.
 NOTED_S: Final = 0.5
 _NAMED: Final = re.compile("`([a-z_]+)`")
 
 
 def option(help: str, metavar: str | None = None, *, flag: str = "", **more: Any) -> Any:
-    """Option of a command that no record declares; ``flag``: if the name of the parameter does not give it."""
+    """Make an option of a command that no dataclass declares; ``flag`` is given if it is not the parameter's name."""
     return typer.Option(*filter(None, (flag,)), metavar=metavar, help=help, **more)
 
 
 def argument(metavar: str, help: str) -> Any:
-    """Argument of a command."""
+    """Make an argument of a command."""
     return typer.Argument(metavar=metavar, help=help, show_default=False)
 
 
@@ -51,12 +51,12 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors and dou
 Log = Annotated[Path | None, option("Append each event to this file, one JSON object per line.", "FILE")]
 Json = Annotated[bool, option("Print one JSON object on standard output and nothing else.", flag="--json")]
 Debug = Annotated[bool, option("Show the traceback of an error of the program itself.", flag="--debug")]
-#: Options of every command.
+#: Options that every command has.
 SHARED: Final = {"quiet": (Quiet, False), "log": (Log, None), "as_json": (Json, False), "debug": (Debug, False)}
 
 
 class Several(NamedTuple):
-    """Return the options of a command with their defaults, and a function that makes one argument of them."""
+    """Several options of a command with their defaults, and a function that combines them to one argument."""
 
     options: Mapping[str, tuple[Any, Any]]
     make: Callable[..., Any]
@@ -69,20 +69,20 @@ def command(
     defaults: Mapping[str, Any] | None = None,
     several: Mapping[str, Several] | None = None,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Decorator: give a command its shared options and exit codes, and the options that dataclasses declare.
+    """Decorate a command: add the shared options, the exit codes, and the options that dataclasses declare.
 
     Parameters
     ----------
     *records : type
-        Dataclasses of declared options.
+        Dataclasses that declare options.
     only : collection of str
-        Names of the declared options; default: all.
+        Names of the declared options to add; default: all.
     named : mapping, optional
-        Flags of the command for names of the library's arguments that differ from them.
+        Flags by the names of the library's arguments, if the two differ.
     defaults : mapping, optional
-        Defaults of the command that differ from the declared ones, for its help.
+        Defaults of this command for its help, if they differ from the declared defaults.
     several : mapping, optional
-        Parameters of the function that are made of several options, which come last.
+        Parameters of the function that several options together give. These options are last.
     """
     own, joined = defaults or {}, several or {}
     options = [replace(one, default=own.get(name, one.default))
@@ -119,9 +119,9 @@ def outcome(
     as_json: bool, debug: bool = False, quiet: bool = False, log: Path | None = None,
     flags: Mapping[str, str] | None = None,
 ) -> Iterator[None]:  # fmt: skip
-    """Keep the log; turn exceptions into one line per problem and ``typer.Exit``.
+    """Write the log; convert an exception to one line for each problem and ``typer.Exit``.
 
-    Exit codes: 2 bad input, 3 no solution, 130 interrupted, 1 error of the program.
+    Exit codes are 2 for bad input, 3 for no solution, 130 after an interruption, 1 for an error of the program.
     """
     with (
         _explained(as_json, debug), opened(log, as_json=as_json, quiet=quiet, flags=flags), _explained(as_json, debug),
@@ -131,7 +131,7 @@ def outcome(
 
 
 class _CompilationNote:
-    """Print once per command that kernels are being compiled, if this takes longer than ``NOTED_S``."""
+    """Prints once for each command that kernels are compiled, if this takes longer than ``NOTED_S``."""
 
     def __init__(self) -> None:
         self._begin, self._noted = preparing_seconds(), False
@@ -151,7 +151,7 @@ class _CompilationNote:
 
 @contextlib.contextmanager
 def _explained(as_json: bool, debug: bool) -> Iterator[None]:
-    """Turn exceptions into one line per problem and an exit code."""
+    """Convert an exception to one line for each problem and an exit code."""
     try:
         yield
     except typer.Exit:
@@ -169,7 +169,7 @@ def _explained(as_json: bool, debug: bool) -> Iterator[None]:
         note("".join(texts) or str(stopped) or "interrupted: nothing was written")
         raise typer.Exit(INTERRUPTED) from None
     except BrokenPipeError:
-        sys.stderr.close()  # the reader of our output has gone
+        sys.stderr.close()  # the program that reads our output has ended
         raise typer.Exit(1) from None
     except Exception as error:
         from fg_orient.model.machine import is_out_of_memory
@@ -196,19 +196,25 @@ def _explained(as_json: bool, debug: bool) -> Iterator[None]:
 
 
 def in_short(error: BaseException) -> str:
-    """Text of an exception in one line of at most 300 characters; without a text its type."""
+    """Return the text of an exception in one line of at most 300 characters.
+
+    If it has no text, its type.
+    """
     return " ".join(str(error).split())[:300] or type(error).__name__
 
 
 def internal(error: Exception, debug: bool) -> Finding:
-    """Finding of an error of the program."""
+    """Make the finding for an error of the program itself."""
     hint = "" if debug else " (the same command with --debug shows where)"
     text = " ".join(str(error).split())[:300]
     return finding("internal", kind=type(error).__name__, text=text, hint=hint)
 
 
 def _parameters(option: Option) -> Iterator[inspect.Parameter]:
-    """Return the parameters of a command for an option; their default None means not given."""
+    """Return the parameters of a command for an option.
+
+    Their default None means that the user did not give it.
+    """
     kind: Any = option.kind if option.kind in (int, float) and not option.named else str
     name, flag = option.name, option.flag
     if option.kind is bool:
@@ -239,7 +245,7 @@ def _keyword(name: str, kind: Any, default: object) -> inspect.Parameter:
 
 
 def _help(option: Option) -> str:
-    """First sentence of the help, options as flags, and the default as it is typed."""
+    """Return the first sentence of the help with options as flags, and the default as the user types it."""
     own = {option.name: option.flag}
     text = _NAMED.sub(lambda match: own.get(match[1]) or flag(match[1]), option.short_help)
     default = ",".join(map(str, option.default)) if option.kind is Three else option.default_text
@@ -249,12 +255,12 @@ def _help(option: Option) -> str:
 
 
 def _usual(option: Option) -> str:
-    """Name of the parameter that chooses the usual names of an option."""
+    """Return the name of the parameter that applies an option to its usual names only."""
     return f"usual_{option.name}"
 
 
 def _value(option: Option, values: dict[str, Any]) -> Any:
-    """Remove an option from the arguments of a command and return its value; None means not given."""
+    """Take an option out of the arguments of a command and return its value; None if the user did not give it."""
     value, usual = values.pop(option.name), values.pop(_usual(option), None)
     if value is None:
         return option.usual if usual else None
@@ -264,7 +270,7 @@ def _value(option: Option, values: dict[str, Any]) -> Any:
     try:
         return parts if option.kind is Names else tuple(map(float, parts))
     except ValueError:
-        return parts  # no numbers: refused with all other values
+        return parts  # not numbers: the check of all values refuses them
 
 
 LIGHT = declared(Reading)["light"]
@@ -287,7 +293,7 @@ Scheduler = Annotated[str | None, option("Scheduler of a running dask cluster, i
 ImageSize = Annotated[
     list[str] | None, option("Size of an image, for formats that need it; may be repeated.", "NAME=LINES,SAMPLES")
 ]
-#: Values that points of other programs and offices may lack.
+#: Options for values that point files of other programs and offices may not contain.
 SigmaGround = Annotated[
     tuple[float, float, float] | None,
     option("Standard deviations of ground points that have none, m.", "EAST NORTH UP"),
@@ -301,12 +307,12 @@ Overwrite = Annotated[bool, option("Replace an existing output once the new one 
 
 
 def command_line() -> list[str]:
-    """Return the words of this command line, for the record of a result."""
+    """Return the words of this command line for the record of a result."""
     return ["fg-orient", *sys.argv[1:]]
 
 
 def image_sizes(words: list[str] | None) -> dict[str, tuple[int, int]]:
-    """Return the sizes of images (lines, samples) by name; other words raise InputError."""
+    """Read image sizes (lines, samples) by name; raise InputError for other texts."""
     sizes = {}
     for word in words or []:
         name, _, size = word.rpartition("=")
@@ -318,7 +324,10 @@ def image_sizes(words: list[str] | None) -> dict[str, tuple[int, int]]:
 
 
 def require_project(path: Path) -> None:
-    """Raise InputError if the project file does not exist or is a folder, before large modules are loaded."""
+    """Raise InputError if the project file does not exist or is a folder.
+
+    Call this before large modules are loaded.
+    """
     if not path.is_file():
         from fg_orient.formats.toml import no_project_file
 
@@ -326,12 +335,12 @@ def require_project(path: Path) -> None:
 
 
 def effects_of(text: str) -> tuple[str, ...]:
-    """Return the names of effects on light of ``--light``."""
+    """Return the names of effects on light from ``--light``."""
     return tuple(part.strip() for part in text.split(",") if part.strip())
 
 
 class Sensors(NamedTuple):
-    """Reading of sensors with the options ``--model``, ``--extrapolate-attitude``, ``--light`` and ``--result``."""
+    """Reads sensors with the options ``--model``, ``--extrapolate-attitude``, ``--light`` and ``--result``."""
 
     model: str
     extrapolate_attitude: float
@@ -339,7 +348,7 @@ class Sensors(NamedTuple):
     result: Path | None
 
     def read(self, path: Path) -> Any:
-        """Read a sensor."""
+        """Read the sensor of a metadata file."""
         from fg_orient.formats.sensor import read_sensor
 
         sensor = read_sensor(
@@ -348,7 +357,7 @@ class Sensors(NamedTuple):
         return self._oriented(sensor)
 
     def project(self, path: Path) -> Block:
-        """Read a project."""
+        """Read a project with these options."""
         from fg_orient.formats.project import read_project
 
         block = read_project(path, extrapolate_attitude_s=self.extrapolate_attitude or None,
@@ -356,7 +365,7 @@ class Sensors(NamedTuple):
         return replace(block, images=tuple(replace(i, sensor=self._oriented(i.sensor, i.id)) for i in block.images))
 
     def _oriented(self, sensor: Any, image_id: str = "") -> Any:
-        """Sensor with the orientation of the result folder, if one is given."""
+        """Return the sensor with the orientation from the result folder, if this folder is given."""
         if self.result is None:
             return sensor
         from fg_orient.rectification.ortho_models import read_correction
@@ -365,7 +374,7 @@ class Sensors(NamedTuple):
         return OrientedSensor(sensor, read_correction(self.result, sensor, image_id))
 
 
-#: Options of sensors, in place of the parameter ``sensors`` of a command.
+#: These options replace the parameter ``sensors`` of a command.
 SENSORS = {"sensors": Several(
     {"model": (ModelOf, "auto"), "extrapolate_attitude": (Extrapolate, 0.0), "light": (Light, ""),
      "result": (Result, None)}, Sensors
@@ -382,7 +391,7 @@ def read_dem(path: Path | None, vertical_crs: str) -> RasterDem | None:
 
 
 def open_dem(path: Path, vertical_crs: str = "") -> RasterDem:
-    """Open a DEM; heights that are impossible on land cause a warning when they are read."""
+    """Open a DEM; when heights are read that are impossible on land, a warning is printed."""
     from fg_orient.sensors.surface import RasterDem
 
     return RasterDem(path, vertical_crs=vertical_crs, warn=functools.partial(tell, "warning"))

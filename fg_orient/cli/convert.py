@@ -1,4 +1,4 @@
-"""Commands ``convert`` and ``camera convert``: points, models and cameras from one format into another."""
+"""Commands ``convert`` and ``camera convert``: convert points, models and cameras to another format."""
 
 from __future__ import annotations
 
@@ -69,8 +69,9 @@ def convert(
 ) -> None:
     """Bring ground and image points, or an image's model, from one format into another.
 
-    The command prints one line for each kind of information that the new format cannot contain. With --to csm-state or
-    isd IN is the metadata of an image, adjusted with --result.
+    The command prints one line for each kind of information that the new format cannot
+    contain. With --to csm-state or isd IN is the metadata of an image, adjusted with
+    --result.
     """
     from fg_orient.formats.exchange.convert import filled, placed, read_survey, write_survey
     from fg_orient.formats.heights import without_vertical
@@ -141,7 +142,7 @@ NARROW = 32
 def _convert_image(
     files: list[Path], form: Format, out: list[Path], sensors: Sensors, bands: int, overwrite: bool
 ) -> None:  # fmt: skip
-    """Write the model of an image, adjusted or not, in the format of another program."""
+    """Write the model of an image, with or without adjusted orientation, in the format of another program."""
     from fg_orient.formats.atomic import outputs, require_free_files
 
     if len(files) != 1 or len(out) != 1:
@@ -156,7 +157,7 @@ def _convert_image(
     sensor, correction = getattr(read, "sensor", read), getattr(read, "correction", None)
     if bands > 1 and sensor.n_samples < NARROW * bands:
         raise InputError.of("options.value", option="bands", value=bands, expected=f"1 .. {sensor.n_samples // NARROW}")
-    assert form.write_image is not None  # a format that writes images
+    assert form.write_image is not None  # the user has chosen a format that writes images
     with outputs(*paths, overwrite=overwrite):
         if bands == 1:
             record = form.write_image(paths[0], sensor, correction)
@@ -169,7 +170,10 @@ def _convert_image(
 def _bands(
     write: Callable[..., dict[str, Any]], paths: list[Path], sensor: Any, correction: Any
 ) -> dict[str, Any]:  # fmt: skip
-    """Write bands of about the same number of columns; the record of each, and the differences of all."""
+    """Write bands of about the same number of columns.
+
+    The record of each, and the differences of all.
+    """
     ends = [round(k * sensor.n_samples / len(paths)) for k in range(len(paths) + 1)]
     columns = list(itertools.pairwise(ends))
     records = [write(path, sensor, correction, own) for path, own in zip(paths, columns, strict=True)]
@@ -207,7 +211,7 @@ def _show(findings: dict[str, tuple[Finding, ...]], counts: dict[str, int], writ
 
 
 def _list() -> None:
-    """List the formats with their conventions."""
+    """Print a list of the formats with their conventions."""
     from fg_orient.formats.registry import formats
 
     record = {"formats": [
@@ -247,8 +251,8 @@ def convert_camera(
 ) -> None:  # fmt: skip
     """Convert a camera file to the other direction of the distortion polynomial, or to a program's convention.
 
-    Where no exact conversion exists, the camera is fitted over the whole image: the largest and the rms difference in
-    the image are part of the result.
+    Where no exact conversion exists, the camera is fitted over the whole image: the
+    largest and the rms difference in the image are part of the result.
     """
     from fg_orient.formats.atomic import outputs, require_free_files
     from fg_orient.formats.metadata.frame import read_camera, read_convention, write_camera, write_convention

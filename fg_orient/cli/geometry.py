@@ -1,4 +1,7 @@
-"""Commands ``locate``, ``project``, ``intersect``, ``footprint``: by metadata or adjusted orientation."""
+"""Commands ``locate``, ``project``, ``intersect``, ``footprint``.
+
+They use the metadata or an adjusted orientation.
+"""
 
 from __future__ import annotations
 
@@ -15,13 +18,14 @@ if TYPE_CHECKING:
     from fg_orient.model.block import Image, ImagePoints
     from fg_orient.sensors.surface import RasterDem
 
-#: Range of ground heights; others have a wrong unit or column.
+#: Allowed range of ground heights, m. Other values probably have a wrong unit or are from a wrong column.
 HEIGHT_RANGE_M = (-12e3, 100e3)
-#: Rays of one point with metadata orientation miss each other by tens of metres.
+#: Larger distances between the rays of a point cause a warning, m. With the metadata
+#: orientation, tens of metres are usual.
 MAX_MISS_M = 500.0
 GROUND = ("id", "line", "sample", "lon_deg", "lat_deg", "height_m", "x_m", "y_m", "z_m")
 FRAME = (*GROUND, "file_lon_deg", "file_lat_deg", "misfit_m", "misfit_east_m", "misfit_north_m", "height_from")
-#: Columns of the frame points for people: the others do not fit into 80 characters.
+#: Printed columns of the frame points; more columns do not fit into 80 characters.
 SHOWN_FRAME = ("id", "height_m", "misfit_m", "misfit_east_m", "misfit_north_m")
 SIGMAS = ("sigma_east_m", "sigma_north_m", "sigma_up_m")
 PIXEL = ("id", "line", "sample", "inside")
@@ -66,7 +70,7 @@ def locate(
 
 
 def _exclude(*ways: dict[str, object]) -> None:
-    """Raise InputError if options of several alternatives are given; None: the option is not given."""
+    """Raise InputError if the user gives options that exclude each other; None means that an option is not given."""
     given = [[name for name, value in way.items() if value is not None] for way in ways]
     names = [way[0] for way in given if way]
     if len(names) > 1:
@@ -78,7 +82,7 @@ def _located(
     sensor: Any, image: Path, points: Path | None, pixel: tuple[float | None, float | None],
     height: float | None, dem: RasterDem | None,
 ) -> list[dict[str, Any]]:  # fmt: skip
-    """Records of one pixel or of a CSV file of pixels."""
+    """Locate one pixel or the pixels of a CSV file, and return records."""
     import numpy as np
 
     from fg_orient.sensors.ground import ground_records
@@ -148,9 +152,9 @@ def intersect(
 ) -> None:
     """Stereo: the ground point where rays of several images meet.
 
-    A project file gives all its points that are measured twice or more; their coordinates in the
-    file are not used. Sigmas of a point follow from its image points (--pixel: 1 pixel each); the orientation is
-    assumed to have no errors.
+    A project file gives all its points that are measured twice or more; their coordinates
+    in the file are not used. Sigmas of a point follow from its image points (--pixel: 1
+    pixel each); the orientation is assumed to have no errors.
     """
     from fg_orient.sensors.ground import intersection_records
 
@@ -173,7 +177,7 @@ def intersect(
 
 
 def _doubt(record: dict[str, Any]) -> Finding | None:
-    """Warning if the rays of an intersection cannot belong to one point."""
+    """Return a warning if the rays of an intersection cannot belong to one point."""
     if record["miss_m"] <= MAX_MISS_M and -1e3 <= record["height_m"] <= 10e3:
         return None
     return finding(
@@ -184,7 +188,7 @@ def _doubt(record: dict[str, Any]) -> Finding | None:
 
 
 def _pixels_of(sources: list[Path], pixels: list[str], sensors: Sensors) -> tuple[tuple[Image, ...], ImagePoints]:
-    """Images and image points of one ground point, given on the command line."""
+    """Return the images and the image points of one ground point from the command line."""
     import numpy as np
 
     from fg_orient.model.block import ImagePoints
@@ -211,7 +215,10 @@ def _pixel(text: str) -> tuple[float, float]:
 
 
 def _columns(path: Path, names: tuple[str, ...], optional: str = "") -> tuple[list[str], list[Array]]:
-    """Read ids and numeric columns of a CSV file; the last is ``optional``; InputError lists all errors of the file."""
+    """Read the ids and numeric columns of a CSV file; the last column is ``optional``.
+
+    InputError: the file has errors; all are listed.
+    """
     from fg_orient.formats.tables import read_numbers
 
     layouts = [("id", *names), *([("id", *names, optional)] if optional else [])]
@@ -222,7 +229,7 @@ def _columns(path: Path, names: tuple[str, ...], optional: str = "") -> tuple[li
 def _publish(
     sensor: Any, records: list[dict[str, Any]], columns: tuple[str, ...], out: Path | None, overwrite: bool
 ) -> None:
-    """Write the CSV file if ``--out`` is given; print JSON or a table."""
+    """Write a CSV file if ``--out`` is given, then print JSON or a table."""
     if out is not None:
         write_records(out, columns, records, overwrite)
     where = None if out is None else str(out)
@@ -237,7 +244,7 @@ def _publish(
 def _show_points(
     records: list[dict[str, Any]], columns: tuple[str, ...], notes: tuple[Finding, ...] = (), out: Path | None = None
 ) -> None:
-    """Print notes, columns of the points, and the file that contains them."""
+    """Print notes, a table of the points, and the name of the file that contains them."""
     for one in notes:
         tell("note", one)
     table("", columns, [[_cell(name, record[name]) for name in columns] for record in records])
@@ -288,7 +295,7 @@ def footprint(
 
 
 def _images(sources: list[Path], sensors: Sensors) -> tuple[Image, ...]:
-    """Images of a project, or of metadata files, numbered."""
+    """Return the images of a project, or of metadata files, which are then numbered."""
     if len(sources) == 1 and sources[0].suffix.lower() == ".toml":
         return sensors.project(sources[0]).images
     from fg_orient.model.block import Image

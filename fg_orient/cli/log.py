@@ -1,9 +1,10 @@
-"""Log of a command: one JSON object a line, added to a file as each event happens.
+"""Log file of a command: each event adds one line with a JSON object.
 
-Every line contains ``time_utc``, ``run`` (the same for all lines of one command) and ``event``: ``start``, ``stage``,
-``iteration``, ``progress``, ``warning``, ``note``, ``remark``, ``lost``, ``error``, ``end``. A
-line is written at once and whole, so that several commands may share a file and the log of a killed command is complete
-up to its end. Nothing goes to standard output.
+Every line contains ``time_utc``, ``run`` (the same for all lines of one command) and
+``event``. Events are ``start``, ``stage``, ``iteration``, ``progress``, ``warning``,
+``note``, ``remark``, ``lost``, ``error``, ``end``. A line is written immediately and as a
+whole. Therefore several commands can write to the same file, and the log of a killed
+command is complete up to its last event. Nothing is written to standard output.
 """
 
 from __future__ import annotations
@@ -23,12 +24,15 @@ from typing import Final
 
 from fg_orient.model.errors import InputError
 
-#: First characters of every line, which identify a log.
+#: Every line of a log begins with these characters.
 MARK: Final = b'{"time_utc": "'
 
 
 class LogFile:
-    """Log of earlier commands or a new file, open for adding; InputError if it is another file or cannot be written."""
+    """Log file that is open for appending; it is new or contains earlier commands.
+
+    InputError: the file is not a log, or it cannot be written.
+    """
 
     def __init__(self, path: Path) -> None:
         self._path, self._run = path, secrets.token_hex(4)
@@ -38,7 +42,7 @@ class LogFile:
             raise InputError.of("output.unwritable", file=path, option="log", value=error.strerror or error) from error
 
     def write(self, event: str, **fields: object) -> None:
-        """Add a line; an error of writing closes the log and does not stop the work."""
+        """Append a line. If this fails, the log is closed, but the command continues."""
         from fg_orient.result.plain import dumps
 
         if self._descriptor is None:
@@ -52,14 +56,14 @@ class LogFile:
             sys.stderr.write(f"warning: {self._path}: the log ends here: {error.strerror}\n")
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the log file."""
         if self._descriptor is not None:
             os.close(self._descriptor)
             self._descriptor = None
 
 
 def _open(path: Path) -> int:
-    """Open a log for adding; other files are refused before a byte is added."""
+    """Open a log for appending; another kind of file is refused before it is changed."""
     flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK | getattr(os, "O_CLOEXEC", 0)
     descriptor = os.open(path, flags, 0o666)
     try:
@@ -74,17 +78,17 @@ def _open(path: Path) -> int:
 
 @dataclass(frozen=True)
 class Session:
-    """Output settings of the command that runs.
+    """Output settings of the running command.
 
     Parameters
     ----------
     as_json : bool
-        Standard output is one JSON object.
+        Whether standard output is one JSON object.
     quiet : bool
-        No tables and no progress.
+        Whether tables and progress are omitted.
     log : LogFile or None
     flags : mapping
-        Flags of the command's declared options, and of arguments of the library with other names.
+        Flags of the command's options by the names of the options, and of arguments of the library.
     """
 
     as_json: bool = False
@@ -93,7 +97,7 @@ class Session:
     flags: Mapping[str, str] = field(default_factory=dict)
 
     def tell(self, event: str, **fields: object) -> None:
-        """Put an event into the log, if there is one."""
+        """Write an event to the log, if there is a log."""
         if self.log is not None:
             self.log.write(event, **fields)
 
@@ -102,13 +106,13 @@ _SESSION: ContextVar[Session] = ContextVar("session", default=Session())  # noqa
 
 
 def session() -> Session:
-    """Session of the command that runs."""
+    """Return the session of the running command."""
     return _SESSION.get()
 
 
 @contextlib.contextmanager
 def opened(path: Path | None, *, as_json: bool, quiet: bool, flags: Mapping[str, str] | None = None) -> Iterator[None]:
-    """Begin a session and log its start and end; InputError if the log cannot be written."""
+    """Begin a session, and log its start and end; raise InputError if the log cannot be written."""
     begin = time.perf_counter()
     current = Session(as_json, quiet, None if path is None else LogFile(path), flags or {})
     token = _SESSION.set(current)

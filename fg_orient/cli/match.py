@@ -1,4 +1,4 @@
-"""Command ``match``: tie points from the pixels of a project's images."""
+"""Command ``match``: measure tie points in the pixels of a project's images."""
 
 from __future__ import annotations
 
@@ -43,8 +43,9 @@ def match(
 ) -> None:
     """Measure tie points in the pixels of the images; add them to the tables of the project.
 
-    The sensor models, the heights and the prior sigmas restrict the search. Each point has the standard deviation of
-    least-squares matching, with a factor that the y-parallaxes give.
+    The sensor models, the heights and the prior sigmas restrict the search. Each point
+    has the standard deviation of least-squares matching, with a factor that the
+    y-parallaxes give.
     """
     require_project(project)
     from fg_orient.orientation.match.job import match_project
@@ -59,7 +60,7 @@ def match(
 
 
 def _show(record: dict[str, Any]) -> None:
-    """Print points, pairs and files."""
+    """Print the numbers of points and pairs, and the written files."""
     tell_findings(record)
     rays = ", ".join(f"{n} with {k} rays" for k, n in record["rays"].items())
     say(f"{record['n_points']} tie points ({rays}), {record['n_image_points']} image points")

@@ -1,4 +1,4 @@
-"""Command ``new``: a project from images and the tables of an office."""
+"""Command ``new``: make a project from images and the tables of an office."""
 
 from __future__ import annotations
 
@@ -35,7 +35,10 @@ _PAIR: Final = re.compile(r",(?=\s*[A-Za-z]\w*\s*=)")
 def _office(
     columns: str, heights: str, units: str, decimal: str, role_column: str, first_pixel: float | None
 ) -> Office:
-    """Return the user's statements about tables of unknown form; values that are not understood raise InputError."""
+    """Return the user's statements about tables of unknown form.
+
+    Raise InputError for invalid values.
+    """
     from fg_orient.formats.office.decisions import Office
     from fg_orient.formats.office.pixels import FIRST_PIXELS
     from fg_orient.formats.office.words import ANGLES, LENGTHS
@@ -59,7 +62,7 @@ def _office(
 
 
 def _pairs(text: str, name: str) -> dict[str, str]:
-    """Values by key of ``E=Doğu,N=Kuzey``."""
+    """Read pairs such as ``E=Doğu,N=Kuzey`` and return values by key."""
     out = {}
     for part in _PAIR.split(text) if text else []:
         key, equals, value = (word.strip() for word in part.partition("="))
@@ -70,7 +73,10 @@ def _pairs(text: str, name: str) -> dict[str, str]:
 
 
 def crs_code(crs: str, option: str = "crs") -> str:
-    """CRS with codes for names; InputError, with the name of the option, if it is unusable; "" is accepted."""
+    """Replace the names of a CRS by codes; "" is accepted.
+
+    InputError: the CRS cannot be used; the message names the option.
+    """
     from fg_orient.geodesy import crs_kind
     from fg_orient.geodesy.crs import with_codes
 
@@ -83,7 +89,7 @@ def crs_code(crs: str, option: str = "crs") -> str:
     return crs
 
 
-#: Options about tables of unknown form, in place of the parameter ``office`` of a command.
+#: These options about tables of unknown form replace the parameter ``office`` of a command.
 OFFICE: Final = {"office": Several({
     "columns": (
         Annotated[str, option("Headers of columns (without header: #1, #2).", "E=HEADER,N=HEADER,...")], ""
@@ -106,7 +112,7 @@ def _level(geoid: Path | None, undulation_m: float | None, both_heights: Path | 
     return ZeroLevel(geoid, undulation_m, both_heights)
 
 
-#: Options about the zero level of heights, in place of the parameter ``level`` of a command.
+#: These options about the zero level of heights replace the parameter ``level`` of a command.
 LEVEL: Final = {"level": Several({
     "geoid": (
         Annotated[Path | None, option("Geoid file, to convert the heights of IN to ellipsoidal heights.")], None
@@ -143,9 +149,10 @@ def new(
 ) -> None:
     """Make a project from images and tables of any form.
 
-    Columns, units, CRS and pixel origin are found out by names and by projecting the points into the images. Each
-    assumption is listed, and written into project.toml. On a terminal the command asks about properties that the data
-    do not determine; elsewhere it ends and names the option.
+    Columns, units, CRS and pixel origin are found out by names and by projecting the
+    points into the images. Each assumption is listed, and written into project.toml. On a
+    terminal the command asks about properties that the data do not determine; elsewhere
+    it ends and names the option.
     """
     from fg_orient.formats.office.decisions import Decisions
     from fg_orient.formats.office.project import Given, draft, write_draft
@@ -181,7 +188,7 @@ def _show(record: dict[str, Any], counts: dict[str, int], remarks: Any) -> None:
 
 
 def _named_images(words: list[str]) -> dict[str, str]:
-    """Images by their names in tables, of words ``NAME=IMAGE``."""
+    """Read texts ``NAME=IMAGE`` and return the images by their names in tables."""
     images = {}
     for word in (part for one in words for part in (one.split(",") if one.count("=") > 1 else [one])):
         name, _, found = word.rpartition("=")
@@ -192,7 +199,7 @@ def _named_images(words: list[str]) -> dict[str, str]:
 
 
 def tell_assumptions(decisions: Decisions) -> None:
-    """List the assumptions on standard error."""
+    """Print the assumptions on standard error."""
     for one in decisions.assumed:
         tell("assumed", _words(one))
 
@@ -202,7 +209,10 @@ def _words(one: Assumption) -> str:
 
 
 def _confirm(decisions: Decisions, terminal: bool) -> None:
-    """Ask whether to write; without a terminal, assumptions that an option could state need ``yes``."""
+    """Ask whether to write the project.
+
+    Without a terminal, the option ``yes`` is required if there are assumptions that an option could state.
+    """
     open_ = [one for one in decisions.assumed if one.option and one.reason != "answered"]
     if not open_:
         return
@@ -216,7 +226,7 @@ def _confirm(decisions: Decisions, terminal: bool) -> None:
 
 
 def _ask(question: Question) -> str:
-    """Ask a question on the terminal."""
+    """Ask a question on the terminal and return the answer."""
     from rich.prompt import Prompt
 
     note(f"{question.subject}: {question.reason} [{flag(question.option)}]")

@@ -1,7 +1,8 @@
-"""Output of commands: JSON or words, tables, findings with the flags of their options.
+"""Output of commands: JSON or words, tables, and findings with the flags of their options.
 
-Tables are at most 80 columns wide; no number is broken and no column is lost. Where a terminal is too narrow for the
-numbers of a row, each row becomes a few lines, one for each column.
+Tables are at most 80 characters wide. Numbers are never divided, and no column is
+omitted. If a terminal is too narrow for the numbers of a row, the row is printed on
+several lines, one for each column.
 """
 
 from __future__ import annotations
@@ -26,33 +27,33 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-#: Findings of directions, which may be dozens with one cause; number of directions in one line.
+#: Codes of findings about directions; there may be dozens with the same cause. Below: number of directions in one line.
 DIRECTIONS: Final = ("adjust.rank_deficient", "adjust.rank_without_control")
 NAMED: Final = 3
-#: Widest table.
+#: Maximum width of a table, characters.
 WIDTH: Final = 80
-#: Longer words of text are folded in a table.
+#: Longer words are divided in a table.
 LONGEST_WORD: Final = 24
 
 
 def printable(text: object) -> str:
-    """Replace characters that a terminal could interpret as commands."""
+    """Replace characters that a terminal may interpret as commands."""
     return "".join(c if c.isprintable() or c == "\n" else "\N{REPLACEMENT CHARACTER}" for c in str(text))
 
 
 def note(text: object) -> None:
-    """Print a line that is not part of the result, on standard error."""
+    """Print a line on standard error that does not belong to the result."""
     typer.echo(printable(text), err=True)
 
 
 def say(text: object = "") -> None:
-    """Print a line of the result for people; nothing under ``--quiet``."""
+    """Print a line of the result; with ``--quiet``, print nothing."""
     if not session().quiet:
         typer.echo(printable(text))
 
 
 def verdict(text: object, *, good: bool) -> None:
-    """Print the result of the command; an error is also printed under ``--quiet``."""
+    """Print the assessment of the command; with ``--quiet``, print it only if it is bad."""
     if session().quiet and not good:
         note(text)
     else:
@@ -60,7 +61,7 @@ def verdict(text: object, *, good: bool) -> None:
 
 
 def flag(option: str) -> str:
-    """Option as it is written on the command line."""
+    """Return an option as it is written on the command line."""
     name, space, rest = option.partition(" ")
     one = declared(Options, Reading).get(name)
     typed = session().flags.get(name) or (one.flag if one else f"--{name.replace('_', '-')}")
@@ -68,7 +69,10 @@ def flag(option: str) -> str:
 
 
 def tell(kind: str, found: Finding | str, *, as_result: bool = False) -> None:
-    """Log an event (error, doubt, warning, note, remark, lost) and print it after its kind; no notes with `--quiet`."""
+    """Log an event (error, doubt, warning, note, remark, lost) and print it after the name of its kind.
+
+    With ``--quiet``, notes are not printed.
+    """
     text = found if isinstance(found, str) else found.text(flag)
     session().tell(kind, text=text)
     if not (session().quiet and kind == "note"):
@@ -76,7 +80,7 @@ def tell(kind: str, found: Finding | str, *, as_result: bool = False) -> None:
 
 
 def warn_of_scheduler(address: str | None) -> None:
-    """Warn of the scheduler of a cluster that does not ask for a certificate."""
+    """Warn if the scheduler of a cluster does not require certificates."""
     if address is not None and not address.startswith("tls://"):
         tell("warning", finding(
             "parallel.open (warning): everyone who reaches this scheduler or its workers can run code there -> start "
@@ -86,19 +90,19 @@ def warn_of_scheduler(address: str | None) -> None:
 
 
 def tell_findings(record: Mapping[str, Any], *, as_result: bool = False) -> None:
-    """Log and print the findings of a result."""
+    """Log and print all findings of a result."""
     for found in findings_of(record):
         tell(found.severity, found, as_result=as_result)
 
 
 def fault(found: Finding) -> None:
-    """Log and print an error of the input or the solution, on standard error."""
+    """Log an error of the input or the solution, and print it on standard error."""
     session().tell("error", **found.as_dict(flag))
     typer.echo(printable(f"error: {found.text(flag)}"), err=True)
 
 
 def folded(problems: Sequence[Finding]) -> list[Finding]:
-    """Join directions with the same cause and remedy in one line with some of their names."""
+    """Combine directions with the same cause and remedy to one line with some of their names."""
     groups: dict[object, list[Finding]] = {}
     for k, p in enumerate(problems):
         groups.setdefault((p.file, p.message, p.remedy) if p.code in DIRECTIONS else k, []).append(p)
@@ -106,7 +110,7 @@ def folded(problems: Sequence[Finding]) -> list[Finding]:
 
 
 def _places(group: Sequence[Finding]) -> str:
-    """List the first places, their common beginning once, and count the others."""
+    """List the first places with their common beginning only once, and give the number of the others."""
     first = [p.place for p in group[:NAMED]]
     same = takewhile(lambda letters: len(set(letters)) == 1, zip(*first, strict=False))
     alike = "".join(letters[0] for letters in same)
@@ -116,7 +120,7 @@ def _places(group: Sequence[Finding]) -> str:
 
 
 def emit(record: object) -> None:
-    """Print one JSON object, nan as null."""
+    """Print one JSON object; nan is printed as null."""
     from fg_orient.result.plain import dumps
 
     for found in findings_of(record) if isinstance(record, dict) else ():
@@ -130,7 +134,10 @@ def emit_errors(*problems: Finding) -> None:
 
 
 def answer(record: Any, show: Callable[..., None], *shown: Any) -> None:
-    """Print a result: as JSON under ``--json``, else in words by ``show(*shown)``; ``shown`` is usually the record."""
+    """Print a result, as JSON with ``--json``, otherwise in words by ``show(*shown)``.
+
+    ``shown`` is usually the record of the result.
+    """
     if session().as_json:
         emit(record)
     else:
@@ -138,14 +145,17 @@ def answer(record: Any, show: Callable[..., None], *shown: Any) -> None:
 
 
 def number(value: object, digits: int = 3) -> str:
-    """Write a number for people; a missing number is a dash."""
+    """Format a number for printing; a missing number is a dash."""
     if not isinstance(value, (int, float)) or value != value:
         return "-"
-    return f"{round(value, digits) + 0.0:.{digits}f}"  # no minus before a zero
+    return f"{round(value, digits) + 0.0:.{digits}f}"  # adding 0.0 removes the minus sign of a zero
 
 
 def write_records(path: Path, columns: Sequence[str], records: Sequence[dict[str, Any]], overwrite: bool) -> None:
-    """Write records as a table with all digits, completely or not at all; InputError if the file may not be written."""
+    """Write records as a table with all digits, completely or not at all.
+
+    InputError: the file must not be overwritten, or it cannot be written.
+    """
     from fg_orient.formats.atomic import outputs
     from fg_orient.formats.table_write import save_table
     from fg_orient.result.plain import table_of_rows
@@ -159,9 +169,9 @@ def write_records(path: Path, columns: Sequence[str], records: Sequence[dict[str
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], *, left: int = 1) -> None:
-    """Print a table; nothing under ``--quiet``.
+    """Print a table; with ``--quiet``, print nothing.
 
-    The first ``left`` columns contain text and are aligned to the left, the others contain numbers.
+    The first ``left`` columns contain text and are aligned to the left. The other columns contain numbers.
     """
     if session().quiet:
         return
@@ -169,11 +179,11 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], 
     from rich.text import Text
 
     cells = [[printable(cell) for cell in row] for row in rows]
-    plain = os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"  # not even bold
+    plain = os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"  # these terminals cannot print bold text either
     console = Console(file=sys.stdout, highlight=False, color_system=None if plain else "auto")
     console.width = min(WIDTH, console.width)
     least = [_least(name, [row[k] for row in cells], text=k < left) for k, name in enumerate(columns)]
-    around = 3 * len(columns) + 1  # a space to both sides, a divider, the edges
+    around = 3 * len(columns) + 1  # a blank on both sides of a cell, dividers and edges
     if title:
         console.print(Text(title, style="bold"))
     if sum(least) + around <= console.width:
@@ -183,7 +193,7 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], 
 
 
 def show_components(record: dict[str, Any]) -> None:
-    """Table of the variance components of a record, if it has any."""
+    """Print a table of the variance components of a record, if there are any."""
     components = record["variance_components"]
     if components is not None:
         table(f"sigmas estimated in {components['rounds']} adjustments", ("group", "redundancy", "times given", "sd"), [
@@ -193,7 +203,10 @@ def show_components(record: dict[str, Any]) -> None:
 
 
 def _least(name: str, cells: Sequence[str], *, text: bool) -> int:
-    """Least width of a column: numbers are not broken, text is broken between words."""
+    """Return the minimum width of a column.
+
+    Numbers are not divided, and text is divided between words.
+    """
     from rich.cells import cell_len
 
     if not text:
@@ -218,7 +231,7 @@ def _table(columns: Sequence[str], rows: Sequence[Sequence[str]], left: int, lea
 
 
 def _print_records(console: Console, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print each row on several lines: its first cell, then name and value of the other cells."""
+    """Print each row on several lines: the first cell, then name and value of each other cell."""
     from rich.text import Text
 
     lines = []

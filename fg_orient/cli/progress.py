@@ -1,8 +1,10 @@
-"""Progress of a command on the terminal and in the log.
+"""Show the progress of a command on the terminal and in the log.
 
-An adjustment shows stages, iterations, image points per second and the time left. Other work shows its steps, their
-rate and the time left at that rate, or the elapsed time if it has no steps. The number of further iterations is
-estimated from the last reduction of the step, or from the stages of graduated non-convexity; else no time is shown.
+For an adjustment, the display shows stages, iterations, image points per second and the
+remaining time. For other work, it shows the steps, their rate and the remaining time;
+without steps, it shows the elapsed time. The number of further iterations is estimated
+from the last reduction of the step, or from the stages of graduated non-convexity. If
+both are unknown, no remaining time is shown.
 """
 
 from __future__ import annotations
@@ -21,23 +23,23 @@ from fg_orient.cli.log import session
 if TYPE_CHECKING:
     from fg_orient.adjustment.loop import IterationRecord
 
-#: Notes at the first kernels to be compiled, where compiled kernels can be kept and where they cannot.
+#: Note when the first kernels are compiled and can be saved; below: note if they cannot be saved.
 COMPILING: Final = "compiling kernels, once per machine: up to about 15 s"
 COMPILING_IN_VAIN: Final = (
     "compiling kernels, in this run and in each one, up to about 15 s: no folder for compiled code can be written; "
     "set NUMBA_CACHE_DIR to a folder of yours"
 )
-#: Function of a text, steps done, steps in all (None: unknown).
+#: Function that receives a text, the number of finished steps, and the number of all steps (None: unknown).
 Show = Callable[[str, int, int | None], None]
 
-#: Time between two lines of the log about steps that follow fast, s.
+#: If steps follow each other fast, the log gets a line only after this time, s.
 LOG_EVERY_S: Final = 1.0
-#: Largest ratio of successive steps from which the end is estimated.
+#: The end is estimated only if the ratio of successive steps is below this value.
 SHRINKING = 0.9
 
 
 def iterations_left(log: Sequence[IterationRecord]) -> int | None:
-    """Estimate the number of further iterations at the present rate of convergence; None if unknown."""
+    """Estimate the number of further iterations from the current rate of convergence; None if it is unknown."""
     from fg_orient.adjustment.loop import STEP_TOLERANCE
     from fg_orient.adjustment.stages import stages_left
 
@@ -58,7 +60,7 @@ def _same(one: float, other: float) -> bool:
 
 
 def describe(log: Sequence[IterationRecord], image_points: int) -> str:
-    """Iteration, step, rate and, if known, the time left."""
+    """Describe an iteration: number, step, rate and, if known, the remaining time."""
     last, words = log[-1], [f"iteration {log[-1].iteration}", f"step {log[-1].step:.1e}"]
     if last.seconds > 0.0:
         words.append(f"{image_points * last.iteration / last.seconds:,.0f} image points/s")
@@ -69,7 +71,7 @@ def describe(log: Sequence[IterationRecord], image_points: int) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Write a time for people, rounded to seconds, minutes or tenths of an hour."""
+    """Format a time, rounded to seconds, minutes or tenths of an hour."""
     if seconds < 99.5:
         return f"{seconds:.0f} s"
     minutes = round(seconds / 60.0)
@@ -77,7 +79,7 @@ def duration(seconds: float) -> str:
 
 
 def describe_steps(text: str, done: int, total: int, seconds: float) -> str:
-    """Name of the work, steps done, their rate and the time left at this rate."""
+    """Describe work in steps: its name, the finished steps, their rate and the remaining time."""
     words = [f"{text} {done} of {total}".strip()]
     if done > 0 and seconds > 0.0:
         rate = done / seconds
@@ -88,14 +90,14 @@ def describe_steps(text: str, done: int, total: int, seconds: float) -> str:
 
 @contextlib.contextmanager
 def progress() -> Iterator[Watch]:
-    """Show an adjustment in the log, and on standard error if it is a terminal."""
+    """Show the progress of an adjustment in the log; also on standard error if it is a terminal."""
     with _bar("starting") as show:
         yield Watch(show)
 
 
 @contextlib.contextmanager
 def progress_bar(first: str) -> Iterator[Callable[[int, int, str], None] | None]:
-    """Show work in steps, or in one long step; the text is ``first`` until the first step is done."""
+    """Show the progress of work in steps, or in one long step; ``first`` is the text until the first step ends."""
     session().tell("stage", stage=first)
     with _bar(first) as show:
         yield None if show is None and session().log is None else _Steps(show)
@@ -103,21 +105,21 @@ def progress_bar(first: str) -> Iterator[Callable[[int, int, str], None] | None]
 
 @contextlib.contextmanager
 def _bar(first: str) -> Iterator[Show | None]:
-    """Return a function that shows text, finished steps and all steps on a terminal; None without a terminal."""
+    """Return a function that shows a text, finished steps and all steps on a terminal; None without a terminal."""
     if session().as_json or session().quiet or not sys.stderr.isatty():
         yield None
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn
 
-    # TimeElapsedColumn stands still from the first time that all steps are done, although other work follows
+    # TimeElapsedColumn stops when all steps are done for the first time, although other work follows
     clock = TextColumn("{task.fields[begin]}")
     columns = TextColumn("{task.description}", markup=False), BarColumn(bar_width=20), clock
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(first, total=None, begin=_Clock())
 
         def show(text: str, done: int, total: int | None) -> None:
-            bar.tasks[0].total = total  # None in update() changes nothing
+            bar.tasks[0].total = total  # update() ignores None
             bar.update(task, description=text, completed=done)
 
         with on_compilation(lambda kernel: bar.update(task, description=COMPILING)):
@@ -125,7 +127,7 @@ def _bar(first: str) -> Iterator[Show | None]:
 
 
 class _Clock:
-    """Time since it was made, as text."""
+    """Clock that gives the time since its creation as text."""
 
     def __init__(self) -> None:
         self._begin = time.perf_counter()
@@ -144,7 +146,7 @@ class Watch:
         self._image_points = 0
 
     def stage(self, name: str, image_points: int) -> None:
-        """Begin a stage of the work."""
+        """Show that a stage of the work begins."""
         self._image_points = image_points
         self._session.tell("stage", stage=name, image_points=image_points)
         if self._show is not None:
@@ -160,7 +162,7 @@ class Watch:
 
 
 class _Steps:
-    """Callback of work in steps, on the terminal and in the log."""
+    """Callback that shows work in steps on the terminal and in the log."""
 
     def __init__(self, show: Show | None) -> None:
         self._show, self._session = show, session()
@@ -168,7 +170,7 @@ class _Steps:
         self._done, self._text = 0, ""
 
     def __call__(self, done: int, total: int, text: str = "") -> None:
-        if done < self._done or (done == 0 and text != self._text):  # other work has begun, at its own rate
+        if done < self._done or (done == 0 and text != self._text):  # other work has begun, which has another rate
             self._begin, self._logged = time.perf_counter(), -math.inf
         self._done, self._text = done, text
         seconds = time.perf_counter() - self._begin

@@ -1,4 +1,4 @@
-"""Commands ``report``, ``replay``, ``accuracy`` and ``dsm-points``: work on the result folder of an adjustment."""
+"""Commands ``report``, ``replay``, ``accuracy`` and ``dsm-points``, which use the result folder of an adjustment."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fg_orient.model.names import EXIT_CODE, Status
 if TYPE_CHECKING:
     from fg_orient.orientation.replay import Replay
 
-#: Differences shown to people; ``--json`` holds all.
+#: Maximum number of differences that are printed; ``--json`` contains all.
 SHOWN: Final = 20
 
 Folder = Annotated[Path, argument("DIR", "Result folder of adjust.")]
@@ -116,7 +116,7 @@ def replay(
 
 
 def show_replay(repeated: Replay) -> None:
-    """Print changed inputs, differing values and the folder of the repeated result."""
+    """Print changed inputs, different values and the folder of the repeated result."""
     for problem in (*repeated.inputs, *repeated.notes):
         tell("warning", f"{problem.file}: {problem.message}")
     for entry in repeated.versions:
@@ -157,7 +157,7 @@ def accuracy(
 
 
 def _show_accuracy(record: dict[str, Any]) -> None:
-    """Print the differences of the heights and the shift."""
+    """Print the differences between the heights, and the estimated shift."""
     rows = [(key, str(value) if isinstance(value, int) else number(value)) for key, value in record.items()
             if isinstance(value, (int, float))]  # fmt: skip
     table("adjusted minus reference height", ("figure", "value"), rows)
@@ -204,7 +204,7 @@ def dsm_points(
 
 
 def _show_points(record: dict[str, Any]) -> None:
-    """Print what was written, what was left out, and the findings."""
+    """Print the written file, the numbers of written and omitted points, and the findings."""
     from fg_orient.report.adjusted_points import describe, in_words
 
     say(f"{record['points']} {describe(record)}")

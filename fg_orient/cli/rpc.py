@@ -1,4 +1,4 @@
-"""Commands ``rpc check``, ``rpc convert``, ``rpc refine`` and ``rpc fit``: rational function models (RPC)."""
+"""Commands ``rpc check``, ``rpc convert``, ``rpc refine`` and ``rpc fit`` for rational function models (RPC)."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ FIGURES = ("mean", "rms", "max")
 
 
 def _opened(file: Path, options: Mapping[str, Any]) -> RpcFile:
-    """Read a file with the given ``FileOptions``."""
+    """Read an RPC file with the given ``FileOptions``."""
     from fg_orient.rpc.files import open_rpc
 
     return open_rpc(file, **{name: options[name] for name in declared(FileOptions) if name in options})
@@ -95,7 +95,8 @@ def convert(
 ) -> None:
     """Write an RPC in another format or for another program, read it back and compare.
 
-    Tags go into an existing GeoTIFF, so they need --overwrite, or into a copy of --image; pixels are not changed.
+    Tags go into an existing GeoTIFF, so they need --overwrite, or into a copy of --image;
+    pixels are not changed.
     """
     from fg_orient.rpc.files import describe, target_of, write_as
     from fg_orient.rpc.handover import hand_over, model_of, models_of
@@ -119,7 +120,7 @@ def convert(
 
 
 def _images(words: list[str], names: list[str]) -> dict[str, Path]:
-    """Rasters by image id from ``ID=FILE``; of one image ``FILE`` is sufficient."""
+    """Read texts ``ID=FILE`` and return rasters by image id; for a single image, ``FILE`` is sufficient."""
     pairs = [word.partition("=") for word in words]
     if len(names) == 1:
         pairs = [(name, "=", path) if path else (names[0], "=", name) for name, _, path in pairs]
@@ -195,9 +196,9 @@ def fit(
 ) -> None:
     """Fit an RPC to control points, or to a rigorous model over --heights.
 
-    Errors are stated in pixels of the image at points that were not used in the fit.
-    The exit code is 4 if a denominator is near zero or the points do not determine the coefficients. The RPC is then
-    written with --force only.
+    Errors are stated in pixels of the image at points that were not used in the fit. The
+    exit code is 4 if a denominator is near zero or the points do not determine the
+    coefficients. The RPC is then written with --force only.
     """
     from fg_orient.formats.atomic import require_free_files
     from fg_orient.formats.table_write import is_binary
@@ -242,7 +243,7 @@ def fit(
 
 
 def _refuse(source: Path, options: Mapping[str, object], what: str) -> None:
-    """Refuse options that do not apply to this source."""
+    """Refuse options that have no meaning for this source."""
     for name, value in options.items():
         if value is not None:
             raise InputError.of("rpc.foreign_option", file=source, option=name, source=what)
@@ -252,7 +253,7 @@ def _refuse(source: Path, options: Mapping[str, object], what: str) -> None:
 
 
 def _end(record: dict[str, Any], show: Callable[[dict[str, Any]], None]) -> None:
-    """Print a record and end with its exit code."""
+    """Print a record and end the command with its exit code."""
     answer(record, _show, record, show)
     if record["status"] == Status.NOT_TRUSTWORTHY:
         raise typer.Exit(EXIT_CODE[Status.NOT_TRUSTWORTHY])
@@ -265,7 +266,7 @@ def _show(record: dict[str, Any], show: Callable[[dict[str, Any]], None]) -> Non
 
 
 def _statistics(title: str, rows: list[tuple[str, Mapping[str, Any] | None]]) -> None:
-    """Print statistics of residuals in pixels."""
+    """Print statistics of residuals, px."""
     cells = [
         (name, *(f"{number(s.get(f'{figure}_line_px'))}, {number(s.get(f'{figure}_sample_px'))}" for figure in FIGURES))
         for name, s in rows

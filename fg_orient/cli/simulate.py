@@ -1,4 +1,4 @@
-"""Commands ``simulate zonguldak``, ``block`` and ``mixed``: synthetic data in the real file formats."""
+"""Commands ``simulate zonguldak``, ``block`` and ``mixed``: write synthetic data in the real file formats."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def mixed(
 
 
 def _name(project: Path) -> None:
-    """Name the files written and the next command."""
+    """Print the written files and the next command."""
     folder = project.parent
     answer({"out": str(folder), "project": str(project), "truth": str(folder / "truth")}, _show, project)
 

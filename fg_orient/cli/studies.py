@@ -1,4 +1,7 @@
-"""Commands ``compare`` and ``reproduce``: dense against sparse, and published against reproduced values."""
+"""Commands ``compare`` and ``reproduce``: compare engines and EOP sets.
+
+Compare published and computed values.
+"""
 
 from __future__ import annotations
 
@@ -22,12 +25,12 @@ from fg_orient.model.errors import InputError
 from fg_orient.model.names import ALL_SETS, TIME_LIMIT_S
 from fg_orient.model.options import Options
 
-#: Sets, and engines of each kind, that are printed.
+#: Maximum number of printed sets, and of printed engines of each kind.
 SHOWN: Final = 6
 FASTEST: Final = 1
 #: Short words for the status of a solution.
 STATUS: Final = {"converged": "good", "not_trustworthy": "doubtful", "not_converged": "failed"}
-#: Columns that name an engine.
+#: Columns that together identify an engine.
 KEY: Final = ("backend", "type", "solver", "optimizer", "regularisation")
 
 if TYPE_CHECKING:
@@ -73,8 +76,9 @@ def compare(
 ) -> None:
     """Compare EOP sets and engines on a block: recommendation, tables, figures and an HTML report.
 
-    With workers, finished sets are kept until the folder is written: the same command continues with them.
-    Without matplotlib (extra "report") the tables come without figures.
+    With workers, finished sets are kept until the folder is written: the same command
+    continues with them. Without matplotlib (extra "report") the tables come without
+    figures.
     """
     if scale:
         given = {"eop_sets": eop_sets != ALL_SETS, "solvers": solvers != "published", "types": types != "1,2",
@@ -108,7 +112,7 @@ def compare(
 
 
 def _show_comparison(record: dict[str, Any]) -> None:
-    """Print warnings, the recommendation, the best sets and the engines of the recommended one."""
+    """Print warnings, the recommendation, the best sets, and the engines of the recommended set."""
     tell_findings(record, as_result=True)
     say(record["verdict"]["title"])
     for text in record["verdict"]["text"]:
@@ -136,7 +140,7 @@ def _show_comparison(record: dict[str, Any]) -> None:
 
 
 def _scale(sizes: str, out: Path, overwrite: bool, options: dict[str, Any]) -> None:
-    """Run and show the study of sizes."""
+    """Run the study of block sizes and print its result."""
     from fg_orient.studies.comparison.scale_folder import scale_to
 
     chosen = {"sizes": sizes} if sizes else {}
@@ -148,7 +152,7 @@ def _scale(sizes: str, out: Path, overwrite: bool, options: dict[str, Any]) -> N
 
 
 def _show_scale(record: dict[str, Any]) -> None:
-    """Print crossing points, exponents and the path of the page."""
+    """Print the crossing points, the exponents and the path of the page."""
     rows: list[tuple[object, ...]] = []
     by_engine: dict[str, dict[str, str]] = {}
     for one in record["exponents"]:
@@ -181,12 +185,15 @@ def _set_row(one: dict[str, Any]) -> tuple[object, ...]:
 
 
 def _set_name(name: object, regularisation: str) -> str:
-    """Name of a set with its regularisation."""
+    """Return the name of a set with its regularisation."""
     return f"{name}" if regularisation == "none" else f"{name} {regularisation}"
 
 
 def _engine_rows(record: dict[str, Any], eop_set: int, regularisation: str) -> list[tuple[object, ...]]:
-    """Fastest engines of each backend with a set; one row for a backend without a solution."""
+    """Return rows with the fastest engines of each backend for a set.
+
+    A backend without a solution has one row.
+    """
     names = {tuple(s[k] for k in KEY): s["name"] for s in record["summary"]}
     own = [r for r in record["rows"] if (r["eop_set"], r["regularisation"]) == (eop_set, regularisation)]
     out: list[tuple[object, ...]] = []
@@ -205,7 +212,7 @@ def _engine_rows(record: dict[str, Any], eop_set: int, regularisation: str) -> l
 
 
 def _published_rows(record: dict[str, Any]) -> list[tuple[object, ...]]:
-    """Sets at the target of each engine."""
+    """Return rows with the sets that reach the target, for each engine."""
     return [
         (line["name"], f"{line['reached']}/{line['tried']}" if line["tried"] else "not tried",
          _metres(line["worst_control_m"]), _metres(line["worst_check_m"]))
@@ -214,12 +221,12 @@ def _published_rows(record: dict[str, Any]) -> list[tuple[object, ...]]:
 
 
 def _number(value: float | None) -> str:
-    """Write a number in three digits; a dash for a missing one."""
+    """Format a number with three digits; a missing number is a dash."""
     return "-" if value is None or not math.isfinite(value) else f"{value:.3g}" if abs(value) < 1e3 else f"{value:.0f}"
 
 
 def _metres(value: float | None) -> str:
-    """Write a length that may be wild."""
+    """Format a length that may be extremely large."""
     if value is None or not math.isfinite(value):
         return "-"
     return f"{value:.2f}" if value < 1e4 else f"{value:.0e}"
@@ -253,7 +260,7 @@ def reproduce(
 
 
 def _show_reproduction(found: Reproduction, out: Path) -> None:
-    """Print the assessments by table, the claims and the path of the report."""
+    """Print the assessments of each table, the claims and the path of the report."""
     from fg_orient.studies.reproduce.folder import verdict
 
     words = verdict(found)
@@ -281,7 +288,7 @@ def _show_reproduction(found: Reproduction, out: Path) -> None:
 
 
 def _verdict_row(name: str, counts: Mapping[str, float], cells: object, gained: str) -> tuple[object, ...]:
-    """Row of a table of verdicts; the weaker verdicts are named in the last column."""
+    """Return a row of the table of assessments; its last column names the weaker assessments."""
     first, words = ("equal", "rounding", "differs"), {"not_reproducible": "not repr."}
     others = ", ".join(f"{n} {words.get(kind, kind)}" for kind, n in counts.items() if n and kind not in first)
     return name, cells, *(counts[kind] or "" for kind in first), gained, others
