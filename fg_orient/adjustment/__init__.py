@@ -1,1 +1,1 @@
-"""Adjustment: the problem as arrays, the backends, one loop over all of them."""
+"""Adjustment: the problem as arrays, the backends that solve it, and one iteration loop for all backends."""

@@ -1,15 +1,17 @@
-"""Position of a ground point with contradictory rays: the place that most of its rays agree with.
+"""Find the position of a ground point with contradictory rays: the place where most of its rays agree.
 
-A redescending loss has several minima in a point with a wrong ray: one without the wrong ray, others without a right
-one. The graduated stages before it end in any of them. With the images held, the position of least truncated cost is
-chosen among the measured coordinates and the intersections of all pairs of rays (exhaustive consensus, after Fischler
-& Bolles 1981)::
+If a point has a wrong ray, a redescending loss has several minima. One of them excludes
+the wrong ray; others exclude a right ray. The graduated stages may end in any of these
+minima. Therefore all candidates are compared with the images held fixed. Candidates are
+the measured coordinates and the intersections of all pairs of rays. The candidate with
+the least truncated cost is chosen (exhaustive consensus, after Fischler & Bolles 1981)::
 
     c(x) = sum min(|v|^2, L^2),   L: limit of right observations
 
-Steps follow from each of these positions, first with the observations within twice the limit, because two rays
-intersect less precisely than all right ones, then with those within the limit. At the solution, rays have the same
-weight if the data do not show which of them is wrong (:func:`sharing`).
+Each candidate is improved by steps. The first step uses the observations within twice the
+limit, because two rays intersect less precisely than all right rays. The next steps use
+those within the limit. At the solution, rays get the same weight if the data do not show
+which of them is wrong (:func:`sharing`).
 """
 
 from __future__ import annotations
@@ -27,17 +29,18 @@ from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import DOWN, Weights
 from fg_orient.adjustment.rows import linearised, residuals, summed
 
-#: Smallest and largest number of rays of a point. With two rays the data do not show which one is wrong; of more than
-#: twelve most agree.
+#: Minimum and maximum number of rays of a point. With two rays, the data do not show
+#: which one is wrong. With more than twelve rays, most of them agree.
 FEWEST: Final = 3
 MOST: Final = 12
-#: Number of steps of an intersection, and the largest step, m: nearly parallel rays do not meet.
+#: Number of steps of an intersection; below: the largest step, m. Nearly parallel rays do not intersect.
 STEPS: Final = 5
 FARTHEST_M: Final = 1e5
-#: Multiples of the limit in the steps after an intersection.
+#: The steps after an intersection use the observations within these multiples of the limit.
 WIDTHS: Final = (2.0, 1.0, 1.0)
-#: Largest difference of costs, in units of the variance factor, between two places or two rays that are rivals:
-#: likelihoods of 1 to 100. A point moves only if the cost decreases by more than this.
+#: Two places, or two rays, are rivals if their costs differ by less than this, in units
+#: of the variance factor. Their likelihoods then differ by a factor of at most 100. A
+#: point moves only if the cost decreases by more than this.
 RIVAL: Final = 9.21
 
 
@@ -74,12 +77,13 @@ def with_best_rays(problem: Problem, state: State, limits: tuple[float, float]) 
 
 
 def sharing(problem: Problem, state: State, weights: Weights) -> Weights | None:
-    """Give rivals the weight of the down-weighted ray; return None without rivals.
+    """Give rivals the weight of the down-weighted ray; return None if there are no rivals.
 
-    A loss keeps the rays that fit best, and down-weights the other rays. A kept ray and a down-weighted ray are rivals
-    if the point fits nearly as well when they are exchanged, and far worse with both. One of them is wrong, but the
-    data do not show which (for example two nearly parallel rays with an error along their plane). The point loses both
-    rays, like a point with two rays.
+    A loss keeps the rays that fit best and down-weights the other rays. A kept ray and a
+    down-weighted ray are rivals under two conditions: the point fits nearly as well if
+    the two are exchanged, and it fits far worse with both. One of them is wrong, but the
+    data do not show which one. An example are two nearly parallel rays with an error
+    along their plane. The point loses both rays, like a point with two rays.
 
     Parameters
     ----------
@@ -123,8 +127,8 @@ class _Search:
         self._problem, self._state, self._points, self._limits = problem, state, points, limits
         o = problem.observations
         rows = np.flatnonzero(np.isin(o.point, points))
-        #: Rows of the rays, position of each ray's point among the given points, number of each ray among the rays of
-        #: its point.
+        #: Rows of the rays, position of each ray's point among the given points, number
+        #: of each ray among the rays of its point.
         self.rows = rows[np.argsort(o.point[rows], kind="stable")]
         self.of = np.searchsorted(points, o.point[self.rows])
         self._first = np.searchsorted(self.of, np.arange(len(points) + 1))
@@ -145,7 +149,7 @@ class _Search:
         return np.asarray(np.sum(linearised(self._problem, self._at(place), self.rows).residual ** 2, axis=1))
 
     def count(self, values: npt.NDArray[Any]) -> Array:
-        """Return the sums (p,) of a value per ray."""
+        """Sum a value of each ray over the rays of each point: (p,)."""
         return np.asarray(np.bincount(self.of, values, len(self._points)), np.float64)
 
     def sum_of_squares(self, place: Array, used: npt.NDArray[np.bool_]) -> Array:
@@ -171,9 +175,10 @@ class _Search:
         return np.asarray(self._squares(place) <= (width * self._limits[0]) ** 2)
 
     def moved(self, place: Array, used: npt.NDArray[np.bool_], steps: int, width: float = 0.0) -> Array:
-        """Return positions after Gauss-Newton steps by some of the rays; the given position if these rays do not meet.
+        """Return the positions after Gauss-Newton steps with some of the rays.
 
-        ``width``: coordinates of control points within this multiple of their limit are also used.
+        If these rays do not intersect, return the given position. Coordinates of control
+        points within ``width`` times their limit are also used.
         """
         begin, place = place, place.copy()
         for _ in range(steps):

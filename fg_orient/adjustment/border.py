@@ -1,13 +1,14 @@
-"""Normal equations reduced to a border: the image unknowns, and the ground points named by extra observations.
+"""Normal equations reduced to a border: the image unknowns and the ground points that extra observations name.
 
-All other ground points are eliminated, one by one (``fg_orient.adjustment.schur``). With the rows B, G of a point to
-the border and to the point, H = G^T G and K = H^-1 G^T B
+All other ground points are eliminated one by one (``fg_orient.adjustment.schur``). B and
+G are the derivatives of the rows of a point by the border and by the point. With H = G^T
+G and K = H^-1 G^T B
 
     S = sum (B^T B - B^T G K) + extra observations + priors,    x_p = H^-1 g_p - K x_b
 
-If images are eliminated first (:mod:`fg_orient.adjustment.images_first`), the border consists of the shared unknowns of
-the images and all ground points. :func:`border_of` chooses. The matrix of both:
-:mod:`fg_orient.adjustment.border_matrix`.
+If images are eliminated first (:mod:`fg_orient.adjustment.images_first`), the border
+consists of the shared unknowns of the images and all ground points. :func:`border_of`
+chooses. The matrix of both: :mod:`fg_orient.adjustment.border_matrix`.
 """
 
 from __future__ import annotations
@@ -55,7 +56,10 @@ def divided(problem: Problem) -> tuple[Problem, Problem | None]:
 
 
 def _part(problem: Problem, rays: Mask, points: Mask, extra: tuple[ExtraObservation, ...]) -> Problem:
-    """Return the problem with some of the image points, ground points and extra observations; the images stay."""
+    """Return the problem with some of the image points, ground points and extra observations.
+
+    The images stay.
+    """
     return replace(
         problem,
         block=replace(problem.block, extra=extra),
@@ -74,7 +78,10 @@ def eliminated_part(problem: Problem, datum: Datum) -> Problem:
 
 
 def explicit_rows(problem: Problem, state: State) -> tuple[Array, sparse.csr_array]:
-    """Return rows of named points, extra observations, priors: residuals (r,), Jacobian (r, b) to border, whitened."""
+    """Return the whitened rows of named points, extra observations and priors.
+
+    These are residuals (r,) and the Jacobian (r, b) by the unknowns of the border.
+    """
     from scipy import sparse
 
     values, rows, columns, entries, count = [np.zeros(0)], [], [], [], 0
@@ -136,8 +143,8 @@ def bordered(problem: Problem, pattern: Pattern, blocks: Array, design: sparse.c
 class Border(BorderMatrix):
     """Border of a problem, linearised at a state.
 
-    Its unknowns are the image unknowns (shared unknowns once, in prior sigmas), then three of each named ground point
-    (m).
+    Its unknowns are the image unknowns (shared unknowns once, in prior sigmas), then
+    three of each named ground point (m).
 
     Parameters
     ----------
@@ -182,7 +189,10 @@ class Border(BorderMatrix):
         return matrix, full
 
     def squares(self) -> float:
-        """Return the squares of the whitened residuals of the eliminated points; the points move, the images stay."""
+        """Return the squares of the whitened residuals of the eliminated points.
+
+        The points move, the images stay.
+        """
         return 2.0 * self._system.substitute(np.zeros(self.n_images), 0.0).predicted_error
 
     def columns_of(self, j: int) -> Index:
@@ -190,7 +200,10 @@ class Border(BorderMatrix):
         return self.n_images + 3 * self.named.index(j) + np.arange(3)
 
     def gains(self, points: Index) -> tuple[Array, Array]:
-        """Return ``-K`` (n, 3, b) and H^-1 (n, 3, 3) of ground points; for a named point its columns and zero."""
+        """Return ``-K`` (n, 3, b) and H^-1 (n, 3, 3) of ground points.
+
+        A named point has its columns and zero.
+        """
         gain, inverse = np.zeros((len(points), 3, len(self))), np.zeros((len(points), 3, 3))
         for place in np.flatnonzero(np.isin(points, self.named)).tolist():
             gain[place, :, self.columns_of(int(points[place]))] = np.eye(3)
@@ -209,7 +222,7 @@ class Border(BorderMatrix):
         return free_columns(self.problem)
 
     def parts(self) -> Iterator[tuple[Part, sparse.csr_array]]:
-        """Yield eliminated points with all their rays, and the rows (2n, b) of these rays for the border unknowns."""
+        """Yield eliminated points with all their rays, and the derivatives (2n, b) of these rays by the border."""
         kept = len(self.eliminated.observations) <= KEPT
         if kept and not self._kept:
             self._kept = list(parts_of(self.eliminated, self.state, order=self._order))
@@ -224,7 +237,7 @@ class Border(BorderMatrix):
             n, _, k = part.d_image.shape
             at = np.repeat(columns[part.image], 2, axis=0).ravel()
             begin = np.arange(0, 2 * n * k + 1, k)
-            full = bool((at < len(self)).all())  # selecting columns costs as much as the product with a few movements
+            full = bool((at < len(self)).all())  # then no columns are selected, which takes as long as a product
             wide = sparse.csr_array((part.d_image.reshape(-1), at, begin), shape=(2 * n, len(self) + (not full)))
             yield part, wide if full else wide[:, : len(self)]
 
@@ -261,7 +274,10 @@ class Border(BorderMatrix):
     # --- solution ---------------------------------------------------------------------------------
 
     def times(self, border: Array, ground: Array) -> tuple[Array, Array]:
-        """Return the cofactors of all unknowns times columns (b, d) and (N, 3, d): the same shapes."""
+        """Multiply the cofactor matrix of all unknowns by columns (b, d) and (N, 3, d).
+
+        The result has these shapes.
+        """
         right, own = border.copy(), np.zeros(ground.shape)
         if self.named:
             right[self.n_images :] += ground[self.named].reshape(-1, ground.shape[2])

@@ -1,8 +1,9 @@
-"""Normal matrix of a border: the unknowns that remain after points, or images, are eliminated.
+"""Normal matrix of a border, which contains the unknowns that remain after points or images are eliminated.
 
-The border of a free network is singular. With a basis U of its null space, orthonormal in the unknowns scaled to a unit
-diagonal of S, ``(S + U U^T)^-1 - U U^T`` is its pseudo-inverse in this scale (Koch 1999, 1.59). No unknown is held
-fixed. So the condition number belongs to the network itself, for any datum.
+The border of a free network is singular. The unknowns are scaled such that S has a unit
+diagonal. U is a basis of the null space, orthonormal in these scaled unknowns. Then ``(S
++ U U^T)^-1 - U U^T`` is the pseudo-inverse in this scale (Koch 1999, 1.59). No unknown is
+held fixed. Therefore the condition number is a property of the network, for any datum.
 """
 
 from __future__ import annotations
@@ -19,20 +20,20 @@ from factors.arrays import Array
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.schur_reduced import Singular, inverse_norm, require_regular
 
-#: Number of rows of a part of :func:`triangle`: a third of the time for 37 000 rows of 16 columns (measured).
+#: Number of rows of a part in :func:`triangle`. With it, 37 000 rows of 16 columns take a third of the time (measured).
 PART: Final = 512
 
 
 @dataclass(frozen=True)
 class Followed:
-    """Movements (b, d) of the border, with the eliminated unknowns that follow them best.
+    """Movements (b, d) of the border together with the best movements of the eliminated unknowns.
 
     Parameters
     ----------
     ground : (N, 3, d) array
         Movements of the ground points, m.
     effect : (q, d) array
-        Effect on all observations, whitened and compressed by QR: its singular values are those of all rows.
+        Whitened effect on all observations, compressed by QR. Its singular values are those of all rows.
     gradient : (b, d) array
         ``S`` times the movements, computed from the rows without squaring them.
     """
@@ -74,7 +75,10 @@ class BorderMatrix(ABC):
 
     @abstractmethod
     def at(self, state: State) -> Self:
-        """Return the border of the same problem at another state; it keeps the motions of this border."""
+        """Return the border of the same problem at another state.
+
+        It keeps the motions of this border.
+        """
 
     @abstractmethod
     def newton(self) -> State:
@@ -86,7 +90,10 @@ class BorderMatrix(ABC):
 
     @abstractmethod
     def follow(self, moves: Array) -> Followed:
-        """Move the border by (b, d); the eliminated unknowns follow so that the observations change least."""
+        """Move the border by (b, d).
+
+        The eliminated unknowns move such that the observations change least.
+        """
 
     def movements(self, moves: Array) -> tuple[Array, Array]:
         """Return movements (z, d) of images and (N, 3, d) of the points that follow movements (b, d) of the border."""
@@ -101,7 +108,7 @@ class BorderMatrix(ABC):
 
     @property
     def moves(self) -> Array:
-        """Motions (b, d) without effect on the observations."""
+        """Return the motions (b, d) that have no effect on the observations."""
         return np.zeros((len(self), 0)) if self.null is None else self.null * self.scale[:, None]
 
     @moves.setter
@@ -110,7 +117,7 @@ class BorderMatrix(ABC):
 
     @cached_property
     def _factor(self) -> tuple[Any, float]:
-        """Cholesky factor of the scaled matrix with the null space added, and its 1-norm."""
+        """Return the Cholesky factor and the 1-norm of the scaled matrix after the null space is added."""
         s = self.matrix * np.outer(self.scale, self.scale)
         if self.null is not None:
             s += self.null @ self.null.T
@@ -123,9 +130,9 @@ class BorderMatrix(ABC):
 
     @cached_property
     def inverse(self) -> Array:
-        """Cofactors (b, b) of the border; of a free network the pseudo-inverse in scaled unknowns.
+        """Return the cofactors (b, b) of the border; for a free network, the pseudo-inverse in scaled unknowns.
 
-        Singular: the condition is too large.
+        Singular: the condition number is too large.
         """
         require_regular(self.condition())
         half = np.tril(lapack.dpotri(self._factor[0], lower=1)[0])
@@ -138,7 +145,7 @@ class BorderMatrix(ABC):
 def cholesky(matrix: Array) -> tuple[Any, float]:
     """Return LAPACK's lower Cholesky factor and the 1-norm of a symmetric matrix, which is overwritten.
 
-    Else Singular.
+    Singular: the matrix is not positive definite.
     """
     norm = float(np.abs(matrix).sum(axis=0).max())
     factor, info = lapack.dpotrf(matrix.T, lower=1, clean=0, overwrite_a=1)
@@ -148,7 +155,9 @@ def cholesky(matrix: Array) -> tuple[Any, float]:
 
 
 def triangle(rows: Array) -> Array:
-    """Return R of rows (n, d) by QR; the rows themselves if there are not more rows than columns.
+    """Compute the matrix R of the QR decomposition of rows (n, d).
+
+    If there are not more rows than columns, return the rows.
 
     Many rows of few columns are processed in parts that stay in the cache; then their triangles are combined.
     """

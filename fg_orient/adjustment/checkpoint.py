@@ -1,7 +1,8 @@
 """Checkpoints: the input of the next iteration in a file, so that an interrupted run continues with identical bits.
 
-The file contains the state, damping or radius, the stage and scale of the loss, the log, and a fingerprint of the
-problem. Robust weights follow from the state. The file is written completely or not at all.
+The file contains the state, damping or radius, the stage and scale of the loss, the log,
+and a fingerprint of the problem. Robust weights follow from the state. The file is
+written completely or not at all.
 """
 
 from __future__ import annotations
@@ -47,8 +48,8 @@ class Checkpoint:
     resume : bool
         Continue from the file if it exists; otherwise it is overwritten.
     scope : str
-        Further inputs that change the last bits, such as the number of parts; a continued run must have the same
-        inputs.
+        Further inputs that change the last bits, such as the number of parts; a continued
+        run must have the same inputs.
 
     Raises
     ------
@@ -141,7 +142,7 @@ def fingerprint(problem: Problem, scope: str = "") -> str:
     for extra in problem.block.extra:
         digest.update(repr((extra.equation.name, extra.unknowns, extra.n_residuals)).encode())
     o = problem.observations
-    for begin in range(0, len(o), RECORDS):  # not all records at once: they are the largest array
+    for begin in range(0, len(o), RECORDS):  # in parts, because the records are the largest array
         digest.update(np.ascontiguousarray(some_rows(problem, "records", slice(begin, begin + RECORDS))).data)
     for array in (
         problem.control_records,

@@ -1,9 +1,9 @@
 """Cofactors of images and ground points from the reduced camera system.
 
-The inverse of the reduced system contains the cofactors Q of the images. The images that see a point have
-``K = H^-1 sum G^T J``. Cofactors of the point are ``H^-1 + K Q K^T``, and its joint cofactors with the images are
-``-K Q``. Joint cofactors of some unknowns are a matrix, or the sum of blocks of the images and few columns
-(:class:`UnknownCofactors`).
+The inverse of the reduced system contains the cofactors Q of the images. The images that
+see a point have ``K = H^-1 sum G^T J``. Cofactors of the point are ``H^-1 + K Q K^T``,
+and its joint cofactors with the images are ``-K Q``. Joint cofactors of some unknowns are
+a matrix, or the sum of blocks of the images and few columns (:class:`UnknownCofactors`).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ AUTO_LIMIT: Final = 2_000_000
 
 
 def full_statistics(options: Options, n_image_points: int, n_image_unknowns: int) -> bool:
-    """Return whether a run gives statistics of every observation; "auto" omits them if they take most of the time."""
+    """Return whether a run computes statistics of every observation; "auto" omits them if they would take too long."""
     if options.statistics != "auto":
         return options.statistics == "full"
     return n_image_points <= AUTO_LIMIT and n_image_unknowns <= WHOLE_LIMIT
@@ -49,8 +49,8 @@ def cofactors_of_points(problem: Problem, state: State, index: Index, blocks: Ca
     index : (n,) int array
         Ground points.
     blocks : callable
-        Joint cofactors (B, k, k) in prior sigmas of pairs of images (B, 2), row <= column; shorter blocks end with
-        zeros.
+        Joint cofactors (B, k, k) in prior sigmas of pairs of images (B, 2), row <=
+        column; shorter blocks end with zeros.
     """
     out = np.zeros((len(index), 3, 3))
     wanted = np.flatnonzero(problem.active[index])
@@ -98,8 +98,9 @@ class RayCofactors:
     response : (n, 3, 2) array
         Effect of an error of an image point on its ground point, m: rows of ``N^-1 A^T``.
     on_image : (n, 2) array
-        Effect of a unit error of line and of sample (whitened) on the unknowns of the image, in their sigmas: root of
-        ``u^T Q^-1 u``. nan if Q of the image is not positive definite.
+        Effect of a unit error of line and of sample (whitened) on the unknowns of the
+        image, in their sigmas: root of ``u^T Q^-1 u``. nan if Q of the image is not
+        positive definite.
     images : (M, k, k) array
         Cofactors of the images, prior sigmas.
     """
@@ -114,8 +115,9 @@ class RayCofactors:
 class Datum(NamedTuple):
     """S-transformation ``S Q S^T = Q - E W^T - W E^T + E C E^T`` of cofactors Q to another datum.
 
-    ``motions`` E and ``along`` W (n + 1, d) have a row for each column of ``Problem.vector`` and a last row of zeros;
-    ``core`` C is (d, d). Motions have no effect on an observation with the row A, so ``S Q A^T = Q A^T - E (A W)^T``.
+    ``motions`` E and ``along`` W (n + 1, d) have a row for each column of
+    ``Problem.vector`` and a last row of zeros; ``core`` C is (d, d). Motions have no
+    effect on an observation with the row A, so ``S Q A^T = Q A^T - E (A W)^T``.
     """
 
     motions: Array
@@ -139,7 +141,10 @@ def places_of_points(problem: Problem, points: Index) -> Index:
 
 
 def places_of_images(problem: Problem) -> Index:
-    """Return the columns (M, k) of the unknowns of images in ``Problem.vector``; shorter rows end with -1."""
+    """Return the columns (M, k) of the unknowns of images in ``Problem.vector``.
+
+    Shorter rows end with -1.
+    """
     return np.where(problem.columns < problem.n_image_unknowns, problem.columns, -1)
 
 
@@ -148,8 +153,8 @@ def cofactors_of_rays(
 ) -> RayCofactors:
     """Return the cofactors of all adjusted image points, of points and images; see :func:`cofactors_of_points`.
 
-    The result is not valid for ground points with extra observations, because they also depend on these. ``datum``: all
-    cofactors are transformed to it.
+    The result is not valid for ground points with extra observations, because they also
+    depend on these. ``datum``: all cofactors are transformed to it.
     """
     n, order = len(problem.observations), order_by_point(problem)
     pairs, block = pairs_of_images(problem, order)
@@ -246,7 +251,7 @@ def inverse_roots(q: Array, size: Index) -> Array:
 class Part(NamedTuple):
     """Some ground points with all their rays, about :data:`CHUNK` rows in the order of points and images."""
 
-    places: slice  # positions of the points among the requested points
+    places: slice  # positions in the list of requested points
     points: Index  # (P,)
     first: Index  # (P + 1,) first ray of each point
     rows: Index  # (n,) of ``problem.observations``
@@ -262,7 +267,10 @@ def order_by_point(problem: Problem) -> Index:
 
 
 def parts_of(problem: Problem, state: State, points: Index | None = None, order: Index | None = None) -> Iterator[Part]:
-    """Yield ground points, by default all that are measured, with their rays, linearised at a state; part by part."""
+    """Yield ground points, by default all that are measured, with their rays, linearised at a state.
+
+    Part by part.
+    """
     order = order_by_point(problem) if order is None else order
     points = np.flatnonzero(np.bincount(problem.observations.point)) if points is None else points
     if not len(points):
@@ -293,7 +301,7 @@ def _part(problem: Problem, state: State, places: slice, points: Index, first: I
 def _inverses(normal: Array) -> Array:
     """Invert matrices (n, 3, 3).
 
-    nan for a singular one, such as that of a point only an extra observation determines.
+    A singular matrix gives nan, for example if only an extra observation determines the point.
     """
     try:
         return np.asarray(np.linalg.inv(normal))
@@ -318,7 +326,7 @@ def blocks_of_images(problem: Problem, joint: Callable[[tuple[int, ...]], Array]
     """
     first, place = problem.first, problem.columns
     if first[-1] <= WHOLE_LIMIT:
-        whole = np.pad(joint(tuple(range(problem.n_images))), (0, 1))  # zeros for unused columns
+        whole = np.pad(joint(tuple(range(problem.n_images))), (0, 1))  # the last row and column, zeros, mean "unused"
         return np.asarray(whole[place[pairs[:, 0]][:, :, None], place[pairs[:, 1]][:, None, :]])
     out = np.zeros((len(pairs), place.shape[1], place.shape[1]))
     for b, (i, j) in enumerate(pairs.tolist()):
@@ -328,7 +336,10 @@ def blocks_of_images(problem: Problem, joint: Callable[[tuple[int, ...]], Array]
 
 
 def pairs_of_images(problem: Problem, order: Index) -> tuple[Index, Index]:
-    """Return pairs of images (B, 2) with a common unknown point, row <= column, also of equal images; places (M, M)."""
+    """Return pairs of images (B, 2) with a common unknown point, row <= column, also of equal images.
+
+    Places (M, M).
+    """
     order = order[problem.active[problem.observations.point[order]]]
     image, point = problem.observations.image[order], problem.observations.point[order]
     together = np.eye(problem.n_images, dtype=bool)
@@ -342,11 +353,11 @@ def pairs_of_images(problem: Problem, order: Index) -> tuple[Index, Index]:
 
 
 class UnknownCofactors(Protocol):
-    """Joint cofactors Q (d, d) of d unknowns."""
+    """Joint cofactor matrix Q (d, d) of d unknowns."""
 
     @property
     def matrix(self) -> Array:
-        """Q."""
+        """Return Q."""
         ...
 
     def square(self, x: Array) -> float:
@@ -356,14 +367,14 @@ class UnknownCofactors(Protocol):
 
 @dataclass(frozen=True)
 class DenseUnknowns:
-    """Cofactors as a matrix."""
+    """Joint cofactors that are stored as one matrix."""
 
     matrix: Array
 
     def square(self, x: Array) -> float:
         """See :class:`UnknownCofactors`.
 
-        Scaled to correlations, because unknowns of very different size occur together.
+        The matrix is scaled to correlations, because unknowns have very different sizes.
         """
         length = np.sqrt(np.diag(self.matrix))
         scaled = self.matrix / np.outer(length, length)
@@ -404,8 +415,8 @@ class SpreadUnknowns:
     def square(self, x: Array) -> float:
         """See :class:`UnknownCofactors`.
 
-        With ``M = G^T D^-1 G`` and ``u = G^T D^-1 x`` the result is ``x^T D^-1 x - u^T (I + K M)^-1 K u`` (Woodbury
-        1950).
+        With ``M = G^T D^-1 G`` and ``u = G^T D^-1 x`` the result is ``x^T D^-1 x - u^T (I
+        + K M)^-1 K u`` (Woodbury 1950).
         """
         if not (self.own[self.image, self.place, self.place] > 0.0).all():
             return DenseUnknowns(self.matrix).square(x)

@@ -1,8 +1,9 @@
-"""Constraints between ground points or images: equations, start values of figures through points, rows.
+"""Equations and rows of constraints between ground points or images, and start values of figures through points.
 
-The misclosure c(p, f) of a figure depends on its points p and on its parameters f, which no other observation has.
-They are eliminated: f minimises ``|w c + k|^2``, and the rows of the adjustment are ``N^T (w c + k)`` with
-``N^T dc/df = 0`` (Golub and Pereyra 1973; Jacobian by Kaufman 1975). w is the weight, k are correlates
+The misclosure c(p, f) of a figure depends on its points p and on its parameters f. No
+other observation depends on f. Therefore f is eliminated: it minimises ``|w c + k|^2``,
+and the rows of the adjustment are ``N^T (w c + k)`` with ``N^T dc/df = 0`` (Golub and
+Pereyra 1973; Jacobian by Kaufman 1975). w is the weight, k are correlates
 (:mod:`fg_orient.adjustment.constraints`).
 """
 
@@ -28,10 +29,10 @@ from fg_orient.model.constraint import AXES, MEASURED, OF_PHOTOS, SIZES, Constra
 
 @dataclass(frozen=True)
 class Figure:
-    """Start of a figure: ``start`` (k,) of the unknowns. The parameters are ``offset`` (k,) plus the unknowns.
+    """Start values ``start`` (k,) of the unknowns of a figure. Its parameters are ``offset`` (k,) plus the unknowns.
 
-    The unknowns of a spheroid are corrections to the ``offset`` in its record. ``record`` (d,) has s = 1; ``scale`` is
-    the factor of s for residuals in metres.
+    The unknowns of a spheroid are corrections to the ``offset`` in its record. ``record``
+    (d,) has s = 1; ``scale`` is the factor of s for residuals in metres.
     """
 
     equation: Equation
@@ -45,7 +46,10 @@ class Figure:
 
 
 def _axes(points: Array, along: int) -> Array:
-    """Return a right-handed frame (3, 3) of points: direction of largest (0) or smallest (2) extent, two across."""
+    """Return a right-handed frame (3, 3) of points.
+
+    Its first axis is the direction of the largest (0) or smallest (2) extent; the other two axes are across it.
+    """
     _, _, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=True)
     out = np.array([axes[along], axes[(along + 1) % 3], axes[(along + 2) % 3]])
     out[2] *= np.sign(np.linalg.det(out))
@@ -139,7 +143,10 @@ def relation_record(constraint: Constraint, start: Array) -> Array:
 
 
 def figure_of(constraint: Constraint, points: Array) -> Figure:
-    """Return the start of a figure from its points (n, 3); InputError if they do not determine it."""
+    """Return the start of a figure from its points (n, 3).
+
+    InputError if they do not determine it.
+    """
     try:
         with np.errstate(all="raise"):
             return FIGURES[constraint.kind](points, constraint)
@@ -147,12 +154,13 @@ def figure_of(constraint: Constraint, points: Array) -> Figure:
         raise constraint.fault("members", "coordinates", "points that determine the figure") from None
 
 
-#: Weight w of the misclosures; factor that converts the misclosure of a sphere to metres; axes of the figure (3, 3);
-#: its frame at the start (normal or direction, two axes across). A relation's record and the correlates k follow.
+#: Weight w of the misclosures; factor that converts the misclosure of a sphere to metres;
+#: axes of the figure (3, 3); its frame at the start (normal or direction, two axes
+#: across). A relation's record and the correlates k follow.
 HEAD: Final = Record(weight=1, scale=1, axes=9, frame=9)
 #: Figures with a frame.
 FRAMES: Final = {"plane": FIGURE, "line": FIGURE, "circle": CIRCLE_RECORD}
-#: Diagonal elements of R of rows of unit length below which the rows are dependent.
+#: Rows of unit length are dependent if a diagonal element of their matrix R is below this value.
 DEPENDENT: Final = 1e-10
 _NONE: Final = np.zeros((2, 0))
 _FITTED: Final = 1e-14
@@ -161,7 +169,7 @@ _FITS: Final = 100
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """Three numbers ``base + by @ x`` of the unknowns x (k,) of an image: projection centre, m, or rotation, rad."""
+    """Projection centre, m, or rotation, rad, of an image: ``base + by @ x`` with the image unknowns x (k,)."""
 
     base: Array
     by: Array
@@ -193,8 +201,8 @@ def constraint_observation(
 ) -> ConstraintObservation:
     """Return the extra observation of a constraint between ground points or images; :func:`prepared` completes it.
 
-    ``is_exact`` allows a figure that goes exactly through its points: it has no rows, but it is in
-    :func:`fitted_figures`.
+    ``is_exact`` allows a figure that goes exactly through its points: it has no rows, but
+    it is in :func:`fitted_figures`.
 
     InputError: a figure through too few points.
     """
@@ -254,13 +262,16 @@ class WholeRows:
 
     @cached_property
     def basis(self) -> Array:
-        """N (r, r - f): combinations of rows that do not depend on the figure."""
+        """Return N (r, r - f): the combinations of rows that do not depend on the figure."""
         r, f = self.design.shape
         return np.linalg.qr(self.design, mode="complete")[0][:, f:] if f else np.eye(r)
 
 
 def whole_rows(constraint: Constraint, record: Any, points: Any, total: int) -> WholeRows:
-    """Return the rows of a constraint. Points may be complex; the derivatives belong to their real parts."""
+    """Return the rows of a constraint.
+
+    Points may be complex; the derivatives belong to their real parts.
+    """
     head, own = record[: HEAD.size], record[HEAD.size : len(record) - total].copy()
     correlates, real = record[len(record) - total :], [np.ascontiguousarray(np.real(p)) for p in points]
     if constraint.kind not in SIZES:
@@ -290,7 +301,7 @@ def _fitted(
     figure = figure_of(constraint, real)
     own, x = figure.record.copy(), figure.start
     own[FACTOR.factor] = head[HEAD.weight] * head[HEAD.scale]
-    if constraint.kind in FRAMES and head[HEAD.frame].any():  # the correlates have the axes of the start
+    if constraint.kind in FRAMES and head[HEAD.frame].any():  # the correlates refer to the axes of the start
         record, (normal, first, _) = FRAMES[constraint.kind], head[HEAD.frame].reshape(3, 3)
         n = own[record.normal] * (1.0 if own[record.normal] @ normal > 0.0 else -1.0)
         across = first - (first @ n) * n
@@ -326,8 +337,9 @@ class FittedFigure:
     label : str
     names : tuple of str
     values : (k,) array
-        Parameters of the figure. Centres are in the local system of the block, without its origin. The axes are those
-        of the figure: of the local system, or East, North, Up at the points.
+        Parameters of the figure. Centres are in the local system of the block, without
+        its origin. The axes are those of the figure: of the local system, or East, North,
+        Up at the points.
     points : tuple of int
         Numbers of its points.
     own : (k, k) array

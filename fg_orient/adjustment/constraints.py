@@ -1,11 +1,12 @@
 """Constraints between ground points or images as extra observations: relations, and figures through points.
 
-Rows and figures: :mod:`fg_orient.adjustment.constraint_rows`. A constraint with a sigma has the weight w = 1/sigma and
-no correlates.
+:mod:`fg_orient.adjustment.constraint_rows` contains their rows and figures. A constraint with a sigma has the weight w
+= 1/sigma and no correlates.
 
-A hard constraint has a large weight w and correlates k (Lagrange multipliers). They are improved by ``k + w c`` at the
-solution until c is zero (method of multipliers: Hestenes 1969, Powell 1969). Therefore every backend, loss and datum
-accepts it, and the result does not depend on w. Cofactors refer to the finite weight: they deviate by about
+A hard constraint has a large weight w and correlates k (Lagrange multipliers). They are
+improved by ``k + w c`` at the solution until c is zero (method of multipliers: Hestenes
+1969, Powell 1969). Therefore every backend, loss and datum accepts it, and the result
+does not depend on w. Cofactors refer to the finite weight: they deviate by about
 :data:`HARD` squared.
 """
 
@@ -45,28 +46,34 @@ if TYPE_CHECKING:
 #: Unknowns of a frame image that a constraint between images depends on.
 CENTRE: Final = ("centre_x", "centre_y", "centre_z")
 ROTATION: Final = ("rotation_x", "rotation_y", "rotation_z")
-#: Smallest sigma of a constraint in the first adjustment, and sigma of a hard constraint afterwards. The unit is the
-#: smallest sigma of its points with the images held fixed. A smaller sigma at the start would make the cost function a
-#: narrow curved valley. An observed constraint may have its own sigma if this is not far below the sigma of the points.
+#: Minimum sigma of a constraint in the first adjustment; below: sigma of a hard
+#: constraint afterwards. The unit is the smallest sigma of its points with the images
+#: held fixed. With a smaller sigma at the start, the cost function would be a narrow
+#: curved valley. An observed constraint keeps its own sigma if it is not far below the
+#: sigma of the points.
 FIRST: Final = 1.0
 FIRST_OBSERVED: Final = 0.1
 HARD: Final = 1e-3
-#: Maximum number of improvements of the correlates. They end at this misclosure of a hard constraint in units of its
-#: sigma, or at this ratio of misclosures. The adjustment itself ends with a step of 1e-8 m.
+#: Maximum number of improvements of the correlates. They end at this misclosure of a hard
+#: constraint in units of its sigma, or at this ratio of misclosures. The adjustment
+#: itself ends with a step of 1e-8 m.
 ROUNDS: Final = 12
 HELD: Final = 1e-5
 SLOW: Final = 0.5
-#: Misclosure relative to the extent of the members above which hard constraints contradict each other.
+#: Hard constraints contradict each other if a misclosure, relative to the extent of the members, exceeds this.
 CONTRADICTION: Final = 1e-9
-#: Ratio of the distance of two points to their distance at the start below which constraints have merged them.
+#: Constraints have merged two points if their distance, relative to the distance at the start, is below this.
 MERGED: Final = 1e-2
-#: Smallest share of the largest misclosure for a constraint to be named.
+#: A message names constraints whose misclosure is at least this share of the largest one.
 NAMED: Final = 0.1
 _FITS: Final = 100
 
 
 def has_constraints(block: Block) -> bool:
-    """Return whether any extra observation of a block is a constraint; :func:`hold` completes these."""
+    """Return whether any extra observation of a block is a constraint.
+
+    :func:`hold` completes these.
+    """
     return any(isinstance(e, ConstraintObservation) for e in block.extra)
 
 
@@ -75,7 +82,10 @@ def _has_hard(problem: Problem) -> bool:
 
 
 def prepared(problem: Problem) -> Problem:
-    """Compute the weights, axes and frames of the constraints of a problem from its start; correlates are zero."""
+    """Compute the weights, axes and frames of the constraints of a problem from its start.
+
+    Correlates are zero.
+    """
     extra = problem.block.extra
     if not has_constraints(problem.block):
         return problem
@@ -90,12 +100,15 @@ def prepared(problem: Problem) -> Problem:
     problem = _with_extra(problem, extra)
     if not _has_hard(problem):
         return problem
-    # away from the constraints the motions of a free network would change the misclosures
+    # if the constraints were not met, the motions of a free network would change the misclosures
     return replace(problem, start=_on_constraints(problem, problem.start))
 
 
 def _placed(problem: Problem, extra: ConstraintObservation) -> ConstraintObservation:
-    """Return the constraint with the places of its images; InputError for an image without projection centre."""
+    """Return the constraint with the places of its images.
+
+    InputError for an image without projection centre.
+    """
     constraint = extra.constraint
     if constraint.kind not in OF_PHOTOS:
         return extra
@@ -147,7 +160,7 @@ def _on_constraints(problem: Problem, state: State) -> State:
         if not size < before and size < HELD:
             break
         least, x = min(size, least), x - np.linalg.lstsq(design[:, columns], rows, rcond=DEPENDENT)[0]
-    else:  # name the constraints with the largest misclosures at the least sum of squares
+    else:  # no convergence: name the constraints with the largest misclosures at the least sum of squares
         from scipy.optimize import least_squares
 
         def rows_at(x: Array) -> Array:
@@ -304,7 +317,7 @@ def hold(
         estimate = _continued(problem, estimate, run)
     damped = problem.block.options.optimizer != "gauss-newton"
     if _has_hard(problem) and estimate.converged and damped and not problem.least_damping:
-        # the damping is relative to the weights of the constraints, so the last damped steps across them are too short
+        # damping is relative to the weights of the constraints, so the last damped steps across them are too short
         ahead = _continued(undamped(problem), estimate, run)
         estimate = ahead if ahead.converged else estimate
     return problem, estimate

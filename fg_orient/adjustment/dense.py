@@ -1,11 +1,13 @@
-"""The dense backend: the same rows as the graph, as full matrices, for any registered linear solver.
+"""Dense backend: it solves the same rows as the graph, as full matrices, by any registered linear solver.
 
-Rows are whitened (the unit is one sigma): image points, control points, priors, extra observations. Columns are image
-unknowns (prior sigmas), then unknown ground points (m). The kernels are the same as in the factors. So a difference
-from the graph backend comes from the solver. GTSAM is not used.
+Rows are whitened, so that their unit is one sigma. They are image points, control points,
+priors and extra observations. Columns are the image unknowns (prior sigmas), then the
+unknown ground points (m). The kernels are the same as in the factors. Therefore a
+difference from the graph backend comes from the solver. GTSAM is not used.
 
-Each step solves ``J x = -r``; Levenberg-Marquardt adds rows of a diagonal matrix. Memory and time grow with the square
-and cube of the unknowns; more than :data:`MAX_UNKNOWNS` are refused by default.
+Each step solves ``J x = -r``; Levenberg-Marquardt adds rows of a diagonal matrix. Memory
+and time grow with the square and cube of the unknowns; more than :data:`MAX_UNKNOWNS` are
+refused by default.
 """
 
 from __future__ import annotations
@@ -28,8 +30,8 @@ from fg_orient.model.arrays import wrong
 from fg_orient.model.block import ExtraObservation
 from fg_orient.model.errors import InputError
 
-#: Orthogonal method: its error grows with cond(J). The error of methods that use J^T J grows with the square of
-#: cond(J).
+#: Default solver. It is orthogonal, so that its error grows with cond(J). The error of
+#: methods that use J^T J grows with the square of cond(J).
 DEFAULT_SOLVER = "qr"
 #: QR with columns of unit length, for unknowns of different magnitude.
 SCALED_SOLVER = "qr_scaled"
@@ -134,8 +136,8 @@ class DenseSystem:
     excess : float
         Cost under a loss minus half the sum of squares of the weighted residuals.
     problem : Problem, optional
-        Problem that defines the minimum damping and the damping of ground points; without it all columns have the same
-        damping.
+        Problem that defines the minimum damping and the damping of ground points; without
+        it all columns have the same damping.
     limit : int
         Maximum number of unknowns.
     """
@@ -157,13 +159,17 @@ class DenseSystem:
     def solve(self, damping: float) -> Step:
         """Solve the equations; raise Breakdown if the solver fails.
 
-        ``damping`` is added to the diagonal of the images, ``Problem.point_damping`` to the diagonal of the points.
+        ``damping`` is added to the diagonal of the images, ``Problem.point_damping`` to
+        the diagonal of the points.
         """
         solution = solve(self._solver, self.equations(damping))
         return self._step(solution.x, math.nan if solution.kappa is None else solution.kappa)
 
     def equations(self, damping: float = 0.0) -> LinearSystem:
-        """Return the equations of the step for a solver, with the rows of the damping; see :meth:`solve`."""
+        """Return the equations of the step for a solver, with the rows of the damping.
+
+        See :meth:`solve`.
+        """
         design, observed, damping = self.design, -self.residual, max(damping, self._least)
         if damping > 0.0:
             u = design.shape[1]
@@ -246,7 +252,7 @@ class RowsBackend:
 
     def error(self, state: Array) -> float:
         """Return half the weighted sum of squares."""
-        with np.errstate(all="ignore"):  # outside the model errors are not finite; the loop rejects such steps
+        with np.errstate(all="ignore"):  # outside its domain the model gives nan or inf; the loop rejects such steps
             residual, _ = self.rows(state, False)
             return 0.5 * float(residual @ residual)
 

@@ -1,4 +1,4 @@
-"""Elimination of groups of ground points for given image vectors: the content of a factor of the reduced graph.
+"""Eliminate groups of ground points for given image vectors; this is the content of a factor of the reduced graph.
 
 A group is a set of ground points with all their rays. For given image vectors x its points are intersected again with
 the images held fixed (variable projection: Golub & Pereyra 1973), and eliminated. The result is a function of x alone:
@@ -37,16 +37,16 @@ from fg_orient.model.errors import NoSolutionError
 
 Index = npt.NDArray[np.int64]
 
-#: Newton decrement of a point, in sigmas, below which the point counts as the intersection of its rays. Cost, gradient
-#: and matrix of the group include the remaining distance by a further Newton step.
+#: A point counts as the intersection of its rays if its Newton decrement is below this, in sigmas. Cost, gradient and
+#: matrix of the group contain one further Newton step, which covers the remaining distance.
 INTERSECTED: Final = 1e-6
-#: Largest step of the images, in prior sigmas, after which the predicted points are expected to be intersected.
+#: After a step of the images up to this size, in prior sigmas, the predicted points need no further step.
 SMALL_STEP: Final = 1e-4
-#: Newton decrement, in sigmas, up to which steps are taken without a test of the cost, which hardly changes.
+#: Up to this Newton decrement, in sigmas, steps are taken without a test of the cost, because it hardly changes.
 SAFE: Final = 1e-4
-#: Number of steps of the points after which a group is treated as impossible.
+#: If the points of a group need more steps, the group is treated as impossible.
 MAX_STEPS: Final = 40
-#: Newton decrement, in sigmas, up to which a point that no step improves counts as intersected within rounding.
+#: If no step improves a point and its Newton decrement is below this, in sigmas, it is intersected within rounding.
 STALLED: Final = 1e-3
 #: Cost of a group with a point that cannot be intersected: finite, because GTSAM's Gauss-Newton would accept infinity.
 IMPOSSIBLE: Final = 1e30
@@ -149,7 +149,10 @@ class Elimination:
         b.owner, b.held, b.root_weight, b.control = None, None, np.ones(0), self.problem.control_records
 
     def start_at(self, free: Array, ground: Array) -> None:
-        """Begin at image unknowns (u,) and ground points (N, 3); all groups are computed again from there."""
+        """Begin at image unknowns (u,) and ground points (N, 3).
+
+        All groups are computed again from there.
+        """
         self._free, self._ground, self._base = free.copy(), ground.copy(), {}
         self._rows, self._total = [None] * len(self.groups), None
 
@@ -220,7 +223,7 @@ class Elimination:
         return bool(np.isfinite(own).all()) and not same
 
     def state(self, free: Array, *, complete: bool = False) -> State:
-        """Return the state with the points of the last evaluation; ``complete`` adds their last Newton step."""
+        """Return the state with the points of the last evaluation; with ``complete``, after their last Newton step."""
         image = self.problem.image_matrix(free)
         if not complete:
             return State(image, self._ground.copy())
@@ -319,7 +322,10 @@ class Elimination:
             return {g for g in groups if self._is_possible(g, state, late=late)}
 
     def _is_possible(self, g: int, state: State, *, late: bool) -> bool:
-        """Return whether the points of a group can be intersected; if not, the reason is recorded."""
+        """Return whether the points of a group can be intersected.
+
+        If not, the reason is recorded.
+        """
         try:
             self._newton([g], state, late=late)
         except (NotFiniteError, NotIntersected, Singular) as error:
@@ -328,16 +334,19 @@ class Elimination:
         return True
 
     def _newton(self, groups: Sequence[int], state: State, *, late: bool) -> None:
-        """Move points of groups by Newton's steps until all are intersected; the last elimination is in the buffers."""
+        """Move points of groups by Newton's steps until all are intersected.
+
+        The last elimination is in the buffers.
+        """
         s = self.backend.structure
-        places: Any = slice(None)  # a view of all positions costs nothing
+        places: Any = slice(None)  # a slice of all positions is a view and needs no copy
         whole, largest = len(groups) == len(self.groups), math.inf
         if not whole:
             places = np.concatenate([np.arange(*self.groups[g].places) for g in groups])
         b, number, last_cost, last_ground = self.backend.buffers, s.number[places], None, np.zeros(0)
         near, kept = not self._far, all(tile.kept for tile in s.tiles)
         for _ in range(MAX_STEPS):
-            whole_rows = near or not kept  # a further step is expected: derivatives by the points are enough
+            whole_rows = near or not kept  # a further step is expected, which needs only the derivatives by the points
             self._eliminate(groups, state, near=near and not late, of_images=whole_rows)
             decrement, before = self._decrements(places), largest
             largest = float(decrement.max(initial=0.0))

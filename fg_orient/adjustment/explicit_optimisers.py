@@ -1,7 +1,8 @@
 """GTSAM's own Gauss-Newton, Levenberg-Marquardt and Dogleg on the explicit graph, for comparisons.
 
-An adjustment solves the explicit graph by :mod:`fg_orient.adjustment.loop`. Here GTSAM's optimiser iterates until the
-cost no longer decreases. The remaining step of Gauss-Newton shows whether this is the solution.
+An adjustment solves the explicit graph by :mod:`fg_orient.adjustment.loop`. Here GTSAM's
+optimiser iterates until the cost no longer decreases. The remaining step of Gauss-Newton
+shows whether this is the solution.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from fg_orient.adjustment.optimisers import DAMPING, RADIUS, native
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.model.errors import Finding, InputError, finding
 
-#: Relative decrease of the cost in an iteration below which the run ends.
+#: The run ends if the relative decrease of the cost in an iteration is below this.
 DECREASE: Final = 1e-12
 
 
@@ -43,7 +44,7 @@ class ExplicitRun:
         options = problem.block.options
         if options.loss != "none":
             raise InputError.of("graph.loss", option="loss", value=options.loss)
-        # here rows of figures are factors of the graph
+        # with Dogleg, the rows of figures are factors of the graph
         own = replace(problem, block=replace(problem.block, options=replace(options, optimizer="dogleg")))
         self.backend, self.kind = ExplicitBackend(own), kind
         self.graph, self.ordering = self.backend.graph, self.backend.ordering

@@ -2,29 +2,32 @@
 
 Both accept constraints between the unknowns.
 
-Notation of Terlemezoğlu 2019, sections 2.6 and 2.7: ``Q_ll = W^-1``, ``Q_xx = N^-1``, ``m0`` the standard
-deviation of unit weight. Both minimise v^T W v by iterated linearisation. The sources give no
-stopping rule; the rule here is our own.
+Notation of Terlemezoğlu 2019, sections 2.6 and 2.7: ``Q_ll = W^-1``, ``Q_xx = N^-1``,
+``m0`` the standard deviation of unit weight. Both minimise v^T W v by iterated
+linearisation. The sources give no stopping rule; the rule here is our own.
 
 :func:`gauss_markov`, ``L + v = f(x)`` (eqs. 2.58-2.63, 2.74, 2.75): ``dx = (A^T W A)^-1 A^T W (L - f(x))``.
 
-:func:`gauss_helmert`, ``F(L + v, P) = 0``: linearised at the current point (l_k, P_k) as ``A dP + B v + w_k = 0`` with
-the **original** observations, ``w_k = F(l_k, P_k) + B (L - l_k)`` (Pope's iteration)::
+:func:`gauss_helmert`, ``F(L + v, P) = 0``: linearised at the current point (l_k, P_k) as
+``A dP + B v + w_k = 0`` with the **original** observations, ``w_k = F(l_k, P_k) + B (L -
+l_k)`` (Pope's iteration)::
 
     M = B Q_ll B^T,  dP = -(A^T M^-1 A)^-1 A^T M^-1 w,  v = -Q_ll B^T M^-1 (A dP + w)
 
-Source: Terlemezoğlu 2019, eqs. 2.68-2.70, 2.74-2.77, and Topan & Maktav 2010, eqs. 14-18. Signs and the cofactors
-``Q_lP = -Q_ll B^T M^-1 A N^-1`` are corrected, and a Monte Carlo simulation confirms them: eq. 2.69 lacks the minus,
-2.70 has a plus, 2.76 has ``A A^T M^-1 A`` in place of ``A N^-1``. Without unknowns this is the adjustment of conditions
-only. The sources use the adjusted values as new observations in the next iteration. This does not minimise v^T W v of
-the original observations.
+Source: Terlemezoğlu 2019, eqs. 2.68-2.70, 2.74-2.77, and Topan & Maktav 2010, eqs. 14-18.
+Signs and the cofactors ``Q_lP = -Q_ll B^T M^-1 A N^-1`` are corrected, and a Monte Carlo
+simulation confirms them: eq. 2.69 lacks the minus, 2.70 has a plus, 2.76 has ``A A^T M^-1
+A`` in place of ``A N^-1``. Without unknowns this is the adjustment of conditions only.
+The sources use the adjusted values as new observations in the next iteration. This does
+not minimise v^T W v of the original observations.
 
 The Gauss-Markov model is computed as the Gauss-Helmert model ``f(x) - l = 0``, B = -I.
 
-Constraints ``c(x) = 0`` are fulfilled exactly. Each step is ``dP = dP_0 + Z y``: dP_0 is the shortest step with
-``C dP_0 = -c``, and the columns of Z are a basis of ``C Z = 0`` (null-space method: Björck 1996, section 5.1.3), with
-columns of A of unit length. y is an unconstrained unknown, so ``Q_xx = Z (Z^T A^T M^-1 A Z)^-1 Z^T``. Constraints may
-be the datum of a design with rank defect.
+Constraints ``c(x) = 0`` are fulfilled exactly. Each step is ``dP = dP_0 + Z y``: dP_0 is
+the shortest step with ``C dP_0 = -c``, and the columns of Z are a basis of ``C Z = 0``
+(null-space method: Björck 1996, section 5.1.3), with columns of A of unit length. y is an
+unconstrained unknown, so ``Q_xx = Z (Z^T A^T M^-1 A Z)^-1 Z^T``. Constraints may be the
+datum of a design with rank defect.
 """
 
 from __future__ import annotations
@@ -46,7 +49,7 @@ from fg_orient.model.options import Options
 Constraints = Callable[[Array], tuple[Array, Array]]
 
 EPS = float(np.finfo(np.float64).eps)
-#: Multiple of the rounding of the misclosure below which a change that no longer shrinks is rounding.
+#: If a change no longer shrinks and is below this multiple of the misclosure's rounding, it is rounding.
 ROUNDING = 1e3
 
 
@@ -67,8 +70,8 @@ class GeneralAdjustment:
     redundancy : int
         Observations (conditions) minus the rank of the design matrix; each constraint adds 1.
     cofactors_x : (u, u) array
-        Q_xx. For a singular N it is the pseudo-inverse of the design with columns of unit length, and ``notes`` has a
-        remark.
+        Q_xx. For a singular N it is the pseudo-inverse of the design with columns of unit
+        length, and ``notes`` has a remark.
     cofactors_v, cofactors_adjusted : (n, n) arrays
         Q_vv and ``Q_ll - Q_vv``.
     cofactors_adjusted_x : (n, u) array
@@ -129,8 +132,9 @@ def _cofactor_matrix(n: int, weights: Array | None, cofactors: Array | None) -> 
     Raises
     ------
     InputError
-        Both are given; a shape is wrong; a value is not finite; a matrix is not symmetric; weights are not positive
-        definite; cofactors have a negative eigenvalue.
+        Both are given; a shape is wrong; a value is not finite; a matrix is not
+        symmetric; weights are not positive definite; cofactors have a negative
+        eigenvalue.
     """
     if weights is not None and cofactors is not None:
         raise InputError.of("classical.weights_twice", place="weights, cofactors")
@@ -237,12 +241,13 @@ def gauss_markov(
     weights, cofactors : (n,) or (n, n) array, optional
         W or Q_ll = W^-1 (not both; unit weights if neither); positive definite.
     constraints, solver, max_iterations, tolerance
-        As in :func:`gauss_helmert`.
+        See :func:`gauss_helmert`.
 
     Raises
     ------
     InputError
-        Arrays do not fit; there are fewer observations than unknowns; the solver is unknown.
+        The shapes of the arrays do not fit, there are fewer observations than unknowns,
+        or the solver is unknown.
     NoSolutionError
         The function gives values that are not finite, or the solver breaks down.
     """
@@ -306,23 +311,26 @@ def gauss_helmert(
     Parameters
     ----------
     function : callable
-        ``function(l, x) -> (F (r,), A (r, u), B (r, n))``: conditions and their derivatives with respect
-        to unknowns and observations.
+        ``function(l, x) -> (F (r,), A (r, u), B (r, n))``: conditions and their
+        derivatives with respect to unknowns and observations.
     observed : (n,) array
         L.
     start : (u,) array
         Approximate unknowns; empty for conditions only.
     weights, cofactors : (n,) or (n, n) array, optional
-        W or Q_ll (not both; unit weights if neither). Q_ll may be singular if ``B Q_ll B^T`` is regular: an observation
-        with cofactor 0 keeps its value.
+        W or Q_ll, not both; if neither is given, weights are 1. Q_ll may be singular if
+        ``B Q_ll B^T`` is regular. An observation with cofactor 0 keeps its value.
     constraints : callable, optional
-        ``constraints(x) -> (c (q,), C (q, u))``: constraints ``c(x) = 0`` between unknowns and their derivatives.
+        ``constraints(x) -> (c (q,), C (q, u))``: constraints ``c(x) = 0`` between
+        unknowns and their derivatives.
     solver : str
-        Name in the registry of linear solvers; its design matrix is ``M^-1/2 A``, or ``M^-1/2 A Z`` with constraints.
+        Name in the registry of linear solvers; its design matrix is ``M^-1/2 A``, or
+        ``M^-1/2 A Z`` with constraints.
     max_iterations : int
     tolerance : float
-        Share of the norm of the whitened residuals. The iteration stops when steps of the unknowns, changes of the
-        residuals and the values of F, all whitened, are below it (or are rounding).
+        Share of the norm of the whitened residuals. The iteration stops when steps of the
+        unknowns, changes of the residuals and the values of F, all whitened, are below it
+        (or are rounding).
 
     Raises
     ------

@@ -1,17 +1,22 @@
 """The graph backend: image vectors as variables, groups of ground points eliminated inside GTSAM factors.
 
-Each factor contains a group of ground points with all their rays (:mod:`fg_orient.adjustment.eliminated`) and links the
-images that see them. Priors are GTSAM's prior factors; an extra observation of images is a separate factor. GTSAM's
-Gauss-Newton, Levenberg-Marquardt or Dogleg solve this graph (:mod:`fg_orient.adjustment.optimisers`).
+Each factor contains a group of ground points with all their rays
+(:mod:`fg_orient.adjustment.eliminated`) and links the images that see them. Priors are
+GTSAM's prior factors; an extra observation of images is a separate factor. GTSAM's
+Gauss-Newton, Levenberg-Marquardt or Dogleg solve this graph
+(:mod:`fg_orient.adjustment.optimisers`).
 
-In long sequences points and shared unknowns form one variable, the border, and images are eliminated
-(:class:`ImagesGraph`). For given unknowns x of this border (:mod:`fg_orient.adjustment.images_first`) each image is
-oriented again from its points (variable projection: Golub & Pereyra 1973), and eliminated. The result is a function of
-x alone, with the cost c(x), its gradient g(x) and the reduced normal matrix S(x) of Gauss-Newton. For each iteration,
-GTSAM's optimisers receive a Hessian factor with S and g, and a factor of the cost, as with eliminated points
-(:mod:`fg_orient.adjustment.reduced_graph`). Images are oriented by Newton's steps. They begin at the orientation that
-the last linearised solution predicts for the step of the border. The elimination contains one further step. A step that
-does not decrease the cost is halved.
+In long sequences points and shared unknowns form one variable, the border, and images are
+eliminated (:class:`ImagesGraph`). For given unknowns x of this border
+(:mod:`fg_orient.adjustment.images_first`) each image is oriented again from its points
+(variable projection: Golub & Pereyra 1973), and eliminated. The result is a function of x
+alone, with the cost c(x), its gradient g(x) and the reduced normal matrix S(x) of
+Gauss-Newton. For each iteration, GTSAM's optimisers receive a Hessian factor with S and
+g, and a factor of the cost, as with eliminated points
+(:mod:`fg_orient.adjustment.reduced_graph`). Images are oriented by Newton's steps. They
+begin at the orientation that the last linearised solution predicts for the step of the
+border. The elimination contains one further step. A step that does not decrease the cost
+is halved.
 """
 
 from __future__ import annotations
@@ -124,7 +129,10 @@ class GraphBackend:
         ]
 
     def values(self, state: State) -> gtsam.Values:
-        """Return GTSAM values of a state; the eliminated ground points become the start of the next intersections."""
+        """Return GTSAM values of a state.
+
+        The eliminated ground points become the start of the next intersections.
+        """
         values, vector = gtsam.Values(), self.problem.image_vector(state)
         for key, part in self._vectors:
             values.insert(key, vector[part])
@@ -218,14 +226,17 @@ class ImageElimination:
         self._excess = cost - 0.5 * float(np.vdot(image, image_squares) + np.vdot(control, control_squares))
 
     def cost(self, border: Array) -> float:
-        """Return the cost at unknowns (b,) of the border; a large finite number if the images cannot be oriented."""
+        """Return the cost at unknowns (b,) of the border.
+
+        A large finite number if the images cannot be oriented.
+        """
         images = self._eliminated(border)
         if images is None:
             return IMPOSSIBLE
         return self._excess + 0.5 * (images.squares - float(np.sum(images.decrements**2)))
 
     def linearised(self, border: Array) -> tuple[Array, Array]:
-        """Return S (b, b) and g (b,) for the linearisation of an optimiser.
+        """Return S (b, b) and g (b,) at the point where an optimiser linearises.
 
         Singular: the images cannot be oriented.
         """
@@ -296,7 +307,10 @@ class ImagesGraph:
         self.cost = cost_factor(self.elimination.cost, [(BORDER, part)])
 
     def values(self, state: State) -> gtsam.Values:
-        """Return the GTSAM values of a state; its images become the start of their next orientation."""
+        """Return the GTSAM values of a state.
+
+        Its images become the start of their next orientation.
+        """
         values = gtsam.Values()
         values.insert(BORDER, self.places.border_of(state))
         self.elimination.start_at(state)
@@ -307,7 +321,10 @@ class ImagesGraph:
         return np.asarray(values.atVector(BORDER))
 
     def state(self, values: gtsam.Values, free: Array | None = None, *, complete: bool = False) -> State:
-        """Return the state of values that were evaluated last; see :meth:`ImageElimination.state`."""
+        """Return the state of values that were evaluated last.
+
+        See :meth:`ImageElimination.state`.
+        """
         return self.elimination.state(self.free(values) if free is None else free, complete=complete)
 
     def linearised(self, values: gtsam.Values, free: Array) -> ImagesReduced:

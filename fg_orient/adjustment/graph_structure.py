@@ -1,7 +1,8 @@
-"""Structure of a factor graph without its numbers: variables, factors, elimination orders, fill and cliques.
+"""Structure of a factor graph without numerical values: variables, factors, elimination orders, fill and cliques.
 
-Variables are numbered: image vectors, vectors that images share, ground points. GTSAM eliminates the structure
-symbolically. So a graph is counted and drawn without an evaluation of its factors.
+Variables are numbered in this order: image vectors, vectors that images share, ground
+points. GTSAM eliminates the structure symbolically. Therefore a graph can be counted and
+drawn without an evaluation of its factors.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from fg_orient.adjustment.problem import Problem
 
 Index = npt.NDArray[np.int64]
 
-#: Elimination orders by name. One more is "natural": images and then points, in the order of their numbers.
+#: Names of elimination orders. The order "natural" also exists: images, then points, in the order of their numbers.
 ORDERINGS = ("points first", "COLAMD", "METIS")
 
 
@@ -35,13 +36,14 @@ class Structure:
     names : tuple of str
         "image:ID", "shared:ID", "point:ID"; points follow the others.
     sizes : (n,) int array
-        Unknowns of each variable.
+        Number of unknowns of each variable.
     kinds : tuple of str
-        Kind of each factor: "image point", "control point", "image prior", "extra observation", "group of points".
+        Kind of each factor: "image point", "control point", "image prior", "extra
+        observation", "group of points".
     factors : tuple of int tuples
         Variables of each factor, ascending.
     points : tuple of int
-        Number of ground points that each factor has eliminated; 0 for all factors except groups.
+        Number of ground points that each factor has eliminated; 0 for factors that are not groups.
     """
 
     names: tuple[str, ...]
@@ -132,7 +134,8 @@ class EliminationTree:
     order : tuple of int
         Variables in the order of their elimination.
     separators : dict
-        Variables that remain in the conditional of each variable, in the same order: the blocks of its row of R.
+        For each variable, the variables in its conditional, in the same order. They are
+        the blocks of its row of R.
     """
 
     structure: Structure
@@ -143,7 +146,8 @@ class EliminationTree:
     def cliques(self) -> list[tuple[tuple[int, ...], tuple[int, ...], int]]:
         """Cliques of the Bayes tree: eliminated variables, separator and number of the parent clique (-1: root).
 
-        Parents come first. A variable joins the clique of the next variable if it adds nothing to the separator.
+        Parents come first. A variable joins the clique of the next variable if it adds
+        nothing to the separator.
         """
         number: dict[int, int] = {}
         frontals: list[list[int]] = []
@@ -179,7 +183,10 @@ class EliminationTree:
 
     @cached_property
     def counts(self) -> dict[str, int]:
-        """Numbers of elements of the lower triangle of N, of R, and of fill; largest clique, number of cliques."""
+        """Numbers of elements of the lower triangle of N, of R, and of fill.
+
+        Largest clique, number of cliques.
+        """
         sizes = self.structure.sizes
         own = int((sizes * (sizes + 1) // 2).sum())
         normal = own + int(sum(sizes[a] * sizes[b] for a, b in self.structure.pairs))

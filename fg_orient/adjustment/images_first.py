@@ -1,14 +1,17 @@
-"""Elimination of the images before the points, for long sequences of images with few ground points.
+"""Eliminate the images before the points, for long sequences of images with few ground points.
 
-No observation contains own unknowns of two images (*own*: not shared with another image). A are the derivatives of the
-rows of an image by its own unknowns, C those by the *border*: the shared unknowns of the images (prior sigmas) and then
-three unknowns of each ground point (m). Then
+The *own* unknowns of an image are those that it does not share with another image. No
+observation contains own unknowns of two images. The *border* consists of the shared
+unknowns of the images (prior sigmas) and three unknowns of each ground point (m). A
+contains the derivatives of the rows of an image by its own unknowns, and C those by the
+border. Then
 
     A^T A = L L^T,    W = L^-1 A^T C,    S = sum (C^T C - W^T W),    x_i = -L^-T (L^-1 g_i + W x_b)
 
-with the gradient g_i of the image and the step x_b of the border. S has the unknowns of the border only, for any number
-of images. If few points are seen in many images, this needs only a small part of the work of an elimination of points,
-which would leave the unknowns of all images (:mod:`fg_orient.adjustment.border`).
+with the gradient g_i of the image and the step x_b of the border. S has the unknowns of
+the border only, for any number of images. If few points are seen in many images, this
+needs only a small part of the work of an elimination of points, which would leave the
+unknowns of all images (:mod:`fg_orient.adjustment.border`).
 """
 
 from __future__ import annotations
@@ -32,13 +35,13 @@ if TYPE_CHECKING:
     from scipy import sparse
 
 
-#: Smallest ratio of the predicted work of both eliminations (points over images), and least number of multiplications
-#: saved, for images to be eliminated first.
+#: Images are eliminated first if the ratio of the predicted work (points first over
+#: images first) and the number of saved multiplications exceed these values.
 GAIN: Final = 4.0
 SAVED: Final = 1e7
 #: Maximum number of elements of W of all images: 0.2 GB.
 LARGEST: Final = 25_000_000
-#: Ratio of the squared pivot of an image to its diagonal, below which its points do not determine the image.
+#: The points of an image do not determine it if the ratio of a squared pivot to its diagonal element is below this.
 PIVOT: Final = 1e-11
 
 
@@ -125,8 +128,8 @@ class Places:
         self.own = np.where(self.exists, place, -1).astype(np.int64)
         #: Free unknown (M, k) for each of them; z: no unknown.
         self.free = np.where(self.exists, np.take_along_axis(free, place, axis=1), z)
-        #: Free unknowns (s,) that images share, and position (M, w) of each unknown of an image in the border; -1: own
-        #: unknown.
+        #: Free unknowns (s,) that images share, and position (M, w) of each unknown of an
+        #: image in the border; -1: own unknown.
         self.shared = np.arange(n_own, z)
         self.in_border = np.where((columns < problem.n_image_unknowns) & ~own, free - n_own, -1).astype(np.int64)
         #: First position (N,) of each unknown point in the border; other elements are not used.
@@ -306,7 +309,10 @@ class Images:
 
     @cached_property
     def inverse(self) -> Array:
-        """Inverse (M, k, k) of the normal matrix of the own unknowns of each image; zero for missing unknowns."""
+        """Inverse (M, k, k) of the normal matrix of the own unknowns of each image.
+
+        Zero for missing unknowns.
+        """
         out = np.swapaxes(self.inverse_root, 1, 2) @ self.inverse_root
         return np.where(self.places.exists[:, :, None] & self.places.exists[:, None], out, 0.0)
 
@@ -386,6 +392,6 @@ class Images:
         return np.vstack([by_shared.T @ flat, by_points.T @ flat])
 
     def followed(self, moves: Array) -> Array:
-        """Return the movements (M, k, d) of the images that best follow movements (b, d) of the border."""
+        """Return the best movements (M, k, d) of the images for movements (b, d) of the border."""
         seen = (self._reduced[0].reshape(-1, len(moves)) @ moves).reshape(*self.gradient.shape, moves.shape[1])
         return -np.asarray(np.swapaxes(self.inverse_root, 1, 2) @ seen)

@@ -1,16 +1,18 @@
 """Reweighted least squares with weights that belong to no loss: original Danish method, least absolute values.
 
-Each cycle solves the least-squares problem with the weights of the last cycle, and computes new weights from the
-whitened norms t of the residuals. Priors and extra observations keep weight 1.
+Each cycle solves the least-squares problem with the weights of the last cycle, and
+computes new weights from the whitened norms t of the residuals. Priors and extra
+observations keep weight 1.
 
-Danish method (Krarup, Juhl & Kubik 1980), with r = t / sigma0 (a posteriori, at least 1). If r exceeds its limit, a
-weight is multiplied by ``exp(-0.05 r^4.4)`` in the first three cycles and by ``exp(-0.05 r^3)`` afterwards. The
-exponent depends on the cycle and weights never increase again. The method therefore has no cost function, and the
-result depends on the sequence of cycles. :mod:`factors.losses.standard` has the form with a cost function.
+Danish method (Krarup, Juhl & Kubik 1980), with r = t / sigma0 (a posteriori, at least 1).
+If r exceeds its limit, a weight is multiplied by ``exp(-0.05 r^4.4)`` in the first three
+cycles and by ``exp(-0.05 r^3)`` afterwards. The exponent depends on the cycle and weights
+never increase again. The method therefore has no cost function, and the result depends on
+the sequence of cycles. :mod:`factors.losses.standard` has the form with a cost function.
 
-Least absolute values: ``w = 1 / max(t, eps)`` minimises the sum of t (Schlossmacher 1973; for 2 and 3 numbers the sum
-of lengths, Weiszfeld 1937). It has no tuning constant. Its efficiency at the normal distribution is 2/pi, pi/4 and 8/(3
-pi) in 1, 2 and 3 dimensions.
+Least absolute values: ``w = 1 / max(t, eps)`` minimises the sum of t (Schlossmacher 1973;
+for 2 and 3 numbers the sum of lengths, Weiszfeld 1937). It has no tuning constant. Its
+efficiency at the normal distribution is 2/pi, pi/4 and 8/(3 pi) in 1, 2 and 3 dimensions.
 """
 
 from __future__ import annotations
@@ -42,7 +44,7 @@ S = TypeVar("S")
 
 
 def find_loss(name: str) -> Loss:
-    """Find a loss; InputError if there is no loss of this name."""
+    """Return the loss with this name; raise InputError if it does not exist."""
     loss = find(name)
     if loss is None:
         known = ", ".join((NONE, *losses(), *ALIASES, *RULES))
@@ -50,13 +52,13 @@ def find_loss(name: str) -> Loss:
     return loss
 
 
-#: Limit of the Danish method in one dimension. In other dimensions the limit has the same probability.
+#: Limit of the Danish method in one dimension, in sigmas. In other dimensions, the limit has the same probability.
 DANISH_LIMIT: Final = 2.5
 DANISH_FACTOR: Final = 0.05
 DANISH_EXPONENTS: Final = (4.4, 3.0)
 #: Number of cycles with the first exponent.
 DANISH_FIRST: Final = 3
-#: Lower bound of the norms of the least absolute values, in sigmas.
+#: Lower bound of the norms for least absolute values, in sigmas.
 EPSILON: Final = 1e-3
 #: Largest change of a whitened norm at the end. Weiszfeld's steps shrink slowly, so more digits are expensive.
 TOLERANCE: Final = 1e-2
@@ -118,8 +120,9 @@ def reweight(
     Parameters
     ----------
     fit : callable
-        Least squares with weights, one array per group of observations; it starts at the last fit. At the first call
-        the fit is None and there are no weights, which means 1.
+        Least squares with weights, one array per group of observations; it starts at the
+        last fit. At the first call the fit is None and there are no weights, which means
+        1.
     norms : callable
         Whitened norms of the residuals, one array per group.
     sigma0 : callable
@@ -149,7 +152,10 @@ def norms_at(problem: Problem, state: State) -> tuple[Array, Array]:
 
 
 def weights_of(problem: Problem, groups: tuple[Array, ...]) -> Weights:
-    """Return the weights of the problem from weights of image points and observed control points; by default 1."""
+    """Return the weights of the problem from weights of image points and observed control points.
+
+    By default 1.
+    """
     control = np.ones(len(problem.observed))
     if not groups:
         return Weights(np.ones(len(problem.observations)), control)
@@ -169,8 +175,9 @@ def cycles_on_arrays(
 ) -> Callable[[tuple[Array, ...], CycleResult | None], CycleResult]:
     """Run weighted least squares on the graph of images or the Schur backend for :func:`reweight`.
 
-    The problem is compiled only once, because this takes many times as long as the two or three iterations of a cycle.
-    The weights multiply the rows, like the weights of a loss. ``callback`` receives each iteration.
+    The problem is compiled only once, because this takes many times as long as the two or
+    three iterations of a cycle. The weights multiply the rows, like the weights of a
+    loss. ``callback`` receives each iteration.
     """
     from fg_orient.adjustment.graph import GraphBackend
     from fg_orient.adjustment.optimisers import GTSAM_OPTIMIZERS

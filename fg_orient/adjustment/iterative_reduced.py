@@ -1,4 +1,4 @@
-"""Solution of the reduced camera system by conjugate gradients, with its blocks or without them."""
+"""Solve the reduced camera system by conjugate gradients, with or without its blocks in memory."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from fg_orient.kernels.batch_points import reduced_product
 if TYPE_CHECKING:
     from fg_orient.adjustment.schur import SchurSystem
 
-#: Smallest and largest error of a step of conjugate gradients, relative in the norm of the matrix; error in that norm
-#: that has no effect; maximum number of steps.
+#: Limits of conjugate gradients: minimum and maximum relative error of a step in the norm
+#: of the matrix; an error in this norm that has no effect; maximum number of steps.
 LEAST_ERROR: Final = 1e-10
 LARGEST_ERROR: Final = 6e-3
 NO_EFFECT: Final = 1e-10
@@ -28,10 +28,11 @@ MOST_STEPS: Final = 2000
 class IterativeReduced:
     """Preconditioned conjugate gradients, for systems whose factorisation would take too long.
 
-    The preconditioner consists of the diagonal blocks (block Jacobi; Hestenes & Stiefel 1952, Agarwal et al. 2010). A
-    step is solved only as exactly as necessary (inexact Newton method, Dembo, Eisenstat & Steihaug 1982). The ratio of
-    its error in chi2 to the decrease of chi2 equals the ratio of this decrease to chi2; this is the size of the
-    linearisation errors.
+    The preconditioner consists of the diagonal blocks (block Jacobi; Hestenes & Stiefel
+    1952, Agarwal et al. 2010). A step is solved only as exactly as necessary (inexact
+    Newton method, Dembo, Eisenstat & Steihaug 1982). The ratio of its error in chi2 to
+    the decrease of chi2 equals the ratio of this decrease to chi2; this is the size of
+    the linearisation errors.
 
     Parameters
     ----------
@@ -76,8 +77,9 @@ class IterativeReduced:
     def solve(self, gradient: Array) -> Array:
         """See :class:`Reduced`.
 
-        The error in chi2 is the square of the error in the norm of the matrix. It is at most the square of the residual
-        in the preconditioned norm divided by the least eigenvalue, which follows from the coefficients (Lanczos 1950).
+        The error in chi2 is the square of the error in the norm of the matrix. It is at
+        most the square of the residual in the preconditioned norm divided by the least
+        eigenvalue, which follows from the coefficients (Lanczos 1950).
 
         RuntimeError: more than :data:`MOST_STEPS` steps.
         """
@@ -119,7 +121,7 @@ class IterativeReduced:
 
     @cached_property
     def _factorised(self) -> Reduced:
-        """Same system with a factor, made at first use."""
+        """Return the same system with a factor, which is computed at the first use."""
         return self._inverse.factor if self._implicit is None else self._implicit.with_blocks()
 
     @property
@@ -137,7 +139,7 @@ class IterativeReduced:
 
 
 def _least_eigenvalue(lengths: list[float], turns: list[float]) -> float:
-    """Return the least eigenvalue (at most 1) of preconditioned matrix, from coefficients of conjugate gradients."""
+    """Return the least eigenvalue (at most 1) of the preconditioned matrix from the coefficients of the iteration."""
     if not lengths:
         return 1.0
     length, turn = np.array(lengths), np.array(turns)[:-1]
@@ -147,17 +149,17 @@ def _least_eigenvalue(lengths: list[float], turns: list[float]) -> float:
     return min(float(least), 1.0)
 
 
-#: Number of shares of the points with separate sums, so that the order of all sums does not depend on the number of
-#: threads.
+#: The points are divided into this number of shares with separate sums. The order of all
+#: sums then does not depend on the number of threads.
 SHARES: Final = 16
 
 
 class ImplicitProduct:
     """Reduced matrix of a linearisation under a damping, multiplied by the rows of the image points.
 
-    If nearly every combination of images sees a point, almost all pairs of images have a block, which sums only a few
-    pairs of rays. Then it takes longer to form and read the blocks than to read the rows again in each product (Agarwal
-    et al. 2010).
+    If nearly every combination of images sees a point, almost all pairs of images have a
+    block, which sums only a few pairs of rays. Then it takes longer to form and read the
+    blocks than to read the rows again in each product (Agarwal et al. 2010).
     """
 
     def __init__(self, system: SchurSystem, damping: float) -> None:
@@ -167,12 +169,15 @@ class ImplicitProduct:
 
     @cached_property
     def _cuts(self) -> Index:
-        """First place of each share."""
+        """Return the first position of each share."""
         first = self._system.structure.first
         return np.searchsorted(first, np.linspace(0, first[-1], SHARES + 1)).astype(np.int64)
 
     def multiply(self, x: Array, out: Array) -> None:
-        """Write the product with unknowns (M, k), without priors and damping; shorter rows end with zeros."""
+        """Write the product with unknowns (M, k), without priors and damping.
+
+        Shorter rows end with zeros.
+        """
         s, b = self._system.structure, self._system.eliminated_buffers(self._damping)
         d_image, d_ground = b.kept
         self._system.backend.workers.run(

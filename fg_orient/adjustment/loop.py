@@ -1,13 +1,18 @@
-"""Gauss-Newton, Levenberg-Marquardt and Dogleg: one loop for all backends.
+"""Gauss-Newton, Levenberg-Marquardt and Dogleg in one loop for all backends.
 
-The state belongs to Python; a backend only linearises, solves and retracts (docs/equations.md 9: GTSAM's own optimisers
-copy all values at every callback of a Python factor). Unknowns are scaled (prior sigmas; metres for ground points), so
-one step length is valid for all of them. The loop ends if the scaled step is below the tolerance, or below 1e-6 and no
-longer shrinking (rounding); it does not use a relative cost. It also ends after full steps that shrink fast, if the
-next step, extrapolated with a margin of ten, would be below the tolerance.
+Python owns the state. A backend only linearises, solves and retracts (docs/equations.md
+9: GTSAM's own optimisers copy all values at every callback of a Python factor). Unknowns
+are scaled (prior sigmas; metres for ground points). Therefore one step length is valid
+for all of them. The loop ends in three cases:
 
-:class:`Carried` contains everything that one iteration passes to the next. A loop that starts from it continues with
-identical bits.
+- the scaled step is below the tolerance;
+- the scaled step is below 1e-6 and no longer shrinks, because it is rounding;
+- full steps shrink fast, and the next step, extrapolated with a margin of ten, would be below the tolerance.
+
+The relative cost is not used.
+
+:class:`Carried` contains everything that one iteration passes to the next. A loop that
+starts from it continues with identical bits.
 """
 
 from __future__ import annotations
@@ -25,12 +30,13 @@ S = TypeVar("S")
 
 STEP_TOLERANCE = 1e-8
 ROUNDING_STEP = 1e-6
-#: A step below ROUNDING_STEP is rounding if it is not below this share of the last step. Newton's steps shrink faster,
-#: and reweighted steps shrink by a constant factor; steps of rounding do not shrink.
+#: A step below ROUNDING_STEP is rounding if it is larger than this share of the last
+#: step. Newton's steps shrink faster. Reweighted steps shrink by a constant factor. Steps
+#: of rounding do not shrink.
 SHRINK = 0.5
 SHRINK_REWEIGHTED = 1.0
 MAX_REJECTED = 20
-#: For :func:`delayed_gratification`, whose damping only doubles.
+#: Maximum number of rejected steps in :func:`delayed_gratification`, where the damping only doubles.
 MAX_REJECTED_DOUBLING = 60
 LEAST_DAMPING = 1e-14
 SMALL = finding("loop.small_step")
@@ -88,10 +94,11 @@ class Backend(Protocol[S]):
 class IterationRecord:
     """One iteration, for log and callback.
 
-    ``step`` is the largest scaled element; ``chi2`` and ``chi2_after`` are weighted sums of squares (under a loss
-    twice the cost); ``ratio`` is actual over predicted decrease (nan if the predicted decrease is rounding: the step
-    is accepted); ``mu`` is the stage under a loss (nan without); ``kappa`` is the regularisation parameter of the
-    step (nan without).
+    ``step`` is the largest scaled element; ``chi2`` and ``chi2_after`` are weighted sums
+    of squares (under a loss twice the cost); ``ratio`` is actual over predicted decrease
+    (nan if the predicted decrease is rounding: the step is accepted); ``mu`` is the stage
+    under a loss (nan without); ``kappa`` is the regularisation parameter of the step (nan
+    without).
     """
 
     iteration: int
@@ -186,7 +193,10 @@ class Course(Generic[S]):
         return range(max_iterations - len(self.carried.log) + self.carried.begun_at)
 
     def assess(self, before: float, after: float, step: Step, control: float, always: bool = False) -> IterationRecord:
-        """Record a step; it is accepted if the error decreases, if the predicted decrease is rounding, or always."""
+        """Record a step.
+
+        It is accepted if the error decreases, if the predicted decrease is rounding, or always.
+        """
         predicted = before - step.predicted_error
         ratio = (before - after) / predicted if predicted > 1e-12 * max(before, 1.0) else math.nan
         accepted = always or (math.isfinite(after) and (math.isnan(ratio) or ratio > 0.0))
@@ -226,7 +236,7 @@ def exhausted(max_iterations: int) -> Finding:
 
 
 def share_at_radius(across_squared: float, steepest_dot_across: float, length: float, radius: float) -> float:
-    """Return the share of way from steepest-descent step (of this length) to the Gauss-Newton step at the radius."""
+    """Return where the way from the steepest-descent step to the Gauss-Newton step reaches the radius, as a share."""
     b, c = steepest_dot_across, length**2 - radius**2
     return (-b + math.sqrt(b * b - across_squared * c)) / across_squared
 
@@ -252,10 +262,10 @@ def gauss_newton(
     shrink: float = SHRINK,
     keep: Callable[[Carried[S]], None] | None = None,
 ) -> LoopResult[S]:
-    """Iterate with full steps; stop without convergence if the error increases three times in a row or is not finite.
+    """Iterate with full steps; stop without convergence if the error is not finite or increases three times in a row.
 
-    ``start``, ``callback`` and ``keep``: see :class:`Course`. A step shrinks if it is below ``shrink`` times the last
-    step.
+    ``start``, ``callback`` and ``keep``: see :class:`Course`. A step shrinks if it is
+    below ``shrink`` times the last step.
     """
     course = Course(start, callback, keep)
     system = backend.linearise(course.carried.state)
@@ -281,9 +291,10 @@ def gauss_newton(
 class _Control:
     """Control of the steps by a damping or radius.
 
-    ``first`` is its initial value. ``method`` names the method of the system that computes the step. ``follow``
-    computes the next value and growth from value, growth and record. ``regular``: a larger value makes singular
-    equations regular, so they do not end the loop. ``max_rejected`` consecutive rejected steps end the loop.
+    ``first`` is its initial value. ``method`` names the method of the system that
+    computes the step. ``follow`` computes the next value and growth from value, growth
+    and record. ``regular``: a larger value makes singular equations regular, so they do
+    not end the loop. ``max_rejected`` consecutive rejected steps end the loop.
     """
 
     first: float
@@ -293,7 +304,10 @@ class _Control:
     max_rejected: int = MAX_REJECTED
 
     def step(self, system: System, control: float) -> Step:
-        """Return the step for a value; its length is infinite if the equations are singular under so little damping."""
+        """Return the step for a value.
+
+        Its length is infinite if the equations are singular under so little damping.
+        """
         try:
             step: Step = getattr(system, self.method)(control)
             return step
@@ -306,9 +320,10 @@ class _Control:
 def _arrived(system: System, log: tuple[IterationRecord, ...], small: bool) -> bool:
     """Return whether the accepted step was the last step.
 
-    A damped step may be small because of the damping, so the undamped step decides. With a free datum the equations are
-    singular without damping, and with very little damping steps need not become small. The loop then ends when the
-    predicted decrease is rounding.
+    A damped step may be small because of the damping, so the undamped step decides. With
+    a free datum the equations are singular without damping, and with very little damping
+    steps need not become small. The loop then ends when the predicted decrease is
+    rounding.
     """
     rounding = math.isnan(log[-1].ratio)
     if rounding and len(log) > 1 and math.isinf(log[-2].step):
@@ -322,7 +337,7 @@ def _arrived(system: System, log: tuple[IterationRecord, ...], small: bool) -> b
 def nielsen(damping: float, growth: float, record: IterationRecord) -> tuple[float, float]:
     """Control the damping by the ratio of actual to predicted decrease (Nielsen 1999).
 
-    It falls fast if the model is right.
+    The damping decreases fast if the linear model is good.
     """
     if not record.accepted:
         return damping * growth, 2.0 * growth
@@ -333,8 +348,8 @@ def nielsen(damping: float, growth: float, record: IterationRecord) -> tuple[flo
 def delayed_gratification(damping: float, growth: float, record: IterationRecord) -> tuple[float, float]:
     """Double the damping after a rejected step, divide it by five after an accepted one (Transtrum, Sethna 2012, 5).
 
-    The damping stays as large as the error permits. The steps into a narrow curved valley are therefore short, which
-    helps with poor start values.
+    The damping stays as large as the error permits. The steps into a narrow curved valley
+    are therefore short, which helps with poor start values.
     """
     return (2.0 * damping if not record.accepted else max(0.2 * damping, LEAST_DAMPING)), growth
 
@@ -357,7 +372,10 @@ def _controlled(
     shrink: float = SHRINK,
     keep: Callable[[Carried[S]], None] | None = None,
 ) -> LoopResult[S]:
-    """Iterate with steps that decrease the error, controlled by a damping or radius; see :func:`gauss_newton`."""
+    """Iterate with steps that decrease the error, controlled by a damping or radius.
+
+    See :func:`gauss_newton`.
+    """
     course = Course(start, callback, keep)
     if math.isnan(course.carried.control):
         course.carried = replace(course.carried, control=rule.first)
@@ -382,14 +400,14 @@ def _controlled(
 
 
 Optimizer = Callable[..., LoopResult[Any]]
-#: Damped steps.
+#: Optimiser with damped steps.
 levenberg_marquardt: Optimizer = partial(_controlled, _Control(1e-4, "solve", nielsen, regular=True))
-#: Damped steps for poor start values.
+#: Optimiser with damped steps for poor start values.
 delayed_levenberg_marquardt: Optimizer = partial(
     _controlled,
     _Control(1e-2, "solve", delayed_gratification, regular=True, max_rejected=MAX_REJECTED_DOUBLING),
 )
-#: Powell's dogleg in a trust region of the scaled unknowns.
+#: Optimiser with Powell's dogleg steps in a trust region of the scaled unknowns.
 dogleg: Optimizer = partial(_controlled, _Control(1e3, "dogleg", _trust))
 
 OPTIMIZERS: dict[str, Optimizer] = {

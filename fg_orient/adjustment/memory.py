@@ -1,11 +1,13 @@
-"""Memory required by an adjustment, estimated before it is allocated, and available memory.
+"""Estimate the memory of an adjustment before it is allocated, and compare it with the available memory.
 
-The estimate includes the arrays of the problem. It also includes the larger of two parts: the arrays of the backend,
-and those of statistics and results, which are made after the backend is released. If the backend exceeds the limit,
-ground points are adjusted in parts: their arrays are in files, and some of them are open at the same time. If only the
-statistics of every observation exceed it, they are left out. Otherwise the run is refused with both values. Constants
-per image point are measured at 1e6 image points. The arrays of the dense backend and the reduced matrix are counted.
-The estimate does not include the block, which is in memory already.
+The estimate includes the arrays of the problem. It also includes the larger of two parts:
+the arrays of the backend, and those of statistics and results, which are made after the
+backend is released. If the backend exceeds the limit, ground points are adjusted in
+parts: their arrays are in files, and some of them are open at the same time. If only the
+statistics of every observation exceed it, they are left out. Otherwise the run is refused
+with both values. Constants per image point are measured at 1e6 image points. The arrays
+of the dense backend and the reduced matrix are counted. The estimate does not include the
+block, which is in memory already.
 """
 
 from __future__ import annotations
@@ -40,32 +42,35 @@ from fg_orient.model.machine import allowed_bytes, in_gb
 from fg_orient.model.names import Role
 from fg_orient.sensors.base import ImageModel
 
-#: Bytes per image point of three kinds: arrays of eliminated points; explicit factors of GTSAM with values, linear
-#: graph and Bayes tree; start values and results (cofactors, tables, report).
+#: Bytes per image point of three kinds: arrays of eliminated points; explicit factors of
+#: GTSAM with values, linear graph and Bayes tree; start values and results (cofactors,
+#: tables, report).
 SCHUR: Final = 400
 EXPLICIT: Final = 13_000
 RESULTS: Final = 300
-#: Bytes per image point of the statistics of every observation, and of the Jacobians that are in memory at the same
-#: time.
+#: Bytes per image point of the statistics of every observation, and of the Jacobians that
+#: are in memory at the same time.
 STATISTICS: Final = 300
 STATISTICS_CHUNK: Final = 300
-#: Maximum number of image points for which the cofactors of groups of observations are computed in every adjustment,
-#: and bytes of each.
+#: Maximum number of image points for which the cofactors of groups of observations are
+#: computed in every adjustment, and bytes of each.
 EXACT_RAYS: Final = 3000
 GROUPS: Final = 5000
-#: Bytes per image point if images are eliminated first: rows and their columns at two states. Number of arrays with a
-#: row for each image unknown and a column for each unknown of the border.
+#: Bytes per image point if images are eliminated first: rows and their columns at two
+#: states. Number of arrays with a row for each image unknown and a column for each
+#: unknown of the border.
 IMAGES_FIRST: Final = 2000
 ARRAYS: Final = 4
 #: Bytes of the matrices of points in many images that are in memory at the same time, for the cofactors of groups.
 MATRICES: Final = 60_000_000
 #: Bytes that do not depend on the block: models, names, records of the run.
 FIXED: Final = 500_000
-#: Numbers stored per ground point in problem, state and results.
+#: Number of doubles that are stored for each ground point in problem, state and results.
 PER_POINT: Final = 60
 
-#: Default number of image points of a part. The number of parts then depends only on the block. So the last bit of a
-#: result does not depend on the machine. A task costs a few ms, a part of this size 10 ms.
+#: Default number of image points of a part. The number of parts then depends only on the
+#: block. So the last bit of a result does not depend on the machine. A task costs a few
+#: ms, a part of this size 10 ms.
 PART_SIZE: Final = 20_000
 MAX_PARTS: Final = 256
 
@@ -74,10 +79,11 @@ MAX_PARTS: Final = 256
 class Need:
     """Estimated bytes of an adjustment with a backend, and its limit (None: unknown).
 
-    ``statistics_left_out``: statistics of every observation are left out, because they would exceed the limit and the
-    options leave the choice to the program. ``parts`` is the number of parts of the ground points, if the limit or the
-    user requires them. At most ``kept`` of them are open in a process (None: all). The whole block would need ``whole``
-    bytes.
+    ``statistics_left_out``: statistics of every observation are left out, because they
+    would exceed the limit and the options leave the choice to the program. ``parts`` is
+    the number of parts of the ground points, if the limit or the user requires them. At
+    most ``kept`` of them are open in a process (None: all). The whole block would need
+    ``whole`` bytes.
     """
 
     backend: str
@@ -303,7 +309,10 @@ def reduced(block: Block, parts: Parts | None = None) -> tuple[Need, Block]:
 
 
 def within_memory(block: Block, parts: Parts | None = None) -> tuple[Need, Block]:
-    """Estimate the memory as :func:`reduced`; raise InputError if the adjustment is not possible within the limit."""
+    """Estimate the memory as :func:`reduced`.
+
+    Raise InputError if the adjustment is not possible within the limit.
+    """
     need, block = reduced(block, parts)
     if not need.fits:
         raise InputError(need.problem(block.name))

@@ -1,7 +1,8 @@
-"""GTSAM's own factors, or a user's GTSAM factors, as observations of a block.
+"""Use GTSAM factors, GTSAM's own or a user's, as observations of a block.
 
-A factor names its variables by the keys of :class:`fg_orient.orientation.factor_graph.FactorGraph`. Every backend and
-all statistics need its whitened rows; GTSAM linearises them. The graph contains the factor unchanged.
+A factor names its variables by the keys of
+:class:`fg_orient.orientation.factor_graph.FactorGraph`. Every backend and all statistics
+need its whitened rows; GTSAM linearises them. The graph contains the factor unchanged.
 """
 
 from __future__ import annotations
@@ -30,13 +31,13 @@ class NativeObservation(ExtraObservation):
 
 
 def with_observations(block: Block) -> Block:
-    """Convert GTSAM factors and constraints among ``extra`` of a block to observations.
+    """Convert the GTSAM factors and constraints in ``extra`` of a block to observations.
 
     Raises
     ------
     InputError
-        A factor names a variable that does not exist, or cannot be evaluated; the message contains its number from 0. A
-        constraint has too few members.
+        A factor names a variable that does not exist, or cannot be evaluated; the message
+        contains its number from 0. A constraint has too few members.
     """
     if all(isinstance(extra, ExtraObservation) for extra in block.extra):
         return block

@@ -1,4 +1,7 @@
-"""Reduced normal equations of the images at a state, with a multiple of the identity added, for regularisations."""
+"""Reduced normal equations of the images at a state, plus a multiple of the identity.
+
+Used for regularisation.
+"""
 
 from __future__ import annotations
 
@@ -15,14 +18,14 @@ from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.adjustment.schur_reduced import LapackReduced, banded_order
 from fg_orient.model.errors import InputError
 
-#: Number of steps of the power method, which starts at ones; a factor of two is accurate enough for the largest
-#: eigenvalue.
+#: Number of steps of the power method. Its start vector contains ones. The largest
+#: eigenvalue is needed only within a factor of two.
 STEPS = 20
 
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """N (z, z) of the free image unknowns without priors, points eliminated, as blocks of images.
+    """Normal matrix N (z, z) of the free image unknowns as blocks of images; points are eliminated, priors left out.
 
     Parameters
     ----------
@@ -46,8 +49,8 @@ class NormalEquations:
     def of(cls, problem: Problem, state: State) -> NormalEquations:
         """Linearise and eliminate; leave out the priors of the problem.
 
-        Singular: a ground point is not determined. InputError: extra observations name ground points; the system has
-        neither a narrow band nor at most 15000 unknowns.
+        Singular: a ground point is not determined. InputError: extra observations name
+        ground points; the system has neither a narrow band nor at most 15000 unknowns.
         """
         backend = SchurBackend(problem, reduced="dense")
         linear, pattern = backend.linearise(state), backend.structure.pattern
@@ -61,7 +64,10 @@ class NormalEquations:
         return cls(backend, blocks.copy(), linear.joined, prior - gradient, squares - float(prior @ x))
 
     def factor(self, diagonal: float) -> Callable[[Array], Array]:
-        """Return the solver of ``N + diagonal I`` for columns (z, k); Singular if it is not positive definite."""
+        """Return a function that solves ``N + diagonal I`` for columns (z, k).
+
+        Singular: the matrix is not positive definite.
+        """
         pattern, problem = self.backend.structure.pattern, self.backend.problem
         whole = problem.ties is not None or self.added is not None
         order = None if whole else banded_order(pattern, problem.first)

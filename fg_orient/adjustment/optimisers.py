@@ -1,29 +1,34 @@
 """GTSAM's Gauss-Newton, Levenberg-Marquardt and Dogleg over the graph of images, one ``iterate()`` at a time; iSAM2.
 
-Between two iterations a record is written, a checkpoint kept, and an interrupt can end the run. GTSAM's own tests for
-the end compare costs; they are replaced by the rule of :mod:`fg_orient.adjustment.loop` on the scaled step, which
-resolves the solution to rounding. Levenberg-Marquardt and Dogleg reject steps whose decrease is below the rounding of
-the cost, and try several before they give up. Therefore Gauss-Newton steps follow their first short step. If
-Gauss-Newton increases the cost, the run continues with Levenberg-Marquardt.
+Between two iterations a record is written, a checkpoint kept, and an interrupt can end
+the run. GTSAM's own tests for the end compare costs; they are replaced by the rule of
+:mod:`fg_orient.adjustment.loop` on the scaled step, which resolves the solution to
+rounding. Levenberg-Marquardt and Dogleg reject steps whose decrease is below the rounding
+of the cost, and try several before they give up. Therefore Gauss-Newton steps follow
+their first short step. If Gauss-Newton increases the cost, the run continues with
+Levenberg-Marquardt.
 
-The whitened gradient of the last linearisation, ``sqrt(g^T S^-1 g)``, is the length of the remaining Gauss-Newton step
-in units of the standard deviation of the solution. An end with a longer remaining step than :data:`REMAINING` is not
-converged.
+The whitened gradient of the last linearisation, ``sqrt(g^T S^-1 g)``, is the length of
+the remaining Gauss-Newton step in units of the standard deviation of the solution. An end
+with a longer remaining step than :data:`REMAINING` is not converged.
 
-Under a loss the weights are held during an iteration and then follow the residuals (iteratively reweighted least
-squares). The cost with held weights is not below the cost of the loss, so a decrease of the former is a decrease of the
-latter.
+Under a loss the weights are held during an iteration and then follow the residuals
+(iteratively reweighted least squares). The cost with held weights is not below the cost
+of the loss, so a decrease of the former is a decrease of the latter.
 
-iSAM2 (:class:`IncrementalGraph`): groups of ground points are added, replaced and removed one by one. A
-:class:`LocalGroup` is a separate small adjustment problem: a few images, and ground points with all their rays,
-eliminated inside the factor (:mod:`fg_orient.adjustment.eliminated`). The cost of an update depends on the groups that
-changed, and on the part of the tree above their images. There is a linearisation point for each vector of unknowns. A
-vector is linearised again if its correction exceeds :data:`RELINEARISE` prior sigmas; then the points of its groups are
-intersected again. An update is repeated until no vector is linearised again.
+iSAM2 (:class:`IncrementalGraph`): groups of ground points are added, replaced and removed
+one by one. A :class:`LocalGroup` is a separate small adjustment problem: a few images,
+and ground points with all their rays, eliminated inside the factor
+(:mod:`fg_orient.adjustment.eliminated`). The cost of an update depends on the groups that
+changed, and on the part of the tree above their images. There is a linearisation point
+for each vector of unknowns. A vector is linearised again if its correction exceeds
+:data:`RELINEARISE` prior sigmas; then the points of its groups are intersected again. An
+update is repeated until no vector is linearised again.
 
-Errors of the linear model are of second order in the corrections below the threshold. In a strip of frame images (prior
-sigmas 5 mrad and 2 m) the solution after each update differs from the batch solution by 8e-6 of its standard deviation
-for a threshold of 1e-3, 1e-5 for 2e-3, 1e-4 for 1e-2 and 5e-4 for 3e-2.
+Errors of the linear model are of second order in the corrections below the threshold. In
+a strip of frame images (prior sigmas 5 mrad and 2 m) the solution after each update
+differs from the batch solution by 8e-6 of its standard deviation for a threshold of 1e-3,
+1e-5 for 2e-3, 1e-4 for 1e-2 and 5e-4 for 3e-2.
 """
 
 from __future__ import annotations
@@ -58,17 +63,17 @@ from fg_orient.adjustment.point_groups import vector_names
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.model.errors import InputError, finding
 
-#: Whitened gradient at the end, in standard deviations of the solution, above which the run is not converged.
+#: The run is not converged if the final whitened gradient exceeds this, in standard deviations of the solution.
 REMAINING: Final = 1e-3
 #: Value of the control for the Gauss-Newton steps that follow the damped steps.
 FINAL: Final = 0.0
-#: Step of Levenberg-Marquardt or Dogleg, in prior sigmas, below which Gauss-Newton steps follow.
+#: When a step of Levenberg-Marquardt or Dogleg is below this, in prior sigmas, Gauss-Newton steps follow.
 SHORT: Final = 0.1
 #: Relative increase of the cost above which it is more than rounding.
 RISE: Final = 1e-9
 #: Relative decrease of the cost below which it is rounding.
 FLAT: Final = 1e-15
-#: Relative change of the cost after a refused step below which more damping is not tried: the step was short enough.
+#: If a refused step changes the cost by less than this (relative), more damping is not tried: the step is short.
 UNCHANGED: Final = 1e-12
 #: First damping of Levenberg-Marquardt in prior sigmas, first radius of Dogleg.
 DAMPING: Final = 1e-5
@@ -83,10 +88,11 @@ class _Step(Step):
 
 
 class _Run:
-    """Values that one of GTSAM's optimisers has reached, iteration by iteration.
+    """Run of one of GTSAM's optimisers, with the values that it has reached.
 
-    Each iteration has a new optimiser and a new graph (:mod:`fg_orient.adjustment.reduced_graph`). They continue with
-    the damping or radius of the previous iteration.
+    Each iteration has a new optimiser and a new graph
+    (:mod:`fg_orient.adjustment.reduced_graph`). They continue with the damping or radius
+    of the previous iteration.
     """
 
     def __init__(self, kind: str, backend: GraphBackend | ImagesGraph, values: gtsam.Values, control: float) -> None:
@@ -113,7 +119,7 @@ class _Run:
         backend, here, linear, optimizer, before = self._backend, self.state, self._linear, self._optimizer, self._free
         optimizer.iterate()
         self._done = True
-        # a copy: the values of an optimiser disappear with it
+        # a copy, because the optimiser's values are deleted with it
         self.values, self.error = linear.of_images(optimizer.values()), float(optimizer.error())
         if self.kind == "levenberg-marquardt":
             self.control = float(optimizer.lambda_())
@@ -174,10 +180,13 @@ def _optimise(
     shrink: float = SHRINK,
     keep: Callable[[Carried[State]], None] | None = None,
 ) -> LoopResult[State]:
-    """Run GTSAM's optimiser ``kind``; parameters as in :func:`fg_orient.adjustment.loop.gauss_newton`."""
+    """Run GTSAM's optimiser ``kind``.
+
+    Parameters as in :func:`fg_orient.adjustment.loop.gauss_newton`.
+    """
     course = Course(start, callback, keep)
     carried = course.carried
-    final = carried.control == FINAL  # as the next iteration had it before an interrupt
+    final = carried.control == FINAL  # true when a run continues after an interrupt here
     changed = kind == "gauss-newton" and not (math.isnan(carried.control) or final)
     # Levenberg-Marquardt follows if Gauss-Newton increases the cost
     damped = "levenberg-marquardt" if kind == "gauss-newton" else kind
@@ -202,7 +211,7 @@ def _optimise(
             continue
         known = carried.previous < math.inf
         rate = min(step.length / carried.previous, 1.0) if known else 1.0  # rate of the steps, and of the gradient
-        # a free datum allows no Gauss-Newton steps, and the next damped step cannot decrease the cost
+        # with a free datum, Gauss-Newton steps are impossible, and the next damped step cannot decrease the cost
         flat = is_free and rate * step.length < ROUNDING_STEP and rate**2 * (before - run.error) <= FLAT * before
         if flat or (newton and settled(step.length, carried.previous, tolerance)):
             step = replace(step, length=rate * step.length, gradient=rate * step.gradient)
@@ -246,11 +255,11 @@ GTSAM_OPTIMIZERS: Final = {
 }
 
 
-#: Correction, in prior sigmas, above which a vector of unknowns is linearised again.
+#: A vector of unknowns is linearised again if its correction exceeds this, in prior sigmas.
 RELINEARISE: Final = 2e-3
-#: Change of a correction, in prior sigmas, below which iSAM2's back-substitution ends.
+#: iSAM2's back-substitution ends where corrections change by less than this, in prior sigmas.
 WILDFIRE: Final = 1e-9
-#: Number of repetitions of an update after which the solution is reported as not found.
+#: Maximum number of repetitions of an update; then the solution is reported as not found.
 MAX_REPEATS: Final = 30
 
 
@@ -315,7 +324,7 @@ class LocalGroup:
     def factors(self, key: Callable[[str], int]) -> list[gtsam.CustomFactor]:
         """Return the factors of the points.
 
-        They do not refer to this object, which would keep the graph in memory for ever.
+        They contain no reference to this object; otherwise the graph would never be released from memory.
         """
         elimination = self.elimination
         keys = {n: key(name) for n, (name, _) in zip(elimination.parts, self.vectors, strict=True)}

@@ -1,9 +1,11 @@
-"""Linear rows of the image unknowns as observations: penalties of a regularisation, directions held at the metadata.
+"""Linear rows of the image unknowns as observations: penalties of a regularisation, or directions held fixed.
 
-A row r of the total deviation x of the image unknowns from the metadata is the observation ``r x = 0``. Every backend
-adds it like another observation of images: the dense backend as rows, the Schur backend as ``R^T R`` of the reduced
-matrix with the gradient ``R^T R x``, the graph as a factor. All backends therefore solve the same equations. Rows of
-one image are an observation of this image, so that the reduced system stays sparse.
+A row r of the total deviation x of the image unknowns from the metadata is the
+observation ``r x = 0``. Every backend adds it like another observation of images: the
+dense backend as rows, the Schur backend as ``R^T R`` of the reduced matrix with the
+gradient ``R^T R x``, the graph as a factor. All backends therefore solve the same
+equations. Rows of one image are an observation of this image, so that the reduced system
+stays sparse.
 """
 
 from __future__ import annotations
@@ -19,8 +21,9 @@ from fg_orient.adjustment.border_matrix import triangle
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.model.block import ExtraObservation
 
-#: Condition number of the image unknowns with all rows, above which normal equations lose the weakest direction: its
-#: square must stay well below 1e16.
+#: If the condition number of the image unknowns with all rows exceeds this, normal
+#: equations lose the weakest direction: the square of the condition number must be well
+#: below 1e16.
 NORMAL_LIMIT: Final = 1e6
 
 
@@ -38,7 +41,7 @@ class Penalty(ExtraObservation):
 
 
 def needs_rows(problem: Problem) -> bool:
-    """Return whether the normal equations of a regularised problem are too ill-conditioned to eliminate the points."""
+    """Return whether a regularised problem is too ill-conditioned for an elimination of points in normal equations."""
     return any(isinstance(e, Penalty) and e.condition > NORMAL_LIMIT for e in problem.block.extra)
 
 
@@ -49,7 +52,10 @@ def without_penalties(problem: Problem) -> Problem:
 
 
 def penalty_squares(problem: Problem, state: State) -> float:
-    """Sum of squares of the rows of a regularisation at a state; they are not observations: 0 without one."""
+    """Return the sum of squares of the rows of a regularisation at a state; 0 without a regularisation.
+
+    These rows are not observations.
+    """
     if problem.regularisation is None:
         return 0.0
     return float(np.sum((problem.regularisation.rows @ problem.image_vector(state)) ** 2))
@@ -58,8 +64,8 @@ def penalty_squares(problem: Problem, state: State) -> float:
 def penalties(problem: Problem, rows: Any, source: str, condition: float) -> tuple[Penalty, ...]:
     """Return the penalties of the free image unknowns as rows (k, z), dense or sparse.
 
-    There is one penalty per image, and one for all rows of several images. A shared unknown is read from the first
-    image that has it.
+    There is one penalty per image, and one for all rows of several images. A shared
+    unknown is read from the first image that has it.
     """
     from scipy import sparse
 
@@ -84,7 +90,10 @@ def penalties(problem: Problem, rows: Any, source: str, condition: float) -> tup
 
 
 def held_rows(problem: Problem, rows: Array, name: str, source: str) -> tuple[Equation, tuple[str, ...], Array]:
-    """Return equation, names and setup of rows (k, z) of the free unknowns of all images; see :func:`linear_rows`."""
+    """Return equation, names and setup of rows (k, z) of the free unknowns of all images.
+
+    See :func:`linear_rows`.
+    """
     wide = rows
     if problem.ties is not None:  # a shared unknown is read from the first image that has it
         wide = np.zeros((len(rows), problem.n_image_unknowns))

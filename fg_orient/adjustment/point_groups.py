@@ -1,4 +1,7 @@
-"""Groups of ground points, their reduced normal matrices and the square roots of these matrices."""
+"""Divide ground points into groups.
+
+Compute the groups' reduced normal matrices and their square roots.
+"""
 
 from __future__ import annotations
 
@@ -23,10 +26,11 @@ from fg_orient.kernels.batch_pairs import gather_blocks, gather_gradients
 
 Index = npt.NDArray[np.int64]
 
-#: Work of a group that does not depend on its size, in multiplications: calls, and small matrices.
+#: Work of a group that does not depend on its size (calls and small matrices), in multiplications.
 OVERHEAD: Final = 1_500_000
-#: Maximum number of sets of images that are compared with each other, and of sets that are joined by the work;
-#: neighbours of more sets are joined before.
+#: Maximum number of sets of images that are compared with each other; below: maximum
+#: number of sets that are joined by their work. If there are more sets, neighbours are
+#: joined before.
 MOST_SETS: Final = 2000
 MOST_JOINED: Final = 400
 
@@ -86,8 +90,8 @@ class GroupRows:
 
         error  (0, t),    Jacobian  (R, g^T / t),    t^2 = 2 c,    R^T R = S - g g^T / t^2,
 
-    so that ``J^T J = S``, ``J^T e = g`` and ``|e|^2 = 2 c``. The last row is the length of all residuals of the group
-    and its derivative. R is computed at its first use.
+    so that ``J^T J = S``, ``J^T e = g`` and ``|e|^2 = 2 c``. The last row is the length
+    of all residuals of the group and its derivative. R is computed at its first use.
 
     Parameters
     ----------
@@ -116,7 +120,7 @@ class GroupRows:
     def error(self) -> Array:
         """Error (n + 1,)."""
         matrix, gradient = self._normal
-        # rounding may leave less than a single unknown can decrease
+        # because of rounding, the cost may be smaller than the decrease that a single unknown allows
         diagonal = np.diag(matrix)
         least = gradient**2 / np.where(diagonal > 0.0, diagonal, np.inf)
         out = np.zeros(len(self.at) + 1)
@@ -132,9 +136,10 @@ class GroupRows:
 def numbers_of_groups(first: Small, image: Small, size: Index) -> Index:
     """Return the number of the group of each ground point, from 0 in the order of the points.
 
-    Points that the same images see belong to one group. Two groups are joined if this decreases the predicted work: a
-    group with n unknowns needs ``n^3`` for its matrix in GTSAM, and :data:`OVERHEAD`. If all images see points
-    together, the result is one group.
+    Points that the same images see belong to one group. Two groups are joined if this
+    decreases the predicted work: a group with n unknowns needs ``n^3`` for its matrix in
+    GTSAM, and :data:`OVERHEAD`. If all images see points together, the result is one
+    group.
 
     Parameters
     ----------
@@ -181,7 +186,10 @@ def _in_order(label: npt.NDArray[Any]) -> Index:
 
 
 def _joined(sets: Mask, size: Index) -> Mask:
-    """Return sets of images (G, M) from different sets (S, M); no two of them would take less work as one."""
+    """Return sets of images (G, M) from different sets (S, M).
+
+    No two of them would take less work as one.
+    """
 
     def gains(k: int) -> Array:
         """Return the work (S,) that is saved if set k is joined with each other set."""
@@ -207,8 +215,8 @@ def _joined(sets: Mask, size: Index) -> Mask:
 def square_root(matrix: Array, gradient: Array, length: float) -> Array:
     """Return the Jacobian (n + 1, n) with ``J^T J = S``; its last row is the gradient over the length of the error.
 
-    The other rows are a pivoted Cholesky factor of the rest of S, scaled to a unit diagonal; pivots that are rounding
-    are left out.
+    The other rows are a pivoted Cholesky factor of the rest of S, scaled to a unit
+    diagonal; pivots that are rounding are left out.
 
     Parameters
     ----------

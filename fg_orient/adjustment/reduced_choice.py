@@ -1,8 +1,9 @@
-"""Choice of the method for a reduced camera system, by predicted work and memory from the sparsity of its blocks.
+"""Choose the method for a reduced camera system by its predicted work and memory, from the sparsity of its blocks.
 
-Work is counted in floating-point operations of LAPACK's Cholesky factorisation. GTSAM takes six times as long for the
-same number (measured: 3060 unknowns, full). In each step conjugate gradients read all blocks, or the rows of all image
-points, at 10 GB/s; LAPACK computes 45 GFlop/s (one thread). Products from the rows need no blocks. The fill of the
+Work is counted in floating-point operations of LAPACK's Cholesky factorisation. GTSAM
+takes six times as long for the same number (measured: 3060 unknowns, full). In each step
+conjugate gradients read all blocks, or the rows of all image points, at 10 GB/s; LAPACK
+computes 45 GFlop/s (one thread). Products from the rows need no blocks. The fill of the
 sparse factor is counted by a symbolic elimination with least degree.
 """
 
@@ -28,25 +29,26 @@ FULL_BORDER: Final = 8000
 #: Ratio of GTSAM's to LAPACK's time for the same operations, and GTSAM's time for each image in these operations.
 GTSAM: Final = 6.0
 GTSAM_IMAGE: Final = 1e6
-#: Ratio of the time of LAPACK's banded to its full factorisation for the same operations (measured: 432 to 2700
-#: unknowns).
+#: Ratio of the time of LAPACK's banded to its full factorisation for the same operations
+#: (measured: 432 to 2700 unknowns).
 BANDED: Final = 1.4
-#: Number of steps of conjugate gradients that are expected for each link on the path from one image to the farthest one
-#: (measured: 2 to 10 in each of the first iterations), and number of LAPACK's operations in the time in which a byte is
-#: read.
+#: Number of steps of conjugate gradients that are expected for each link on the path from
+#: one image to the farthest one (measured: 2 to 10 in each of the first iterations), and
+#: number of LAPACK's operations in the time in which a byte is read.
 STEPS: Final = 15
 PER_BYTE: Final = 4.5
-#: Bytes of the rows of an image point, which each step reads if the blocks are not formed; LAPACK's operations in the
-#: time in which a block is formed (measured: 2.5 us if images are paired at random).
+#: Bytes of the rows of an image point, which each step reads if the blocks are not
+#: formed; LAPACK's operations in the time in which a block is formed (measured: 2.5 us if
+#: images are paired at random).
 ROW_BYTES: Final = 208
 PER_BLOCK: Final = 1e5
 #: Ratio of work up to which methods with a factor are preferred, because they give the covariance.
 PREFERRED: Final = 2.0
-#: Number of unknowns above which conjugate gradients may be chosen; their number of steps depends on the condition
-#: number.
+#: Number of unknowns above which conjugate gradients may be chosen; their number of steps
+#: depends on the condition number.
 ITERATIVE: Final = 3000
-#: Number of image unknowns above which the Schur backend replaces the graph by default, and how many times faster it
-#: must be.
+#: Number of image unknowns above which the Schur backend replaces the graph by default,
+#: and how many times faster it must be.
 WIDE: Final = 1500
 FASTER: Final = 3.0
 #: Maximum number of images for which the fill of a sparse factor is counted.
@@ -70,7 +72,10 @@ class Pattern(NamedTuple):
         return self.block_row, self.block_column
 
     def links(self) -> coo_array:
-        """Return the matrix (M, M) with a number other than 0 where two images have a block; its upper triangle."""
+        """Return the matrix (M, M) with a number other than 0 where two images have a block.
+
+        Its upper triangle.
+        """
         from scipy.sparse import coo_array
 
         images = len(self.size)
@@ -113,7 +118,8 @@ def narrowest(pattern: Pattern, first: Index) -> Order:
 class Choice(NamedTuple):
     """Method for a reduced system, its predicted work (operations of LAPACK) and memory (bytes).
 
-    ``front``: unknowns of the largest front of a block in parts (``fg_orient.adjustment.parts.dissection``), else 0.
+    ``front``: unknowns of the largest front of a block in parts
+    (``fg_orient.adjustment.parts.dissection``), else 0.
     """
 
     kind: str
@@ -151,13 +157,19 @@ def predictions(pattern: Pattern, band: int) -> list[Choice]:
 
 
 def choose(pattern: Pattern, band: int) -> Choice:
-    """Return the method with the least predicted work, factors preferred; see :func:`predictions`."""
+    """Return the method with the least predicted work, factors preferred.
+
+    See :func:`predictions`.
+    """
     formed = PER_BLOCK * len(pattern.block_row)
     return min(predictions(pattern, band), key=lambda one: _rank(one) + (0.0 if one.kind == "implicit" else formed))
 
 
 def choice_of(problem: Problem) -> Choice:
-    """Return the method for the reduced system of a problem, from its image points alone; see :func:`choose`."""
+    """Return the method for the reduced system of a problem, from its image points alone.
+
+    See :func:`choose`.
+    """
     pattern = pattern_of(problem)
     return choose(pattern, narrowest(pattern, problem.first).band)
 

@@ -1,15 +1,17 @@
 """Normal equations of all eliminated points as GTSAM factors, for one iteration of an optimiser.
 
-A factor written in Python can only give GTSAM a Jacobian, from which GTSAM forms the normal matrix again. A
-``HessianFactor`` contains the matrix itself, but its cost belongs to a linear model. Therefore the graph of an
-iteration contains, in place of the factors of groups of points,
+A factor written in Python can only give GTSAM a Jacobian, from which GTSAM forms the
+normal matrix again. A ``HessianFactor`` contains the matrix itself, but its cost belongs
+to a linear model. Therefore the graph of an iteration contains, in place of the factors
+of groups of points,
 
 - the blocks of the reduced normal matrix of all groups and the gradient, in Hessian factors of two or three image
   vectors without a cost (``LinearContainerFactor`` without a linearisation point has the cost 0 at all values);
 - one factor with the cost of all groups at any values, and a Jacobian of zeros.
 
-At the values where the graph was made, the sum has the matrix, the gradient and the cost of the groups. At all other
-values it has their cost. This is sufficient for an iteration of GTSAM's optimisers.
+At the values where the graph was made, the sum has the matrix, the gradient and the cost
+of the groups. At all other values it has their cost. This is sufficient for an iteration
+of GTSAM's optimisers.
 """
 
 from __future__ import annotations
@@ -32,8 +34,9 @@ if TYPE_CHECKING:
 
 Pair = tuple[int, int]
 
-#: Number of vectors from which they are joined to variables of about this number of unknowns, if all are linked; number
-#: of unknowns up to which all form one variable. GTSAM takes less time for few large factors.
+#: Number of vectors from which they are joined to variables of about this number of
+#: unknowns, if all are linked; number of unknowns up to which all form one variable.
+#: GTSAM takes less time for few large factors.
 JOINED_FROM: Final = 40
 JOINED_SIZE: Final = 150
 #: Blocks of a factor of three vectors, in the order of GTSAM's arguments.
@@ -41,9 +44,10 @@ _PLACES: Final = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
 def cover(pairs: Collection[Pair]) -> list[tuple[int, ...]]:
-    """Return few sets of up to three vectors that contain each pair (n < m) once; vectors in no pair are left out.
+    """Return sets of up to three vectors that together contain each pair (n < m) exactly once.
 
-    Making a factor of three vectors takes as long as a factor of two.
+    There are few sets, because a factor of three vectors takes as long to make as a
+    factor of two. Vectors that are in no pair are left out.
     """
     size = 1 + max((m for _, m in pairs), default=0)
     left = np.zeros((size, size), bool)
@@ -230,7 +234,10 @@ class ReducedGraph:
         return cost + float(backend.others.error(values)), along
 
     def steepest(self) -> float:
-        """Return longest Gauss-Newton step of a single image unknown, in standard deviations from groups of points."""
+        """Return the longest Gauss-Newton step of a single image unknown.
+
+        The unit is the standard deviation that follows from the groups of points.
+        """
         backend, s = self._backend, self._backend.elimination.backend.structure
         gradient, slope, ties = self._gradient.copy(), self._slope(), backend.problem.ties
         for key, part in backend.sums.vectors:
@@ -267,7 +274,10 @@ def _values(free: Array, vectors: Sequence[tuple[int, slice]]) -> gtsam.Values:
 
 
 def cost_factor(cost: Callable[[Array], float], vectors: Sequence[tuple[int, slice]]) -> gtsam.CustomFactor:
-    """Return a factor with the cost at any values of the unknowns (u,) of vectors; its Jacobian is zero."""
+    """Return a factor with the cost at any values of the unknowns (u,) of vectors.
+
+    Its Jacobian is zero.
+    """
 
     def error(_this: Any, values: Any, jacobians: Any) -> Array:
         if jacobians is not None:

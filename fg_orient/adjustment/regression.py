@@ -1,16 +1,18 @@
-"""Least-squares fit of any function with full statistics, by the loop of the bundle adjustment.
+"""Fit any function by least squares with full statistics; the iteration loop is that of the bundle adjustment.
 
-Unknowns have no priors here, so only the columns of the Jacobian define their scales. A scale is the larger of the
-present length of the column (Marquardt 1963) and half the scale before it. If a column collapses (an exponent that
-diverges), its unknown stays damped for some steps; if the column stays short, the unknown becomes free. With the
+Unknowns have no priors here, so only the columns of the Jacobian define their scales. A
+scale is the larger of the present length of the column (Marquardt 1963) and half the
+scale before it. If a column collapses (an exponent that diverges), its unknown stays
+damped for some steps; if the column stays short, the unknown becomes free. With the
 largest length so far (Moré 1978) this unknown would always stay damped.
 
-A step is measured in the space of the observations, ``|J dx| / (sqrt(u) sigma0)``: the relative offset of Bates and
-Watts (1981), independent of units and parametrisation. Observations that fit exactly have no sigma0; therefore it is at
-least sqrt(eps) times the root mean square of the observations.
+A step is measured in the space of the observations, ``|J dx| / (sqrt(u) sigma0)``: the
+relative offset of Bates and Watts (1981), independent of units and parametrisation.
+Observations that fit exactly have no sigma0; therefore it is at least sqrt(eps) times the
+root mean square of the observations.
 
-Damped steps include the second-order correction along the step (geodesic acceleration: Transtrum, Sethna 2012,
-eqs. 3-6). They are rejected if this correction is large.
+Damped steps include the second-order correction along the step (geodesic acceleration:
+Transtrum, Sethna 2012, eqs. 3-6). They are rejected if this correction is large.
 """
 
 from __future__ import annotations
@@ -141,8 +143,8 @@ def fit_curve(
     Parameters
     ----------
     model : callable
-        ``model(x, b1, ..., bu)`` gives (n,) values. Without ``jacobian`` it must accept complex parameters (arithmetic
-        and analytic functions of numpy do).
+        ``model(x, b1, ..., bu)`` gives (n,) values. Without ``jacobian`` it must accept
+        complex parameters (arithmetic and analytic functions of numpy do).
     x : array
         First argument of the model.
     y : (n,) array
@@ -150,7 +152,8 @@ def fit_curve(
     start : (u,) array
         Start values.
     sigma : (n,) array or float, optional
-        Standard deviations of the observations; default 1: sigma0 is then the standard deviation of an observation.
+        Standard deviations of the observations; default 1: sigma0 is then the standard
+        deviation of an observation.
     jacobian : callable, optional
         ``jacobian(x, b1, ..., bu)`` gives the (n, u) derivatives; default: complex steps, exact to rounding.
     optimizer : str
@@ -313,7 +316,10 @@ class _System:
         self._offset = 1.0 / (np.sqrt(u) * sigma0)
 
     def solve(self, damping: float) -> Step:
-        """Return a Gauss-Newton step, or a damped step of second order; _Singular if an unknown is not determined."""
+        """Return a Gauss-Newton step, or a damped step of second order.
+
+        _Singular if an unknown is not determined.
+        """
         against = self._factor(damping)
         first = against(self.residual)
         with np.errstate(over="ignore"):

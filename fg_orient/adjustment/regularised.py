@@ -1,4 +1,7 @@
-"""Record of a regularisation: method, parameter, rank and rows, chosen once at the start values."""
+"""Record of a regularisation: method, parameter, rank and rows.
+
+They are chosen once, at the start values.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Regularisation:
-    """Regularisation of a problem.
+    """Regularisation of a problem: its method, its parameter and its rows.
 
     Parameters
     ----------
@@ -27,8 +30,8 @@ class Regularisation:
     choice : KappaChoice or None
         Choice with the curve of the rule and its remarks.
     singular_values : (z,) array
-        Singular values of the reduced Jacobian in the units of the norm, descending, without priors; empty for a large
-        system.
+        Singular values of the reduced Jacobian in the units of the norm, descending,
+        without priors; empty for a large system.
     rank : int
         Number of singular values above the cut.
     gap : float
@@ -40,8 +43,8 @@ class Regularisation:
     null : (z, d) array
         Orthonormal basis, in the units of the norm, of the directions below the rank cut and of all held ones.
     standard : LinearSystem or None
-        Reduced system in standard form, to which the rules of kappa are applied (penalty |y|^2); None for a large
-        system.
+        Reduced system in standard form, to which the rules of kappa are applied (penalty
+        |y|^2); None for a large system.
     condition : float
         Condition of the reduced Jacobian with priors and penalty.
     determined : float
@@ -67,10 +70,13 @@ class Regularisation:
 
     @property
     def redundancy(self) -> float:
-        """Sum of the redundancy numbers of the rows, which is no redundancy of the observations; 0 of held directions.
+        """Sum of the redundancy numbers of the rows; 0 for directions that are held fixed.
 
-        With Q of all rows it is the trace of ``I - R Q R^T``. Without it the redundancy of a problem is the number of
-        its observations minus the trace of their hat matrix.
+        It is not a redundancy of the observations.
+
+        With Q of all rows it is the trace of ``I - R Q R^T``. Without it the redundancy
+        of a problem is the number of its observations minus the trace of their hat
+        matrix.
         """
         return self.n_rows - self.determined if self.method not in ("truncated", "minimum_norm") else 0.0
 

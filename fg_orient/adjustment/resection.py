@@ -1,25 +1,30 @@
-"""Resection and space intersection with one side held fixed, for robust start values and for points located afterwards.
+"""Resection and space intersection with one side held fixed: robust start values, and points located afterwards.
 
-Start values that resist many gross errors are least median or least trimmed squares, image by image. Random subsets of
-5 to 9 control points of **one image** give its orientation by resection at the measured coordinates. The subset whose
-residuals have the least median (LMS, Rousseeuw 1984) or the least trimmed sum (LTS) of squared lengths is kept. A
-subset of the whole block must be free of gross errors in hundreds of observations, a subset of an image in five only.
-Observations that fit the best subset within 2.5 scales are adjusted again by least squares, with the scale::
+Start values that resist many gross errors are least median or least trimmed squares,
+image by image. Random subsets of 5 to 9 control points of **one image** give its
+orientation by resection at the measured coordinates. The subset whose residuals have the
+least median (LMS, Rousseeuw 1984) or the least trimmed sum (LTS) of squared lengths is
+kept. A subset of the whole block must be free of gross errors in hundreds of
+observations, a subset of an image in five only. Observations that fit the best subset
+within 2.5 scales are adjusted again by least squares, with the scale::
 
     s = c (1 + 5 / (n - u)) sqrt(med),   c = 1.4826 in one dimension, 0.8493 for image points (median of chi2_2)
 
-with n residuals and u unknowns that they determine. Images with too few control points are oriented afterwards, from
-points that two oriented images locate. The sigmas of control and located points are propagated to the image: whitening
-uses ``I + C Q C^T``. The start of a ground point is the candidate with the least sum of squares, each limited to 2.5
-scales. Candidates are the intersections of pairs of rays and the measured coordinates. (The least median is useless for
-a point with two rays, whose intersection always fits.)
+with n residuals and u unknowns that they determine. Images with too few control points
+are oriented afterwards, from points that two oriented images locate. The sigmas of
+control and located points are propagated to the image: whitening uses ``I + C Q C^T``.
+The start of a ground point is the candidate with the least sum of squares, each limited
+to 2.5 scales. Candidates are the intersections of pairs of rays and the measured
+coordinates. (The least median is useless for a point with two rays, whose intersection
+always fits.)
 
-The number of subsets is chosen so that all of them contain gross errors with a probability below 1 - :data:`CERTAINTY`,
-if :data:`SHARE` of the image points are wrong.
+The number of subsets is chosen so that all of them contain gross errors with a
+probability below 1 - :data:`CERTAINTY`, if :data:`SHARE` of the image points are wrong.
 
-Check points outside the adjustment are located afterwards (:func:`locate_points`): the whitened conditions of all rays
-are minimised over the three coordinates with the adjusted orientation held fixed. The same Jacobians propagate
-image noise and orientation cofactors: ``G = (A^T A)^-1 A^T``, ``Q = G (I + B Q_ee B^T) G^T``.
+Check points outside the adjustment are located afterwards (:func:`locate_points`): the
+whitened conditions of all rays are minimised over the three coordinates with the adjusted
+orientation held fixed. The same Jacobians propagate image noise and orientation
+cofactors: ``G = (A^T A)^-1 A^T``, ``Q = G (I + B Q_ee B^T) G^T``.
 """
 
 from __future__ import annotations
@@ -45,8 +50,8 @@ METHODS: Final = ("lms", "lts")
 #: Probability of at least one subset without gross errors, and the share of wrong image points assumed.
 CERTAINTY: Final = 0.999
 SHARE: Final = 0.4
-#: Smallest and largest number of image points of a subset; within these limits half the number of determined unknowns
-#: is used.
+#: Smallest and largest number of image points of a subset; within these limits half the
+#: number of determined unknowns is used.
 SIZES: Final = (5, 9)
 #: Minimum number of points of an image that are not in a subset and test it.
 JUDGES: Final = 2
@@ -62,8 +67,8 @@ MOST_PAIRS: Final = 28
 class Resection(NamedTuple):
     """Orientation of one image from its control points, or from points located by other images.
 
-    Fields: the unknowns (u,) in prior sigmas, the image points used (n,) with a mask of those that fit, and the scale s
-    in sigmas.
+    Fields: the unknowns (u,) in prior sigmas, the image points used (n,) with a mask of
+    those that fit, and the scale s in sigmas.
     """
 
     unknowns: Array
@@ -80,8 +85,9 @@ def subset_count(size: int, share: float = SHARE, certainty: float = CERTAINTY) 
 def resection_start(compiled: Problem, method: str, seed: int = SEED) -> tuple[State, tuple[Resection, ...]]:
     """Return the start of a robust adjustment, and the resections of all images.
 
-    ``method`` is "lms" or "lts", ``seed`` is the seed of the random subsets. InputError: images have too few control
-    points and located points (all these images are named), or share unknowns.
+    ``method`` is "lms" or "lts", ``seed`` is the seed of the random subsets. InputError:
+    images have too few control points and located points (all these images are named), or
+    share unknowns.
     """
     if compiled.ties is not None:
         raise InputError.of("frame.shared_not", option="robust_start", value=method, id=", ".join(compiled.ties.ids))
@@ -260,8 +266,9 @@ STEP_M = 1e-6
 class LocatedPoints:
     """Ground points ``index`` (n,) located with the image unknowns of a state held fixed.
 
-    ``problem`` contains all their rays, and only these points are unknowns. ``lost`` (m,) are points without
-    coordinates: their steps do not converge, because their rays hardly intersect.
+    ``problem`` contains all their rays, and only these points are unknowns. ``lost`` (m,)
+    are points without coordinates: their steps do not converge, because their rays hardly
+    intersect.
     """
 
     problem: Problem
@@ -275,7 +282,10 @@ class LocatedPoints:
         return np.asarray(self.state.ground[self.index] + self.problem.origin_m)
 
     def cofactors(self, blocks: Callable[[Index], Array]) -> Array:
-        """Return the cofactors (n, 3, 3) m^2 from joint cofactors of the images; see ``cofactors_of_points``."""
+        """Return the cofactors (n, 3, 3) m^2 from joint cofactors of the images.
+
+        See ``cofactors_of_points``.
+        """
         return cofactors_of_points(self.problem, self.state, self.index, blocks)
 
 

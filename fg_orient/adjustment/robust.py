@@ -1,17 +1,21 @@
 """Robust losses of an adjustment, and the weights of the rows.
 
-The cost is the sum of rho(t) over image points (t: whitened norm of 2 residuals) and control points (3), plus half the
-sum of squares of priors and extra observations. Rows multiplied by the root of their weight give the Gauss-Newton steps
-of iteratively reweighted least squares (Holland & Welsch 1977). Their gradient is the gradient of the cost.
+The cost is the sum of rho(t) over image points (t: whitened norm of 2 residuals) and
+control points (3), plus half the sum of squares of priors and extra observations. Rows
+multiplied by the root of their weight give the Gauss-Newton steps of iteratively
+reweighted least squares (Holland & Welsch 1977). Their gradient is the gradient of the
+cost.
 
-The two rays of a tie point without further observations contradict each other in one residual, the y-parallax. The data
-do not show which ray is wrong. Both get the mean of their squared norms (:func:`together`). So a gross error in one of
-them costs the point, not the ray that happens to have the larger residual. Graduated non-convexity also gives rivals
-among three or more rays one weight (``fg_orient.adjustment.best_rays.sharing``).
+The two rays of a tie point without further observations contradict each other in one
+residual, the y-parallax. The data do not show which ray is wrong. Both get the mean of
+their squared norms (:func:`together`). So a gross error in one of them costs the point,
+not the ray that happens to have the larger residual. Graduated non-convexity also gives
+rivals among three or more rays one weight (``fg_orient.adjustment.best_rays.sharing``).
 
-Each loss contains the share :data:`FLOOR` of the square. Therefore a ground point whose image points have no other
-weight is still determined by the intersection of its rays. With fixed weights the problem is an ordinary least-squares
-problem (:func:`weighted_problem`); covariances under a loss are the covariances of that problem.
+Each loss contains the share :data:`FLOOR` of the square. Therefore a ground point whose
+image points have no other weight is still determined by the intersection of its rays.
+With fixed weights the problem is an ordinary least-squares problem
+(:func:`weighted_problem`); covariances under a loss are the covariances of that problem.
 """
 
 from __future__ import annotations
@@ -29,8 +33,9 @@ from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import image_rows, residuals, rows_by_image, whitened_records
 from fg_orient.model.distributions import chi_square_median, chi_square_quantile
 
-#: Share of the square in every loss: a residual of 1000 sigmas acts like 0.001 sigma. With a smaller share, rounding
-#: would dominate the cofactors of a point with one good ray (its pivots differ by this factor).
+#: Share of the square in every loss: a residual of 1000 sigmas acts like 0.001 sigma.
+#: With a smaller share, rounding would dominate the cofactors of a point with one good
+#: ray (its pivots differ by this factor).
 FLOOR: Final = 1e-6
 #: Weight below which an observation is down-weighted.
 DOWN: Final = 0.5
@@ -192,8 +197,8 @@ def weighted_problem(problem: Problem, weights: Weights) -> Problem:
     return replace(problem, observations=weighted, records=records, control_records=control)
 
 
-#: Smallest share of an error in the residual; directions below it are excluded from the scale, because it is
-#: approximate.
+#: Directions in which a residual contains less than this share of the error are excluded
+#: from the scale, because the scale is approximate.
 CHECKED: Final = 0.1
 #: Number of residuals below which the scale is 1.
 LEAST: Final = 10
@@ -204,16 +209,17 @@ LOWEST: Final = 0.01
 def robust_scale(problem: Problem, state: State) -> tuple[float, float]:
     """Return scales of image points and control points at a state, in sigmas; 1 with fewer than :data:`LEAST` ratios.
 
-    The ratio of residuals to sigmas from their median: gross errors do not affect it. A residual is smaller than its
-    error, because the unknowns absorb a part. With ground points free and the orientation of each image free (the
-    others held fixed), image point i keeps ``Q_i = Q_g - Q_g B N_k^-1 B^T Q_g``, ``Q_g = I - C M_j^-1 C^T`` (B, C:
-    whitened Jacobians of image and point; M_j, N_k: their normal matrices). Without gross errors ``T_i = v^T Q_i^+ v``
-    is nearly chi-square of rank d, and::
+    The ratio of residuals to sigmas from their median: gross errors do not affect it. A
+    residual is smaller than its error, because the unknowns absorb a part. With ground
+    points free and the orientation of each image free (the others held fixed), image
+    point i keeps ``Q_i = Q_g - Q_g B N_k^-1 B^T Q_g``, ``Q_g = I - C M_j^-1 C^T`` (B, C:
+    whitened Jacobians of image and point; M_j, N_k: their normal matrices). Without gross
+    errors ``T_i = v^T Q_i^+ v`` is nearly chi-square of rank d, and::
 
         scale^2 = median over i of T_i / median(chi2_d)
 
-    For d = 1 this is the square of 1.4826 median|v| (Hampel 1974); for two dimensions the factor is 0.8493, for three
-    0.6501.
+    For d = 1 this is the square of 1.4826 median|v| (Hampel 1974); for two dimensions the
+    factor is 0.8493, for three 0.6501.
     """
     blocks = [
         (rows, *image_rows(problem, state, k, rows, jacobian=True)) for k, rows in enumerate(rows_by_image(problem))
@@ -226,8 +232,9 @@ def robust_scale(problem: Problem, state: State) -> tuple[float, float]:
 def scale_at(problem: Problem, state: State) -> tuple[float, float]:
     """Return the scales of image points and control points that the options request, at a state, in sigmas.
 
-    With ``robust_scale`` quantile the constant of the loss for image points is a quantile of their whitened norms, as
-    for the M-estimators of ISIS jigsaw. Control points keep the constant for 95 % efficiency.
+    With ``robust_scale`` quantile the constant of the loss for image points is a quantile
+    of their whitened norms, as for the M-estimators of ISIS jigsaw. Control points keep
+    the constant for 95 % efficiency.
     """
     options = problem.block.options
     loss = find(options.loss)
@@ -238,7 +245,10 @@ def scale_at(problem: Problem, state: State) -> tuple[float, float]:
 
 
 def _ground_cofactors(problem: Problem, blocks: list[tuple[npt.NDArray[np.intp], Array]]) -> Array:
-    """Return the cofactors (N, 3, 3) of the unknown ground points, orientation held fixed; zero for all others."""
+    """Return the cofactors (N, 3, 3) of the unknown ground points, orientation held fixed.
+
+    Zero for all others.
+    """
     rows, c = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
     normal = problem.point_normals(problem.observations.point[rows], c)
     out = np.zeros_like(normal)

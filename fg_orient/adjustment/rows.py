@@ -1,7 +1,8 @@
 """Whitened records, residuals and Jacobians of image points, by the compiled loops of ``fg_orient.kernels.batch``.
 
-All image points outside the loops of the solvers are evaluated here, without a Python call per image point. A large
-array can be released (:func:`recomputed`): it is computed again at its next use.
+All image points outside the loops of the solvers are evaluated here, without a Python
+call per image point. A large array can be released (:func:`recomputed`): it is computed
+again at its next use.
 """
 
 from __future__ import annotations
@@ -69,8 +70,9 @@ def whitened_records(
 def unchanged_rows(like: Problem, block: Block, observations: ImagePoints) -> Index:
     """Return the rows (n,) of ``like`` with the same constants as these image points; -1 for changed constants.
 
-    A search for gross errors compiles a block again for each excluded observation. Start value and whitening of an
-    image point depend only on its sensor, and on all rays and the known coordinates of its ground point.
+    A search for gross errors compiles a block again for each excluded observation. Start
+    value and whitening of an image point depend only on its sensor, and on all rays and
+    the known coordinates of its ground point.
     """
     columns = np.concatenate([
         np.stack([o.image, o.point, o.line, o.sample, o.sigma_line_px, o.sigma_sample_px], axis=1)
@@ -168,7 +170,7 @@ def linearised(problem: Problem, state: State, rows: Index | None = None) -> Row
 
 
 def _evaluate(problem: Problem, state: State, rows: Index | slice, out: Rows, *, want: bool) -> None:
-    """Write the residuals of image points and, if wanted, their Jacobians, for all images of an equation together."""
+    """Compute the residuals of image points and, if requested, their Jacobians, for all images of an equation."""
     o, row = problem.observations, np.arange(len(out.residual), dtype=np.int32)
     image, point = o.image[rows], o.point[rows]
     whole = isinstance(rows, slice) and rows == slice(None)
@@ -215,8 +217,9 @@ def _evaluate(problem: Problem, state: State, rows: Index | slice, out: Rows, *,
 def side_by_side(problem: Problem, image: Index, d_image: Array) -> tuple[Array, Index, tuple[int, ...]]:
     """Return the Jacobian (2n, u) of image points to the unknowns of all their images, one image after the other.
 
-    ``image`` (n,) are the images of the points, ``d_image`` their Jacobians as in :class:`Rows`. Further results: the
-    places (u,) of the columns among the unknowns of all images, and the images in the order of the columns.
+    ``image`` (n,) are the images of the points, ``d_image`` their Jacobians as in
+    :class:`Rows`. Further results: the places (u,) of the columns among the unknowns of
+    all images, and the images in the order of the columns.
     """
     images = tuple(dict.fromkeys(image.tolist()))
     parts = [np.arange(problem.first[k], problem.first[k + 1]) for k in images]
@@ -232,8 +235,9 @@ def side_by_side(problem: Problem, image: Index, d_image: Array) -> tuple[Array,
 def image_models(images: Sequence[Image], options: Options) -> tuple[ImageModel, ...]:
     """Return the model of each image.
 
-    InputError: a sensor has no image model; approximate values of a shared unknown differ; ``image_unknowns`` names an
-    unknown that no image has, or removes all unknowns of an image.
+    InputError: a sensor has no image model; approximate values of a shared unknown
+    differ; ``image_unknowns`` names an unknown that no image has, or removes all unknowns
+    of an image.
     """
     starts: dict[tuple[str, str], float] = {}
     for image in images:
@@ -281,7 +285,7 @@ def recomputed(name: str) -> Callable[[Kind], Kind]:
     def changed(kind: Kind) -> Kind:
         again = cached_property(lambda owner: vars(owner)[_function(name)](None))
         again.__set_name__(kind, name)
-        setattr(kind, name, again)  # an object's own array is found first, until it is released
+        setattr(kind, name, again)  # Python finds the object's own array first, until it is released
         return kind
 
     return changed

@@ -1,10 +1,11 @@
-"""Threads during an adjustment.
+"""Control the threads during an adjustment.
 
-Kernels release the interpreter lock and run in parallel in a few permanent threads. Dense linear algebra runs in one
-thread (:func:`one_blas_thread`). The matrices of this package are small: two BLAS threads take ten times the processor
-time of one (measured with 180 unknowns). The order of sums also changes rounding errors; results of singular systems
-would then depend on the number of cores. Only factors of large reduced systems take more threads
-(``schur_reduced.LapackReduced``).
+Kernels release the interpreter lock and run in parallel in a few permanent threads. Dense
+linear algebra runs in one thread (:func:`one_blas_thread`). The matrices of this package
+are small: two BLAS threads take ten times the processor time of one (measured with 180
+unknowns). The order of sums also changes rounding errors; results of singular systems
+would then depend on the number of cores. Only factors of large reduced systems take more
+threads (``schur_reduced.LapackReduced``).
 """
 
 from __future__ import annotations
@@ -28,8 +29,9 @@ if TYPE_CHECKING:
 Index = npt.NDArray[np.int64]
 
 
-#: Number of image points processed in the time of synchronising a thread at a stage, 50 us. With t threads a stage of n
-#: image points takes n / t + t times this number. Two threads take as long as one at 2000 image points (measured).
+#: The synchronisation of a thread at a stage takes 50 us. In this time, this number of
+#: image points is processed. With t threads, a stage of n image points takes n / t + t
+#: times this number. With 2000 image points, two threads take as long as one (measured).
 PER_THREAD: Final = 1000
 
 
@@ -49,7 +51,10 @@ def threads_for(image_points: int) -> int:
 
 
 class Workers:
-    """Threads that divide a range of a kernel; results do not depend on their number."""
+    """Threads that divide the range of a kernel among them.
+
+    Results do not depend on the number of threads.
+    """
 
     def __init__(self, threads: int) -> None:
         self.threads = threads
@@ -59,7 +64,8 @@ class Workers:
     def run(self, kernel: Callable[..., Any], cuts: int | Index, *arguments: Any, start: int = 0) -> list[Any]:
         """Call ``kernel(lo, hi, *arguments)`` for each part; return results in the order of the parts.
 
-        ``cuts`` is the length of the range, or the running sum of the cost of its items; ``start`` its first item.
+        ``cuts`` is the length of the range, or the running sum of the cost of its items;
+        ``start`` its first item.
         """
         bounds = [start + cut for cut in self._bounds(cuts)]
         if self.threads == 1:
@@ -79,7 +85,10 @@ class Workers:
         return [own, *(result for result, _ in others)]
 
     def _results(self, mates: tuple[_Mate, ...]) -> list[tuple[Any, BaseException | None]]:
-        """Wait for all threads; after an interrupt they are replaced, because their results would arrive later."""
+        """Wait for all threads.
+
+        After an interrupt they are replaced, because their results would arrive later.
+        """
         try:
             return [mate.outbox.get() for mate in mates]
         except BaseException:
@@ -87,7 +96,10 @@ class Workers:
             raise
 
     def _others(self) -> tuple[_Mate, ...]:
-        """Return further permanent threads: to start one takes 0.1 to 0.5 ms. A forked process starts new threads."""
+        """Return further permanent threads, because starting a thread takes 0.1 to 0.5 ms.
+
+        A forked process starts new threads.
+        """
         if not self._mates or self._process != os.getpid():
             self._mates, self._process = tuple(_Mate() for _ in range(self.threads - 1)), os.getpid()
             for mate in self._mates:
@@ -119,7 +131,10 @@ class _Mate:
 
 
 def _work(inbox: SimpleQueue[Any], outbox: SimpleQueue[Any]) -> None:
-    """Run the loop of a thread; it references only the queues, so that it ends with its owner."""
+    """Run the loop of a thread.
+
+    It has references to the queues only, so that it ends when its owner is deleted.
+    """
     while (task := inbox.get()) is not None:
         kernel, lo, hi, arguments = task
         try:

@@ -51,7 +51,7 @@ class SchurStep:
 
 
 class Blended(ABC):
-    """Linearisation with steps of a trust region: remaining unknowns (u,), and eliminated points (P, 3)."""
+    """Linearisation that also gives dogleg steps: for remaining unknowns (u,) and eliminated points (P, 3)."""
 
     @abstractmethod
     def solve(self, damping: float) -> SchurStep:
@@ -124,7 +124,7 @@ class SchurSystem(Blended):
         b.held, b.root_weight, b.owner, self._eliminated_at = None, np.ones(0), self._name, None
         b.control = backend.problem.control_records
         if self._robust is None and backend.last_damping == 0.0:
-            # the next step of Gauss-Newton eliminates: do it while the rows are in the cache
+            # the next Gauss-Newton step needs the elimination; now the rows are still in the cache
             with contextlib.suppress(Singular):
                 self._eliminate(0.0, fresh=True)
                 return
@@ -269,7 +269,7 @@ class SchurSystem(Blended):
         return step
 
     def substitute(self, image: Array, damping: float) -> SchurStep:
-        """Complete a step (u,) of the images, made with this damping, by the steps of the points."""
+        """Complete a step (u,) of the images, which was computed with this damping, by the steps of the points."""
         backend, s, b = self._backend, self.structure, self.buffers()
         if self._eliminated_at != damping:
             self._eliminate(damping)

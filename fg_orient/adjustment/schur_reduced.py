@@ -1,7 +1,7 @@
 """Reduced camera system, solved with LAPACK's Cholesky factor.
 
-The blocks (B, k, k) of the upper triangle are in the order of ``Pattern.block_row``. The unknowns of image i are
-``first[i]`` to ``first[i + 1]``.
+The blocks (B, k, k) of the upper triangle are in the order of ``Pattern.block_row``. The
+unknowns of image i are ``first[i]`` to ``first[i + 1]``.
 """
 
 from __future__ import annotations
@@ -22,10 +22,11 @@ from fg_orient.kernels.batch_matrix import add_shared, fill_lower
 if TYPE_CHECKING:
     from fg_orient.adjustment.ties import Ties
 
-#: Limit of the condition number of the reduced system, scaled to a unit diagonal. Above it there is no covariance: the
-#: relative rounding error of a cofactor, a few eps cond, exceeds 1e-3.
+#: Limit of the condition number of the reduced system, scaled to a unit diagonal. Above
+#: it, no covariance is computed, because the relative rounding error of a cofactor (a few
+#: eps times the condition number) exceeds 1e-3.
 CONDITION_LIMIT: Final = 1e13
-#: Number of unknowns above which BLAS may use more threads than one; below, the bits do not depend on their number.
+#: With more unknowns, BLAS may use several threads. With fewer, the bits do not depend on the number of threads.
 THREADED: Final = 3000
 #: Maximum number of elements of a band from which blocks of the inverse are formed: 0.8 GB.
 LARGEST_BAND: Final = 100_000_000
@@ -38,7 +39,7 @@ class Singular(RuntimeError):
 
 
 class Reduced(Protocol):
-    """A reduced system ``S``."""
+    """Reduced system of the images with the matrix ``S``."""
 
     @property
     def selects(self) -> bool:
@@ -76,7 +77,7 @@ class LapackReduced:
     first : (M + 1,) int array
     blocks : (B, k, k) array
     diagonal : float
-        Added to the diagonal: priors and damping.
+        Value that is added to the diagonal: priors and damping.
     order : Order, optional
         Order of the images for the banded matrix; without an order the matrix is full.
     ties : Ties, optional
@@ -84,7 +85,8 @@ class LapackReduced:
     added : (z, z) array, optional
         Matrix to add; the sum is then full.
     threads : int
-        Number of threads of BLAS, used from :data:`THREADED` unknowns on: the order of its sums depends on them.
+        Number of threads of BLAS, used from :data:`THREADED` unknowns on: the order of
+        its sums depends on them.
 
     Raises
     ------
@@ -151,9 +153,11 @@ class LapackReduced:
         return np.asarray(substitute(self._factor, right, lower=1)[0])
 
     def covariance(self, images: tuple[int, ...]) -> Array:
-        """See :class:`Reduced`; for some images columns of a band are solved, else the inverse is formed.
+        """See :class:`Reduced`.
 
-        The blocks refer to complete image vectors: shared unknowns occur in each.
+        For a few images, columns of a band are solved; otherwise the inverse is formed.
+        The blocks refer to complete image vectors, so that shared unknowns occur in each
+        of them.
         """
         require_regular(self.condition())
         index = np.concatenate([np.arange(self._first[k], self._first[k + 1]) for k in images])
@@ -227,7 +231,7 @@ def banded_order(pattern: Pattern, first: Index) -> Order | None:
 
 
 class LapackInverse:
-    """Inverse of a system that another method solves: a factor by LAPACK, made at first use.
+    """Inverse of a system that another method solves; LAPACK computes a factor at the first use.
 
     Parameters as for :class:`LapackReduced`.
     """
@@ -270,13 +274,13 @@ def full_matrix(pattern: Pattern, first: Index, blocks: Array, ties: Ties | None
 
 
 def require_regular(condition: float) -> None:
-    """Raise Singular for a condition number of a scaled reduced system that is too large for cofactors."""
+    """Raise Singular if the condition number of a scaled reduced system is too large for cofactors."""
     if not condition < CONDITION_LIMIT:
         raise Singular(f"the condition of the scaled reduced system is above {CONDITION_LIMIT:.0e}")
 
 
 def too_large(unknowns: int) -> Singular:
-    """Return the error for a full inverse of more than :data:`LARGEST_FULL` image unknowns."""
+    """Return the error for a full inverse that would have more than :data:`LARGEST_FULL` image unknowns."""
     return Singular(f"the covariance of {unknowns} image unknowns would take {8e-9 * unknowns**2:.0f} GB")
 
 
@@ -302,8 +306,10 @@ PART: Final = 256
 def band_inverse(factor: Array, place: Index, size: Index, pairs: Index) -> Array:
     """Return blocks (P, k, k) of the inverse for pairs of images within the band; shorter ones end with zeros.
 
-    The factor is cut into blocks at least as wide as its band: it is block bidiagonal, ``L_k`` with ``C_k`` below it.
-    From the last block up, with ``G = C_k L_k^-1`` and the inverse Z of what follows,
+    The factor is divided into blocks that are at least as wide as its band. It is then
+    block bidiagonal: ``L_k`` is on the diagonal, and ``C_k`` is below it. The inverse is
+    computed from the last block upwards. With ``G = C_k L_k^-1`` and the inverse Z of the
+    following blocks,
 
         Z_k+1,k = -Z_k+1 G,    Z_k = L_k^-T L_k^-1 + G^T Z_k+1 G
 

@@ -1,7 +1,8 @@
-"""Stages of the Schur backend for a range of points: rows, point blocks, sums over pairs; and their memory.
+"""Stages of the Schur backend for a range of points (rows, point blocks, sums over pairs), and their memory.
 
-A thread runs all stages of its range before threads synchronise. A synchronisation takes up to 50 us, and new rows are
-then still in the cache when they are used.
+A thread runs all stages of its range before the threads synchronise. A synchronisation
+takes up to 50 us. In addition, new rows are still in the cache when the next stage uses
+them.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ from fg_orient.kernels.vectors import SLACK, padded
 
 #: Bytes of a cache line.
 CACHE_LINE: Final = 64
-#: Maximum number of image points for which records are copied in the order of the points, 0.3 kB each: in the order of
-#: the input they cost 40 ns more per image point and iteration.
+#: Up to this number of image points, records (0.3 kB each) are copied in the order of the
+#: points. In the order of the input, an iteration takes 40 ns more for each image point.
 COPIED: Final = 100_000
 
 
@@ -41,7 +42,7 @@ class TileRows:
 
 
 class Buffers:
-    """Arrays of one linearisation, reused by the next, because allocating memory costs more than computing in it.
+    """Arrays of one linearisation. The next one uses them again, because allocating takes longer than computing.
 
     Tiles that are not kept share one space; ``held`` is the tile whose rows it contains.
     """
@@ -94,7 +95,10 @@ class Buffers:
 
 
 def _aligned(*shape: int) -> Array:
-    """Return an uninitialised array at a cache line: vectors across two lines are half as fast (measured)."""
+    """Return an uninitialised array that begins at a cache line.
+
+    Other arrays are half as fast (measured).
+    """
     n = int(np.prod(shape))
     space = np.empty(n + CACHE_LINE // 8)
     skip = -space.ctypes.data % CACHE_LINE // 8
@@ -102,7 +106,10 @@ def _aligned(*shape: int) -> Array:
 
 
 def row_arrays(n: int, c: int) -> tuple[Array, Array]:
-    """Return Jacobians of n image points; the first array is padded at its end, see ``fg_orient.kernels.vectors``."""
+    """Return Jacobians of n image points.
+
+    The first array is padded at its end, see ``fg_orient.kernels.vectors``.
+    """
     space = np.empty(2 * n * c + SLACK)
     space[2 * n * c :] = 0.0
     return space[: 2 * n * c].reshape(n, 2, c), np.empty((n, 2, 3))
@@ -126,7 +133,7 @@ class Stages:
 
     @cached_property
     def _records(self) -> Array:
-        """Records that belong to ``_row``."""
+        """Return the records that belong to ``_row``."""
         return self.problem.records[self.structure.row] if self._own else self.problem.records
 
     def release(self) -> None:
@@ -136,8 +143,8 @@ class Stages:
     def rows(self, lo: int, hi: int, rows: TileRows, state: State, wide: Array, want: bool) -> None:
         """Write the residuals of image points lo to hi, all of one tile, and, if wanted, their Jacobians.
 
-        ``wide`` (M, w) are the image unknowns of the state, see ``Structure.widened``. Raises NotFiniteError for a
-        residual or Jacobian that is not finite.
+        ``wide`` (M, w) are the image unknowns of the state, see ``Structure.widened``.
+        Raises NotFiniteError for a residual or Jacobian that is not finite.
         """
         s, (start, end) = self.structure, rows.tile.points
         at, records = slice(start, end), self._records
@@ -214,7 +221,10 @@ class Stages:
             self.pairs(lo, hi, rows, b)
 
     def pairs(self, lo: int, hi: int, rows: TileRows, b: Buffers) -> None:
-        """Write the sums of the pairs of rays of chunks lo to hi, whose points are eliminated."""
+        """Write the sums over pairs of rays for chunks lo to hi.
+
+        Their points have been eliminated.
+        """
         s = self.structure
         pair_blocks(
             lo,
@@ -275,8 +285,9 @@ class Stages:
 class ImageExtras:
     """Extra observations of images, linearised at a state; their J^T J is added to the reduced system.
 
-    An observation of one image is added to the block of this image, an observation of several images to the full
-    matrix. Elimination and back-substitution of the ground points do not depend on them.
+    An observation of one image is added to the block of this image, an observation of
+    several images to the full matrix. Elimination and back-substitution of the ground
+    points do not depend on them.
     """
 
     def __init__(self, problem: Problem, state: State) -> None:
@@ -300,7 +311,7 @@ class ImageExtras:
 
     @cached_property
     def matrix(self) -> Array | None:
-        """``J^T J`` (z, z) of the free unknowns from observations of several images; None without such observations."""
+        """Return ``J^T J`` (z, z) of observations of several images, for the free unknowns; None without such."""
         wide = [self._free(images, jacobians) for images, _, jacobians in self._rows if len(images) > 1]
         rows = np.vstack(wide) if wide else None
         return None if rows is None else rows.T @ rows

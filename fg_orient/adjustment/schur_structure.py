@@ -1,7 +1,8 @@
-"""Compilation of a problem to arrays for the Schur backend: sorted observations, columns, pieces, chunks, tiles.
+"""Convert a problem to the arrays of the Schur backend: sorted observations, columns, pieces, chunks, tiles.
 
-Image points are sorted by ground point, and ground points by the images that see them. So data used together are
-adjacent in memory. The layout is the same as in ``fg_orient.kernels.batch``, ``fg_orient.kernels.batch_points`` and
+Image points are sorted by ground point. Ground points are sorted by the images that see
+them. Therefore data that are used together are adjacent in memory. The layout is that of
+``fg_orient.kernels.batch``, ``fg_orient.kernels.batch_points`` and
 ``fg_orient.kernels.batch_pairs``.
 """
 
@@ -28,8 +29,8 @@ from fg_orient.kernels.batch_rows import Flags
 Index = npt.NDArray[np.int64]
 Small = npt.NDArray[np.int32]
 
-#: Number of chunks, and least and largest number of their image points. Each chunk has separate sums (a few blocks of 6
-#: kB); threads divide the chunks.
+#: Number of chunks; below: minimum and maximum number of their image points. Each chunk
+#: has its own sums (a few blocks of 6 kB). The threads share the chunks.
 CHUNKS: Final = 12
 LEAST_CHUNK: Final = 768
 MOST_CHUNK: Final = 16384
@@ -41,8 +42,9 @@ LEAST_SUMS: Final = 16_000_000
 LEAST_CHUNKS: Final = 2
 #: Number of image points whose rows are computed together: 25 MB.
 TILE: Final = 131_072
-#: Number of image points up to which all rows are kept, 200 bytes each. Larger blocks keep the rows of this number: the
-#: working set is below 256 bytes per image point, and the other rows are computed three times instead of once.
+#: Up to this number of image points, all rows are kept (200 bytes each). In larger
+#: blocks, only this number of rows is kept, so that the memory is below 256 bytes per
+#: image point. The other rows are computed three times instead of once.
 ALL_KEPT: Final = 300_000
 KEPT_SHARE: Final = 0.28
 #: Number of records that are copied together.
@@ -67,8 +69,9 @@ class Group:
 class Tile:
     """Consecutive chunks whose rows are computed and used together.
 
-    First and end of its image points, of its positions among the ground points, and of its chunks. ``kept``: true if
-    its rows stay in memory; otherwise they are computed for each use.
+    First and end of its image points, of its positions among the ground points, and of
+    its chunks. ``kept``: true if its rows stay in memory; otherwise they are computed for
+    each use.
     """
 
     points: tuple[int, int]
@@ -100,9 +103,9 @@ class Structure:
     chunk_places, slot_begin : (N + 1,) int arrays
         First place and first slot of each chunk.
     slot_own : (S,) int array
-        1 for slots of rays paired with themselves.
+        1 for slots of rays that are paired with themselves.
     cost : (N + 1,) int array
-        Running cost of the chunks, in pairs of rays.
+        Cumulative cost of the chunks, in pairs of rays.
     block_row, block_column : (B,) int arrays
         Images of each block of the reduced system, row <= column.
     block_begin, block_slots : (B + 1,), (S,) int arrays
@@ -169,9 +172,9 @@ Grouping = Callable[[Small, Small], Index]
 
 
 def compile_structure(problem: Problem, grouping: Grouping | None = None, *, diagonal: bool = False) -> Structure:
-    """Sort and index a problem; the points of a group follow each other, and its chunks are its own.
+    """Sort and index a problem. The points of a group follow each other, and a chunk contains points of one group only.
 
-    With ``diagonal`` there are only the blocks of each image with itself, and all rows are kept.
+    With ``diagonal``, only the blocks of each image with itself exist, and all rows are kept.
     """
     row, image, point, first, fence = _sorted(problem, grouping)
     number = point[first[:-1]]
@@ -217,9 +220,9 @@ def compile_structure(problem: Problem, grouping: Grouping | None = None, *, dia
 def _sorted(problem: Problem, grouping: Grouping | None) -> tuple[Small, Small, Small, Small, Flags]:
     """Return row, image and ground point of sorted image points, first of each ground point, flags of new groups.
 
-    Image points are sorted by ground point. Ground points are sorted by first and last image, number of rays and all
-    their images. So rays that two images share lie in few runs of memory, and points seen in the same images follow
-    each other.
+    Image points are sorted by ground point. Ground points are sorted by first and last
+    image, number of rays and all their images. So rays that two images share lie in few
+    runs of memory, and points seen in the same images follow each other.
     """
     o, n, m = problem.observations, len(problem.observations), problem.n_images
     image, point = np.asarray(o.image, np.int64), np.asarray(o.point, np.int64)
@@ -275,9 +278,10 @@ def _chunks(
 ) -> tuple[Index, Index, dict[str, Any]]:
     """Return the pieces (Q, 5), the first of each chunk and their number (N + 1,), and their :func:`_slots`.
 
-    The number of chunks is reduced if their sums, ``numbers`` for each slot, would need more memory than the rows. This
-    happens if different images see neighbouring points. If even one slot for each block needs more, the least number is
-    used. A chunk begins at each ``fence``.
+    The number of chunks is reduced if their sums, ``numbers`` for each slot, would need
+    more memory than the rows. This happens if different images see neighbouring points.
+    If even one slot for each block needs more, the least number is used. A chunk begins
+    at each ``fence``.
     """
     total = int(first[-1])
     limit = min(max(total // CHUNKS, LEAST_CHUNK), MOST_CHUNK)
@@ -327,7 +331,10 @@ def _slots(
 
 
 def _tiles(first: Small, places: Small, every: bool) -> tuple[Tile, ...]:
-    """Return the tiles of about TILE image points; the rows of the first tiles, or of ``every`` tile, are kept."""
+    """Return the tiles of about TILE image points.
+
+    The rows of the first tiles, or of ``every`` tile, are kept.
+    """
     points = first[places].astype(np.int64)
     total, cuts = int(points[-1]), [0]
     while cuts[-1] < len(places) - 1:

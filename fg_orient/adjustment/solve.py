@@ -1,4 +1,4 @@
-"""Solution of a problem: choose backend and optimiser, run, linearise at the end."""
+"""Solve a problem: choose the backend and the optimiser, run them, and linearise at the solution."""
 
 from __future__ import annotations
 
@@ -60,8 +60,8 @@ if TYPE_CHECKING:
 
 S = TypeVar("S")
 
-#: Maximum number of image points for a graph with a factor for each (13 kB each); it is built if eliminated points give
-#: a singular system.
+#: If eliminated points give a singular system, a graph with a factor for each image point
+#: is built (13 kB each). This is the maximum number of image points for it.
 EXPLICIT_LIMIT = 100_000
 
 
@@ -73,7 +73,8 @@ class Estimate:
     ----------
     state : State
     chi2 : float
-        Weighted sum of squares of the observations, without a penalty; under a loss with the weights at the state.
+        Weighted sum of squares of the observations, without a penalty; under a loss with
+        the weights at the state.
     backend, solver : str
         "graph", "schur" or "dense"; linear solver of the dense backend, else "".
     linear : ExplicitSystem, SchurSystem, DenseSystem, SummedSystem or BorderMatrix
@@ -124,7 +125,8 @@ def solve(
     callback : callable, optional
         Receives each record, first the records of an interrupted run.
     schur : callable, optional
-        Function that makes a backend which replaces the backend of the options (``fg_orient.adjustment.parts``).
+        Function that makes a backend which replaces the backend of the options
+        (``fg_orient.adjustment.parts``).
     checkpoint : Checkpoint, optional
         File for the state of the run, from which the run can continue. The caller removes it after the end.
     start : State, optional
@@ -133,8 +135,8 @@ def solve(
     Raises
     ------
     InputError
-        Unknown backend, optimiser, solver or loss; too many unknowns for the dense backend; a block that the Schur
-        backend refuses; a checkpoint of another problem.
+        Unknown backend, optimiser, solver or loss; too many unknowns for the dense
+        backend; a block that the Schur backend refuses; a checkpoint of another problem.
     NoSolutionError
         The equations become singular or not finite.
     KeyboardInterrupt
@@ -166,10 +168,11 @@ def suitable_backend(block: Block) -> Backend:
 def eliminates_points(problem: Problem) -> bool:
     """Return whether the graph eliminates points inside its factors; else it has one factor for each image point.
 
-    Without priors the normal equations may be too ill-conditioned for an elimination of points: GTSAM's QR of the rows
-    does not square the condition number. A regularisation bounds the condition number, unless its rank includes small
-    singular values. A free datum or an inner datum fixes the motions that control points would fix. Under a loss the
-    rays of points that extra observations name would need separate weights.
+    Without priors the normal equations may be too ill-conditioned for an elimination of
+    points: GTSAM's QR of the rows does not square the condition number. A regularisation
+    bounds the condition number, unless its rank includes small singular values. A free
+    datum or an inner datum fixes the motions that control points would fix. Under a loss
+    the rays of points that extra observations name would need separate weights.
     """
     points = int(np.count_nonzero(np.bincount(problem.observations.point)))
     all_of_them, some = no_point_is_named(problem.block), len(problem.named_points()) < points
@@ -189,7 +192,7 @@ def first_sentence(error: Exception) -> str:
 
 
 class _Job:
-    """Problem, iteration callback and restart state; ``start`` replaces the start of the problem."""
+    """Problem with its iteration callback and restart state; ``start`` replaces the start values of the problem."""
 
     def __init__(
         self, problem: Problem, callback: Callback | None, checkpoint: Checkpoint | None, start: State | None = None
@@ -209,7 +212,7 @@ class _Job:
 
     @cached_property
     def _first(self) -> Carried[State]:
-        """Input of the first iteration: from an interrupted run, or the start."""
+        """Return the input of the first iteration, from an interrupted run or from the start values."""
         if self._resumed is not None:
             return self._resumed
         if self._plan is None or self.options.gnc or self.options.robust_start not in METHODS:
@@ -234,7 +237,7 @@ class _Job:
         return with_best_rays(self.problem, state, (image, control))
 
     def start_again(self, backend: str) -> None:
-        """Begin again from the start with another backend."""
+        """Begin again from the start values with another backend."""
         self.backend, self._resumed, self._marks = backend, None, [working_clock()]
         self.__dict__.pop("_first", None)
 
@@ -294,7 +297,10 @@ class _Job:
 
 
 def _run(job: _Job, schur: Callable[[Problem], Any] | None) -> Estimate:
-    """Run the backend; if eliminated points give a singular system, run an explicit graph with QR."""
+    """Run the backend.
+
+    If eliminated points give a singular system, run an explicit graph with QR.
+    """
     if schur is not None:
         job.backend = "schur"
         return _run_schur(job, schur)
@@ -358,7 +364,7 @@ def _in_cycles(problem: Problem, callback: Callback | None, parted: bool) -> Est
 
 
 def _with_shared_weights(problem: Problem, end: Estimate, schur: Callable[[Problem], Any] | None) -> Estimate:
-    """Adjust with one weight for rivals (``best_rays.sharing``) after graduated non-convexity."""
+    """Adjust again with equal weights for rival rays (``best_rays.sharing``) after graduated non-convexity."""
     options = problem.block.options
     if end.weights is None or not end.converged or not options.gnc:
         return end

@@ -1,21 +1,25 @@
 """Stages before a robust loss: least squares, then Huber's loss, resections or a schedule of surrogates.
 
-Metadata orientations have errors of many sigmas, for which bounded losses have no gradient. The first stage is
-therefore least squares. A redescending loss has several minima. It starts at the only minimum of Huber's loss (Huber
-1981, ch. 7.8), or at resections (:mod:`fg_orient.adjustment.resection`). Resections are accurate to a few sigmas.
-Therefore the width of the loss is first eight times its final value, then four times, twice and once. Huber's loss is
-not used then, because it would move away from the resections to its only minimum.
+Metadata orientations have errors of many sigmas. At such residuals, a bounded loss has no
+gradient. Therefore the first stage is least squares. A redescending loss has several
+minima. It starts at the only minimum of Huber's loss (Huber 1981, ch. 7.8), or at
+resections (:mod:`fg_orient.adjustment.resection`). Resections are accurate to a few
+sigmas. Therefore the width of the loss is first eight times its final value, then four
+times, twice and once. In this case, Huber's loss is not used, because it would move the
+solution away from the resections to its only minimum.
 
-The scale of the residuals (``robust_scale = "mad"``) is measured at the end of each stage and fixed during the next, so
-that every stage has a cost. Huber's stage is repeated until the scale has converged. The last stage keeps this scale
-(as MM-estimators do, Yohai 1987): a scale that follows the residuals of a redescending loss could shrink with every
+The scale of the residuals (``robust_scale = "mad"``) is measured at the end of each stage
+and fixed during the next, so that every stage has a cost. Huber's stage is repeated until
+the scale has converged. The last stage keeps this scale (as MM-estimators do, Yohai
+1987): a scale that follows the residuals of a redescending loss could shrink with every
 observation that is down-weighted.
 
-Graduated non-convexity (Yang, Antonante, Tzoumas & Carlone 2020) replaces a bounded loss by surrogates with a parameter
-mu. The first surrogate is so wide that it excludes no residual of the least-squares stage. Each stage is steeper than
-the last by a factor of 1.4 and starts at its end. Yang et al. fix the weights within a stage; here weights change with
-each step, which minimises the same cost. The limit between inliers and outliers is a quantile of chi-square, so
-residuals must be in sigmas.
+Graduated non-convexity (Yang, Antonante, Tzoumas & Carlone 2020) replaces a bounded loss
+by surrogates with a parameter mu. The first surrogate is so wide that it excludes no
+residual of the least-squares stage. Each stage is steeper than the last by a factor of
+1.4 and starts at its end. Yang et al. fix the weights within a stage; here weights change
+with each step, which minimises the same cost. The limit between inliers and outliers is a
+quantile of chi-square, so residuals must be in sigmas.
 """
 
 from __future__ import annotations
@@ -41,18 +45,18 @@ from fg_orient.model.options import Options
 Scale = tuple[float, float]
 S = TypeVar("S")
 
-#: Values of mu: least squares, surrogates (from 0), and the loss itself.
+#: Value of mu for least squares; surrogates have values from 0; below: value for the loss itself.
 PLAIN: Final = -1.0
 EXACT: Final = math.inf
 #: Value of mu for the first stage with Huber's loss; it decreases by one for each further stage.
 START: Final = -2.0
-#: Maximum number of these stages, and relative change of the scale that ends them.
+#: Maximum number of these stages; below: they end when the relative change of the scale is below this.
 START_STAGES: Final = 8
 SETTLED: Final = 0.01
 #: Values of mu after resections: at WIDE - k the width of the loss is multiplied by 2^k.
 WIDE: Final = -100.0
 FROM_RESECTIONS: Final = WIDE - 3.0
-#: Scaled step that ends a stage before the last, and maximum number of iterations of these stages.
+#: A stage before the last one ends when the scaled step is below this; below: maximum number of its iterations.
 STAGE_STEP: Final = 1e-3
 PLAIN_ITERATIONS: Final = 5
 START_ITERATIONS: Final = 30
@@ -60,7 +64,7 @@ WIDE_ITERATIONS: Final = 10
 STAGE_ITERATIONS: Final = 5
 #: Ratio of steepness between two surrogates (Yang et al. 2020, remark 5).
 FACTOR: Final = 1.4
-#: Value of mu above which truncated least squares and the surrogate differ only for residuals within 1e-4 of the limit.
+#: Above this value of mu, truncated least squares and the surrogate differ only for residuals within 1e-4 of the limit.
 LARGEST_MU: Final = 1e4
 
 
@@ -103,10 +107,11 @@ class Schedule(NamedTuple):
     first : callable
         Function that returns the first mu, from the largest excess; EXACT if no surrogate is required.
     next : callable
-        Function that returns mu after a stage, from its mu and the excesses at its end; EXACT for the loss itself.
+        Function that returns mu after a stage, from its mu and the excesses at its end;
+        EXACT for the loss itself.
     weight, cost : callable
-        Weight and cost as functions of mu and u. They are functions of this module, so that worker processes can
-        receive them.
+        Weight and cost as functions of mu and u. They are functions of this module, so
+        that worker processes can receive them.
     """
 
     first: Callable[[float], float]
@@ -124,12 +129,15 @@ def _geman_mcclure_weight(mu: float, u: Array) -> Array:
 
 
 def _geman_mcclure_cost(mu: float, u: Array) -> Array:
-    """Return cost ``mu u^2 / (2 (mu + u^2))``, mu from twice the largest excess down to 1 (Yang et al. 2020, eq. 9)."""
+    """Return the cost ``mu u^2 / (2 (mu + u^2))`` (Yang et al. 2020, eq. 9).
+
+    mu decreases from twice the largest excess to 1.
+    """
     return mu * GEMAN_MCCLURE.cost(u / math.sqrt(mu))
 
 
 def _band(mu: float) -> tuple[float, float, float]:
-    """Return the ends of the band of decreasing weights, and the constant of its slope."""
+    """Return the two ends of the band in which weights decrease, and the constant of its slope."""
     return math.sqrt(mu / (mu + 1.0)), math.sqrt((mu + 1.0) / mu), math.sqrt(mu * (mu + 1.0))
 
 
@@ -146,7 +154,10 @@ def _truncated_cost(mu: float, u: Array) -> Array:
 
 
 def _truncated_next(mu: float, excess: Array) -> float:
-    """Return the next mu; EXACT (the loss itself) if no residual lies between its quadratic and its constant part."""
+    """Return the next mu.
+
+    EXACT (the loss itself) if no residual lies between its quadratic and its constant part.
+    """
     inside = (excess > mu / (mu + 1.0)) & (excess < (mu + 1.0) / mu)
     return mu * FACTOR if inside.any() and mu < LARGEST_MU else EXACT
 
@@ -214,7 +225,7 @@ def half_square(u: Array) -> Array:
 
 
 def stages_left(mus: Sequence[float]) -> int | None:
-    """Return the maximum number of stages after stages with these mus; None with less than two surrogates."""
+    """Estimate how many stages remain after stages with these values of mu; None with less than two surrogates."""
     different = list(dict.fromkeys(mu for mu in mus if mu >= 0.0))
     if len(different) < 2 or different[-1] == EXACT:
         return None
@@ -287,7 +298,8 @@ def run_stages(
     Parameters
     ----------
     optimise : callable
-        Optimiser of the loop; it receives its input, the maximum number of iterations, and the step that ends it.
+        Optimiser of the loop; it receives its input, the maximum number of iterations,
+        and the step that ends it.
     max_iterations : int
         Maximum number of iterations of the last stage.
     keep : callable
@@ -299,7 +311,7 @@ def run_stages(
 
     Returns
     -------
-    End of the last stage, which decides on convergence, and its scale.
+    Result of the last stage and its scale; the last stage decides on convergence.
     """
     while True:
         backend.robust, last = plan.robust(carried.mu, carried.scale), carried.mu == EXACT

@@ -1,1 +1,1 @@
-"""Published and modern linear solvers, Tikhonov regularisation, conditioning; numpy and scipy only."""
+"""Published and modern linear solvers, Tikhonov regularisation and conditioning; only numpy and scipy are used."""

@@ -21,13 +21,13 @@ _published = partial(register_published, "elimination")
 def eliminate(matrix: Array, rhs: Array, *, pivoting: bool) -> tuple[Array, tuple[str, ...]]:
     """Solve N x = b by Gauss elimination and back substitution, T(3.40)-(3.44); Breakdown for a zero pivot.
 
-    With ``pivoting`` rows are exchanged before each step so that the largest element of the column is the pivot. The
-    notes name pivots that lost their digits.
+    With ``pivoting`` rows are exchanged before each step so that the largest element of
+    the column is the pivot. The notes name pivots that lost their digits.
     """
     u = len(rhs)
     method = "gauss_partial_pivot_elimination" if pivoting else "gauss_elimination"
     work = np.column_stack([matrix, rhs]).astype(np.float64)
-    with np.errstate(all="ignore"):  # overflow appears as a pivot or a result that is not finite
+    with np.errstate(all="ignore"):  # after an overflow, a pivot or the result is not finite, which is checked
         for k in range(u):
             if pivoting:
                 largest = k + int(np.abs(work[k:, k]).argmax())
@@ -52,8 +52,8 @@ def checked_cholesky(
 ) -> CheckedElimination:
     """Solve N x = b by Cholesky with a check-sum column, T-Table 3.1, T(3.45)-(3.50).
 
-    The columns b and s are appended to N: C^T C = N, y = C^-T b, s_red = C^-T s. Each row is checked by
-    s_red,i = sum_j c_ij + y_i. Then C x = y is solved.
+    The columns b and s are appended to N: C^T C = N, y = C^-T b, s_red = C^-T s. Each row
+    is checked by s_red,i = sum_j c_ij + y_i. Then C x = y is solved.
 
     Parameters
     ----------
@@ -97,8 +97,9 @@ def checked_cholesky(
 def _violated(table: Array, factor: Numbers, off: Numbers) -> tuple[int, ...]:
     """Return the rows whose own contribution to the check-sum difference exceeds rounding.
 
-    The differences e of the rows above enter row i as -sum_k c_ki e_k/c_ii (by the same recursion that reduces s). The
-    remainder c_ii e_i + sum_k c_ki e_k arises in row i. It is a sum of at most (u + 2)(i + 2) products. To first order
+    The differences e of the rows above contribute -sum_k c_ki e_k/c_ii to row i, by the
+    same recursion that reduces s. The remainder c_ii e_i + sum_k c_ki e_k is the own
+    contribution of row i. It is a sum of at most (u + 2)(i + 2) products. To first order,
     their rounding is (u + i + 4) eps times the sum of their absolute values.
     """
     u = len(table)

@@ -1,7 +1,7 @@
-"""The five published inverses, written out: Cramer, exchange step, Gauss, Moore-Penrose, Cholesky.
+"""The five published methods of matrix inversion: Cramer, exchange step, Gauss, Moore-Penrose, Cholesky.
 
-Sources: Terlemezoğlu 2019, sections 3.6.1.1-3.6.1.5, with the misprints corrected. Each inverse is formed
-explicitly and then multiplied with b.
+Sources: Terlemezoğlu 2019, sections 3.6.1.1-3.6.1.5, with the misprints corrected. Each
+inverse is formed explicitly and then multiplied with b.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def _solver(name: str, label: str, equations: str) -> Callable[[Inverse], Invers
 
 
 def _finite(inverse: Array, method: str) -> Array:
-    """Raise Breakdown for an inverse that overflowed."""
+    """Raise Breakdown if the inverse contains values that are not finite, because of an overflow."""
     if not np.isfinite(inverse).all():
         raise Breakdown.of("linear.result_not_finite", place=method)
     return inverse
@@ -46,8 +46,9 @@ def _finite(inverse: Array, method: str) -> Array:
 def _inflation(system: LinearSystem, inverse: Array) -> tuple[str, ...]:
     """Return a remark if digits are lost.
 
-    n_ii (N^-1)_ii has no unit. Its reciprocal is the share of n_ii that remains after the elimination of all other
-    unknowns, the same measure as for a lost pivot. (N N^-1 is close to the identity even for a singular N.)
+    n_ii (N^-1)_ii has no unit. Its reciprocal is the share of n_ii that remains after the
+    elimination of all other unknowns, the same measure as for a lost pivot. (N N^-1 is
+    close to the identity even for a singular N.)
     """
     inflation = float(np.abs(system.normal.diagonal() * inverse.diagonal()).max())
     if inflation <= 1.0 / LOST:
@@ -59,15 +60,15 @@ def _inflation(system: LinearSystem, inverse: Array) -> tuple[str, ...]:
 def invert_cramer(normal: Array) -> Array:
     """Invert (u, u) by cofactors: N^-1 = adj(N)/det(N), T(3.9); Breakdown if the determinant is zero.
 
-    Determinants are stored as sign and logarithm, and only differences of logarithms are exponentiated: no
-    determinant overflows. The cost grows with u^5: 1 s at u = 84.
+    Determinants are stored as sign and logarithm, and only differences of logarithms are
+    exponentiated: no determinant overflows. The cost grows with u^5: 1 s at u = 84.
     """
     u = len(normal)
     sign, log_det = np.linalg.slogdet(normal)
     if sign == 0:
         raise Breakdown.of("linear.zero_determinant", place="cramer_inverse", value=0.0)
     inverse = np.empty((u, u))
-    others = np.array([np.delete(np.arange(u), i) for i in range(u)])  # (u, u - 1): every index but i
+    others = np.array([np.delete(np.arange(u), i) for i in range(u)])  # (u, u - 1): all indices except i
     checkerboard = 1.0 - 2.0 * (np.arange(u) % 2)
     with np.errstate(all="ignore"):
         for i in range(u):  # minors without row i give column i of the inverse
@@ -79,7 +80,7 @@ def invert_cramer(normal: Array) -> Array:
 
 @_solver("pivot_inverse", "Pivot inverse", "T(3.17)-(3.21)")
 def invert_pivot(matrix: Array) -> Array:
-    """Invert (u, u) by exchange steps with complete pivoting, T(3.17)-(3.21); also non-symmetric matrices.
+    """Invert a matrix (u, u), also a non-symmetric one, by exchange steps with complete pivoting, T(3.17)-(3.21).
 
     Raise Breakdown if all remaining elements are zero.
     """
@@ -120,8 +121,8 @@ def invert_gauss(matrix: Array) -> Array:
 def pseudo_inverse(matrix: Array) -> tuple[Array, int]:
     """Return the Moore-Penrose inverse N^+ = V D^-1 U^T of the singular values kept, and their number; T(3.30)-(3.33).
 
-    Singular values are kept if they exceed max(u, v) times the spacing of doubles at the largest one (the rule of
-    MATLAB's pinv and rank).
+    Singular values are kept if they exceed max(u, v) times the spacing of doubles at the
+    largest one (the rule of MATLAB's pinv and rank).
 
     Parameters
     ----------
@@ -152,7 +153,8 @@ def moore_penrose_inverse(system: LinearSystem, as_run: bool) -> LinearSolution:
 def cholesky_inverse(system: LinearSystem, as_run: bool) -> LinearSolution:
     """Invert by Cholesky: N = C^T C, N^-1 = C^-1 C^-T; raise Breakdown if a radicand is not positive.
 
-    With ``as_run`` negative radicands have complex roots, as in MATLAB, and x is the real part of the product with b.
+    With ``as_run`` negative radicands have complex roots, as in MATLAB, and x is the real
+    part of the product with b.
     """
     factor, notes = cholesky_rows(system.normal, "cholesky_inverse", as_run=as_run)
     with np.errstate(all="ignore"):

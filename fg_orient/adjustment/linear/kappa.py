@@ -1,8 +1,9 @@
 """Registry of rules for the regularisation parameter kappa, and the algebraic rules HKB, LW, Bayes, OD.
 
-A rule is ``function(system: LinearSystem, given: Given) -> KappaChoice``. All rules are for the penalty |x|. So kappa
-has the unit of a squared observation over a squared unknown, and depends on the units. A file that calls
-:func:`register_kappa_rule` adds a rule; docs/extending.md. Rules that use a curve:
+A rule is ``function(system: LinearSystem, given: Given) -> KappaChoice``. All rules are
+for the penalty |x|. So kappa has the unit of a squared observation over a squared
+unknown, and depends on the units. A file that calls :func:`register_kappa_rule` adds a
+rule; docs/extending.md. Rules that use a curve:
 :mod:`fg_orient.adjustment.linear.kappa_graph`.
 """
 
@@ -22,7 +23,7 @@ from fg_orient.model.errors import InputError
 
 #: Modules of this package that register rules when imported.
 _MODULES: Final = ("kappa", "kappa_graph")
-#: Rules that use only the trace of the hat matrix and the residuals: for them priors are a part of the penalty.
+#: These rules use only the trace of the hat matrix and the residuals. They can treat priors as a part of the penalty.
 BESIDE_PRIORS: Final = ("gcv", "discrepancy")
 
 
@@ -51,7 +52,7 @@ class Given:
 
 @dataclass(frozen=True)
 class KappaChoice:
-    """The kappa that a rule chose, and its curve.
+    """Kappa that a rule has chosen, with its curve.
 
     Parameters
     ----------
@@ -60,7 +61,7 @@ class KappaChoice:
     notes : tuple of str
         Remarks: clamping; kappa at the end of the grid.
     grid, curve : (n,) array, optional
-        Kappas and the function whose maximum, minimum or zero is chosen, for plots.
+        Kappas and the values of the function whose maximum, minimum or zero the rule uses; for plots.
     """
 
     kappa: float
@@ -75,7 +76,7 @@ RuleFunction = Callable[[LinearSystem, Given], KappaChoice]
 
 @dataclass(frozen=True)
 class KappaRule:
-    """A registered rule; ``needs`` are the fields of :class:`Given` that must be set.
+    """Registered rule; ``needs`` names the fields of :class:`Given` that must be set.
 
     ``published``: the rule is in Terlemezoğlu 2019. ``source``: author, year and equation.
     """
@@ -184,7 +185,10 @@ def unit_variance(system: LinearSystem, x: Array) -> float:
 
 @register_kappa_rule("hkb", "HKB", source="Hoerl, Kennard, Baldwin 1975; T(3.5)", published=True)
 def hkb(system: LinearSystem, given: Given) -> KappaChoice:
-    """Return kappa = u s0^2/(x^T x) of the least-squares solution; meaningless if that solution is very inaccurate."""
+    """Return kappa = u s0^2/(x^T x) of the least-squares solution.
+
+    It has no meaning if that solution is inaccurate.
+    """
     x = solve(given.start_solver, system).x
     return KappaChoice(float(np.float64(len(x) * unit_variance(system, x)) / (x @ x)), "hkb")
 

@@ -31,7 +31,7 @@ def on_curves(name: str, curves: RidgeCurves, given: Given) -> KappaChoice:
 
 
 def _lowest(ridge: RidgeCurves, function: Curve, *, sign: float = 1.0) -> KappaChoice:
-    """Find the minimum of a curve (maximum for ``sign`` -1): on the grid, then between its neighbours."""
+    """Find the minimum of a curve, or its maximum if ``sign`` is -1: first on the grid, then between the neighbours."""
     grid, curve = ridge.grid, _along(function, ridge.grid)
     usable = np.where(np.isfinite(curve), sign * curve, np.inf)
     best = int(usable.argmin())
@@ -48,13 +48,17 @@ def _lowest(ridge: RidgeCurves, function: Curve, *, sign: float = 1.0) -> KappaC
 def _crossings(
     ridge: RidgeCurves, function: Curve, missing: str, *, upward: bool, grid: Array | None = None
 ) -> list[float]:
-    """Return kappas where a function changes sign in this direction, ascending; Breakdown with the text without any."""
+    """Return the kappas where a function changes its sign in this direction, ascending.
+
+    Breakdown with the given text: there is no such kappa.
+    """
     logs = np.log(ridge.grid if grid is None else grid)
 
     def at_log(t: float) -> float:
         return function(float(np.exp(t)))
 
-    signs = np.sign([at_log(t) for t in logs]) * (1.0 if upward else -1.0)  # as brentq evaluates: exp(log(x)) is not x
+    # brentq evaluates at the same values; exp(log(x)) differs from x
+    signs = np.sign([at_log(t) for t in logs]) * (1.0 if upward else -1.0)
     starts = np.flatnonzero((signs[:-1] < 0.0) & (signs[1:] >= 0.0))
     if not len(starts):
         raise Breakdown.of("linear.no_kappa", place=f"kappa rule {ridge.rule}", value=missing)
@@ -94,8 +98,8 @@ def gcv(ridge: RidgeCurves, given: Given) -> KappaChoice:
 def creso(ridge: Ridge, given: Given) -> KappaChoice:
     """Find the first local maximum of |x|^2 + 2 kappa d|x|^2/dkappa, from small kappa up.
 
-    If the solution for small kappa contains only noise, this maximum belongs to the smallest singular values, and kappa
-    is far too small.
+    If the solution for small kappa contains only noise, this maximum belongs to the
+    smallest singular values, and kappa is far too small.
     """
     kappas = _crossings(ridge, ridge.creso_slope, "no local maximum", upward=False)
     return KappaChoice(kappas[0], "creso", (), ridge.grid, _along(ridge.creso, ridge.grid))
@@ -109,7 +113,7 @@ def maximum(ridge: Ridge, given: Given) -> KappaChoice:
 
 @_curve_rule("zero_crossing", "Zero crossing", "Johnston, Gulrajani 1997")
 def zero_crossing(ridge: RidgeCurves, given: Given) -> KappaChoice:
-    """Find the smallest kappa with kappa |x|^2 = |A x - l|^2."""
+    """Find the smallest kappa for which kappa |x|^2 = |A x - l|^2."""
 
     def balance(kappa: float) -> float:
         return kappa * ridge.norm2(kappa) - ridge.residual2(kappa)
@@ -128,7 +132,10 @@ def quasi_optimality(ridge: RidgeCurves, given: Given) -> KappaChoice:
 
 @_curve_rule("discrepancy", "Discrepancy principle", "Morozov 1966", needs=("noise_norm",))
 def discrepancy(ridge: RidgeCurves, given: Given) -> KappaChoice:
-    """Find kappa with |A x - l| = the norm of the noise; the residual grows with kappa, so there is at most one."""
+    """Find the kappa for which |A x - l| is the norm of the noise.
+
+    The residual grows with kappa, so that there is at most one such kappa.
+    """
     target, wide = float(given.noise_norm or 0.0), ridge.wide
 
     def excess(kappa: float) -> float:

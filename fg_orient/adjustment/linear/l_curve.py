@@ -1,7 +1,8 @@
 """L-curve of a system, with the kappas of all rules as points on it.
 
-The curve consists of |A x - l| and |x| of the Tikhonov solutions for all kappa (Hansen, O'Leary 1993). The kappa of any
-rule, also of a rule that does not use this curve, is a point on it.
+The curve consists of |A x - l| and |x| of the Tikhonov solutions for all kappa (Hansen,
+O'Leary 1993). The kappa of any rule, also of a rule that does not use this curve, is a
+point on it.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from fg_orient.adjustment.linear.ridge import Ridge
 from fg_orient.adjustment.linear.system import LinearSystem
 from fg_orient.model.errors import FgOrientError
 
-#: Number of kappas of a recorded curve, in equal ratios.
+#: Number of kappas of a recorded curve. Their ratios are equal.
 CURVE_POINTS: Final = 121
 
 
@@ -25,8 +26,8 @@ CURVE_POINTS: Final = 121
 class Choice:
     """Kappa of one rule, and its point on the curve: |A x - l| and |x|.
 
-    The numbers are nan if the rule fails, for the reason in ``failure``. ``notes`` are remarks: clamping, kappa at the
-    end of the range.
+    If the rule fails, the numbers are nan, and ``failure`` contains the reason. ``notes``
+    are remarks, for example on clamping, or on a kappa at the end of the range.
     """
 
     rule: str

@@ -1,7 +1,8 @@
 """Further solvers: QR, SVD, truncated SVD, LAPACK, their column-scaled versions, and Tikhonov regularisation.
 
-QR and SVD use A, so their errors grow with cond(A), not with its square. Tikhonov regularisation (Tikhonov 1963;
-Terlemezoğlu 2019, section 3.2, T(3.2)-(3.8) with the sign of l corrected): x = (A^T A + kappa L^T L)^-1 A^T l.
+QR and SVD use A, so their errors grow with cond(A), not with its square. Tikhonov
+regularisation (Tikhonov 1963; Terlemezoğlu 2019, section 3.2, T(3.2)-(3.8) with the sign
+of l corrected): x = (A^T A + kappa L^T L)^-1 A^T l.
 """
 
 from __future__ import annotations
@@ -19,15 +20,16 @@ from fg_orient.adjustment.linear.ridge import MODERN_SOLVER, tikhonov
 from fg_orient.adjustment.linear.system import Breakdown, LinearSolution, LinearSystem, scaled
 from fg_orient.adjustment.linear.triangular import back_substitution
 
-#: Singular values of A below this share of the largest are truncated. In the column-scaled SPOT-5 designs 1e-9
-#: separates the directions that observations determine from directions that contain only rounding.
+#: Singular values of A below this share of the largest are truncated. In the
+#: column-scaled SPOT-5 designs 1e-9 separates the directions that observations determine
+#: from directions that contain only rounding.
 TRUNCATION = 1e-9
 
 Solve = Callable[[LinearSystem], LinearSolution]
 
 
 def _scaled(function: Solve) -> Solve:
-    """Solve for unknowns with columns of unit length, and transform back."""
+    """Make a solver that first scales the columns of A to unit length and then transforms the solution back."""
 
     def solve_scaled(system: LinearSystem) -> LinearSolution:
         inner, lengths = scaled(system)

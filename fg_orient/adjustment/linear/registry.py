@@ -1,9 +1,10 @@
 """Registry of linear solvers: one function per solver, with a unique name.
 
-A solver is ``function(system: LinearSystem, as_run: bool) -> LinearSolution``. If it fails, it raises
-:class:`fg_orient.adjustment.linear.system.Breakdown`; it never returns nan or inf. ``as_run`` selects the behaviour of
-the authors' program (real parts of complex square roots); most solvers ignore it. A file that calls
-:func:`register_solver` adds a solver; docs/extending.md.
+A solver is ``function(system: LinearSystem, as_run: bool) -> LinearSolution``. If it
+fails, it raises :class:`fg_orient.adjustment.linear.system.Breakdown`; it never returns
+nan or inf. ``as_run`` selects the behaviour of the authors' program (real parts of
+complex square roots); most solvers ignore it. A file that calls :func:`register_solver`
+adds a solver; docs/extending.md.
 """
 
 from __future__ import annotations
@@ -27,10 +28,11 @@ _MODULES = ("inverses", "elimination", "modern", "shrinkage")
 
 @dataclass(frozen=True)
 class Solver:
-    """A registered solver with a unique name; published methods have the names of the tables ("gauss_inverse").
+    """Registered solver with a unique name; published methods have the names of the tables ("gauss_inverse").
 
-    ``label`` is the text for tables and plots ("Gauss inverse"), ``source`` author, year and equation. ``published``
-    methods are those of Terlemezoğlu 2019. ``function``: see the module docstring.
+    ``label`` is the text for tables and plots ("Gauss inverse"), ``source`` author, year
+    and equation. ``published`` methods are those of Terlemezoğlu 2019. ``function``: see
+    the module docstring.
     """
 
     name: str
@@ -123,7 +125,7 @@ def solve(name: str, system: LinearSystem, *, as_run: bool = False) -> LinearSol
 
 
 def attempt(name: str, system: LinearSystem, *, as_run: bool = False) -> LinearSolution:
-    """Solve a system; after a breakdown x is nan and ``failure`` contains the reason, for tables."""
+    """Solve a system for a table: if the solver fails, x is nan, and ``failure`` contains the reason."""
     try:
         return solve(name, system, as_run=as_run)
     except Breakdown as error:

@@ -1,8 +1,9 @@
 """Tikhonov solutions of a system: for one kappa with any penalty, and for all kappa with the penalty |x|.
 
-One singular value decomposition gives the solutions for all kappa. With A = U S V^T and beta = U^T l, x = V (s
-beta/(s^2 + kappa)); |x|^2 = X and |A x - l|^2 = R are sums over the singular values. Curves and their derivatives are
-therefore exact, without differences.
+One singular value decomposition gives the solutions for all kappa. With A = U S V^T and
+beta = U^T l, x = V (s beta/(s^2 + kappa)); |x|^2 = X and |A x - l|^2 = R are sums over
+the singular values. Curves and their derivatives are therefore exact, without
+differences.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from fg_orient.adjustment.linear.system import Breakdown, LinearSolution, Linear
 from fg_orient.model.errors import InputError
 
 GRID_POINTS = 240
-#: The grid starts at the smallest singular value, but not below 16 roundings of the largest (Hansen 1998).
+#: The grid starts at the smallest singular value, but not below 16 times the rounding of the largest (Hansen 1998).
 ROUNDINGS = 16.0
 
 
@@ -32,12 +33,15 @@ class RidgeCurves(ABC):
     @property
     @abstractmethod
     def grid(self) -> Array:
-        """Kappas at which a rule searches first, ascending, in equal ratios."""
+        """Return the kappas at which a rule searches first, in ascending order with equal ratios."""
 
     @property
     @abstractmethod
     def wide(self) -> Array:
-        """Kappas over a range beyond which the residual changes only within rounding, or cannot be computed."""
+        """Return kappas over a wide range.
+
+        Beyond it, the residual changes only by rounding or cannot be computed.
+        """
 
     @abstractmethod
     def norm2(self, kappa: float) -> float:
@@ -82,8 +86,9 @@ class RidgeCurves(ABC):
 class Ridge(RidgeCurves):
     """Tikhonov solutions of a system for all kappa.
 
-    Fields: singular values (p,) of A, descending; beta = U^T l (p,); V^T (p, u); squared length of the part of l
-    outside the range of A; number of rows of A; name of the rule for messages.
+    Fields: singular values (p,) of A, descending; beta = U^T l (p,); V^T (p, u); squared
+    length of the part of l outside the range of A; number of rows of A; name of the rule
+    for messages.
     """
 
     values: Array
@@ -114,14 +119,17 @@ class Ridge(RidgeCurves):
 
     @property
     def grid(self) -> Array:
-        """Kappas between the squares of the smallest and the largest singular value, in equal ratios."""
+        """Return kappas between the squares of the smallest and the largest singular value, with equal ratios."""
         least = max(self.values[-1], ROUNDINGS * np.finfo(np.float64).eps * self.values[0], np.finfo(np.float64).tiny)
         least = min(least, 0.1 * self.values[0])  # at least two decades of kappa
         return np.geomspace(least**2, self.values[0] ** 2, GRID_POINTS)
 
     @property
     def wide(self) -> Array:
-        """See :class:`RidgeCurves`; the ends have the residual of kappa = 0 and of x = 0 within rounding."""
+        """See :class:`RidgeCurves`.
+
+        The ends have the residual of kappa = 0 and of x = 0 within rounding.
+        """
         eps = np.finfo(np.float64).eps
         return np.geomspace(self.values[0] ** 2 * eps**3, self.values[0] ** 2 / eps, GRID_POINTS)
 
@@ -157,7 +165,7 @@ class Ridge(RidgeCurves):
         return float(6.0 * np.sum(weight * (kappa - squares) / (squares + kappa) ** 4))
 
     def likelihood(self, kappa: float) -> float:
-        """Return the logarithm of marginal likelihood without its constant term, with estimated sigma (Wahba 1985)."""
+        """Return the log of the marginal likelihood without its constant, for the estimated sigma (Wahba 1985)."""
         shares = kappa / (self.values**2 + kappa)  # eigenvalues of I - H
         quadratic = float(np.sum(shares * self.beta**2)) + self.outside
         return 0.5 * float(np.sum(np.log(shares))) - 0.5 * self.rows * float(np.log(quadratic))
@@ -175,8 +183,8 @@ class Ridge(RidgeCurves):
 
 # --- for one kappa --------------------------------------------------------------------------------
 
-#: Default solver. It uses [A; sqrt(kappa) L], whose condition number is the root of the condition number of the normal
-#: matrix.
+#: Default solver. It uses [A; sqrt(kappa) L], whose condition number is the root of the
+#: condition number of the normal matrix.
 MODERN_SOLVER = "svd"
 
 
@@ -215,7 +223,8 @@ def regularised(
 ) -> LinearSolution:
     """Return the Tikhonov solution: the x that minimises |A x - l|^2 + kappa |L x|^2.
 
-    ``solver`` solves the :func:`regularised_system`; kappa 0 gives least squares. Breakdown if the solver fails.
+    ``solver`` solves the :func:`regularised_system`; kappa 0 gives least squares.
+    Breakdown if the solver fails.
     """
     solution = solve(solver, regularised_system(system, kappa, penalty))
     return LinearSolution(solution.x, inverse=solution.inverse, rank=solution.rank, kappa=kappa, notes=solution.notes)
@@ -226,7 +235,8 @@ def tikhonov(
 ) -> LinearSolution:
     """Return the Tikhonov solution with the kappa of a rule.
 
-    ``rule``, ``given`` and ``clamp``: see :func:`choose_kappa`; ``solver`` solves the :func:`regularised_system`.
+    ``rule``, ``given`` and ``clamp``: see :func:`choose_kappa`; ``solver`` solves the
+    :func:`regularised_system`.
 
     Returns
     -------

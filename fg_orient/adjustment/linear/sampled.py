@@ -1,9 +1,11 @@
-"""Tikhonov solutions for all kappa of a system that is too large for a decomposition, with sampled traces.
+"""Tikhonov solutions for all kappa of a large system, with sampled traces.
 
-The normal matrix N is factored for each kappa. The trace of ``(N + kappa I)^-1`` is the mean of
-``v^T (N + kappa I)^-1 v`` over probes v of independent signs (Hutchinson 1990). The probes are the same for all kappa,
-so that the curves of a rule are smooth. The standard error of the mean follows from the scatter of the probes; an
-interval of kappa follows from drawing them again (Efron 1979).
+The system is too large for a singular value decomposition. Therefore the normal matrix N
+is factored for each kappa. The trace of ``(N + kappa I)^-1`` is estimated by the mean of
+``v^T (N + kappa I)^-1 v`` over probes v, which are vectors of independent signs
+(Hutchinson 1990). The probes are the same for all kappa, so that the curves of a rule are
+smooth. The scatter of the probes gives the standard error of the mean. Resampling of the
+probes gives an interval of kappa (Efron 1979).
 """
 
 from __future__ import annotations
@@ -19,15 +21,15 @@ from fg_orient.adjustment.linear.ridge import RidgeCurves
 #: Number of probes and their seed.
 PROBES: Final = 32
 SEED: Final = 0
-#: Number of kappas at which a rule searches first, and their range relative to the largest eigenvalue: normal equations
-#: lose smaller eigenvalues.
+#: Number of kappas at which a rule searches first; below: their range relative to the
+#: largest eigenvalue. Smaller eigenvalues are lost in normal equations.
 GRID_POINTS: Final = 33
 LEAST, MOST = 1e-12, 1e3
 #: Number of resamples of the probes, and probability of the interval.
 RESAMPLES: Final = 400
 LEVEL: Final = 0.95
 
-#: Function that returns the solver of ``N + kappa I`` for columns (z, k).
+#: Function of kappa that returns a function, which solves ``N + kappa I`` for columns (z, k).
 Factor = Callable[[float], Callable[[Array], Array]]
 
 
@@ -133,7 +135,10 @@ class SampledRidge(RidgeCurves):
         return kappa**2 * float(at.y @ at.y) - 2.0 * kappa**3 * float(at.y @ at.z)
 
     def gcv_interval(self, kappa: float) -> tuple[float, float]:
-        """Return an interval of kappa of GCV by error of the traces: probes are drawn again, on the grid of kappas."""
+        """Return an interval for the kappa of GCV that shows the error of the traces.
+
+        The probes are resampled.
+        """
         grid, rng = self.grid, np.random.default_rng(SEED)
         residuals = np.log([self.residual2(k) for k in grid])
         traces = np.array([self.traces(k) for k in grid])
@@ -148,7 +153,7 @@ class SampledRidge(RidgeCurves):
 
 
 def signs(unknowns: int, probes: int, seed: int) -> Array:
-    """Return independent signs (unknowns, probes): Rademacher variables."""
+    """Return random independent signs (unknowns, probes), that is, Rademacher variables."""
     return np.random.default_rng(seed).choice([-1.0, 1.0], (unknowns, probes))
 
 

@@ -1,18 +1,20 @@
-"""Shrinkage estimators: generalised ridge, Stein, and both combined, as penalties on the canonical components.
+"""Shrinkage estimators as penalties of the canonical components: generalised ridge, Stein, and both combined.
 
-With ``A = U S V^T``, ``beta = U^T l`` and the variance s0^2 of unit weight, least squares are ``V (beta / s)``. Each
-estimator is ``V (s beta / (s^2 + r))`` with its own penalty r of each component:
+With ``A = U S V^T``, ``beta = U^T l`` and the variance s0^2 of unit weight, least squares
+are ``V (beta / s)``. Each estimator is ``V (s beta / (s^2 + r))`` with its own penalty r
+of each component:
 
 - *generalised ridge* (Hoerl & Kennard 1970): ``r = s0^2 / alpha^2`` with the estimate alpha itself. The fixed
-  point is ``alpha = (beta / s) (1/2 + sqrt(1/4 - s0^2 / beta^2))``, and 0 for ``beta^2 < 4 s0^2`` (Hemmerle 1975);
+  point is ``alpha = (beta / s) (1/2 + sqrt(1/4 - s0^2 / beta^2))``, and 0 for ``beta^2 <
+  4 s0^2`` (Hemmerle 1975);
 - *Stein* (James & Stein 1961; for regressions Judge & Bock 1978): all components are multiplied by the positive part of
   ``c = 1 - (u - 2) / (f + 2) |A x - l|^2 / |A x|^2``; ``r = s^2 (1 / c - 1)``;
 - *combined* (Gui & Li 2002; Tao et al. 2004): ridge of the components with small singular values, ``s^2 < k``, with k
-  of Hoerl, Kennard & Baldwin (1975); then Stein's factor for all components. These papers print no numbers; "small" is
-  our interpretation.
+  of Hoerl, Kennard & Baldwin (1975); then Stein's factor for all components. These papers
+  print no numbers; "small" is our interpretation.
 
-The estimators minimise ``|A x - l|^2 + sum r_i (v_i^T x)^2``, a penalty of the total deviation, so every backend can
-compute them.
+The estimators minimise ``|A x - l|^2 + sum r_i (v_i^T x)^2``, a penalty of the total
+deviation, so every backend can compute them.
 """
 
 from __future__ import annotations
@@ -27,11 +29,11 @@ from fg_orient.adjustment.linear.kappa import unit_variance
 from fg_orient.adjustment.linear.registry import register_solver
 from fg_orient.adjustment.linear.system import LinearSolution, LinearSystem
 
-#: Smallest factor of Stein; the factor 0 would be an infinite penalty.
+#: Minimum factor of Stein's estimator. A factor of 0 would be an infinite penalty.
 LEAST_FACTOR: Final = 1e-6
 
-#: Function from singular values, beta (p,), variance of unit weight and degrees of freedom to penalties (p,); inf holds
-#: a component fixed.
+#: Function from singular values, beta (p,), variance of unit weight and degrees of
+#: freedom to penalties (p,); inf holds a component fixed.
 Penalties = Callable[[Array, Array, float, int], Array]
 
 

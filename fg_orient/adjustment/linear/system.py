@@ -1,11 +1,13 @@
 """Linear system ``N x = b``, its solution, its conditioning, and the exception of a solver that fails.
 
-If the design matrix is known, ``N = A^T A`` and ``b = A^T l``: A (r, u) and l (r,) are whitened, so that a
-Gauss-Helmert adjustment gives ``A = M^-1/2 A'`` and ``l = -M^-1/2 w``. QR and SVD require A; the published methods use
-N and b only. In scaled units every column of A has length 1.
+If the design matrix is known, ``N = A^T A`` and ``b = A^T l``: A (r, u) and l (r,) are
+whitened, so that a Gauss-Helmert adjustment gives ``A = M^-1/2 A'`` and ``l = -M^-1/2
+w``. QR and SVD require A; the published methods use N and b only. In scaled units every
+column of A has length 1.
 
-Conditioning: determinant, rank, and the three published condition numbers of N (Terlemezoğlu 2019, sections 3.3-3.4,
-T(3.9)-(3.14)). Determinants are stored as sign and logarithm, so that they neither overflow nor underflow.
+Conditioning: determinant, rank, and the three published condition numbers of N
+(Terlemezoğlu 2019, sections 3.3-3.4, T(3.9)-(3.14)). Determinants are stored as sign and
+logarithm, so that they neither overflow nor underflow.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from fg_orient.model.errors import InputError, NoSolutionError
 
 #: Maximum number of unknowns of dense matrices by default; the graph backend is made for larger systems.
 MAX_UNKNOWNS = 2000
-#: |N - N^T| above this share of the largest element is more than rounding.
+#: N is not symmetric if |N - N^T| exceeds this share of the largest element; smaller differences are rounding.
 SYMMETRY_TOLERANCE = 1e-10
 
 
@@ -31,7 +33,7 @@ class Breakdown(NoSolutionError):
 
 
 class Rest(NamedTuple):
-    """Rows of a system that are zero in A after an elimination: their number, and the sum of squares of their l."""
+    """Rows that are zero in A after an elimination: their number, and the sum of squares of their l."""
 
     rows: int = 0
     squares: float = 0.0
@@ -42,7 +44,7 @@ NO_REST: Final = Rest()
 
 @dataclass(frozen=True)
 class LinearSystem:
-    """Normal equations, checked.
+    """Normal equations whose matrices have been checked.
 
     Parameters
     ----------
@@ -128,7 +130,7 @@ class LinearSystem:
 
 
 def real_numbers(values: npt.ArrayLike, place: str) -> Array:
-    """Return the array of float64; InputError for complex numbers and words."""
+    """Convert values to an array of float64; raise InputError for complex numbers and texts."""
     given = np.asarray(values)
     if given.dtype.kind not in "fiu":
         raise InputError.of("linear.not_real", place=place, value=given.dtype)
@@ -224,8 +226,8 @@ def scaled(system: LinearSystem) -> tuple[LinearSystem, Array]:
     return LinearSystem(normal, system.rhs / lengths, limit=system.limit), lengths
 
 
-#: Limits of the condition numbers in the publication. A system is unstable if one of the first two numbers is above
-#: its limit, or the third is below its limit.
+#: Limits of the condition numbers in the publication. A system is unstable if one of the
+#: first two numbers is above its limit, or the third is below its limit.
 NORM_LIMIT: Final = 1e16
 SPECTRAL_LIMIT: Final = 1e3
 HADAMARD_LIMIT: Final = 1e-2
@@ -255,7 +257,7 @@ def numerical_rank(values: Array, size: int) -> int:
 
 @dataclass(frozen=True)
 class Conditioning:
-    """Diagnostics of N.
+    """Rank, determinant and condition numbers of N.
 
     Parameters
     ----------
@@ -303,7 +305,7 @@ def diagnose(subject: LinearSystem | Array) -> Conditioning:
     Raises
     ------
     InputError
-        The design matrix is unusable.
+        The design matrix cannot be used.
     """
     system = subject
     if not isinstance(system, LinearSystem):

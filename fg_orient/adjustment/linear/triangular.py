@@ -1,6 +1,6 @@
-"""Triangular factors, written out: Doolittle LU, Cholesky (real, or complex as published), inverses.
+"""Triangular factors in the published form: Doolittle LU, Cholesky (real, or complex as published), inverses.
 
-Row and column operations are numpy expressions. They follow the order of the formulas; sums over k are dot products.
+Row and column operations are numpy expressions in the order of the formulas. Sums over k are dot products.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from fg_orient.adjustment.linear.system import Breakdown
 # Real, or complex after a negative radicand. (No '#:': autodoc cannot format this alias.)
 Numbers = npt.NDArray[Any]
 
-#: Share of its matrix element below which a pivot has lost 12 of 16 digits: the matrix is singular for the method.
+#: If a pivot is below this share of its matrix element, it has lost 12 of 16 digits, and the method fails.
 LOST = 1e-12
 
 
@@ -29,9 +29,10 @@ def check_pivot(pivot: Any, method: str, step: int, of: int) -> None:
 def lost_digits(pivots: Numbers, elements: Numbers) -> tuple[str, ...]:
     """Return a remark on the pivot with the largest cancellation against its matrix element.
 
-    It is only an indication: with several small pivots, rounding can lift a pivot that should be zero above the limit.
+    The remark is only an indication. If there are several small pivots, rounding can make
+    a zero pivot larger than the limit.
     """
-    with np.errstate(divide="ignore"):  # an element 0 cannot lose digits
+    with np.errstate(divide="ignore"):  # an element of 0 cannot lose digits
         share = np.abs(pivots) / np.abs(elements)
     worst = int(share.argmin())
     if share[worst] >= LOST:
@@ -57,8 +58,8 @@ def lu_factors(matrix: Array) -> tuple[Array, Array]:
 def cholesky_rows(matrix: Array, method: str, *, as_run: bool = False) -> tuple[Numbers, tuple[str, ...]]:
     """Factor N = C^T C row by row, C upper, and reduce the columns appended to N in the same way; T(3.34)-(3.36).
 
-    c_ii = sqrt(a_ii - sum_k c_ki^2), c_ij = (a_ij - sum_k c_ki c_kj)/c_ii, k < i. No element is conjugated,
-    so C^T C = N holds for complex C too.
+    c_ii = sqrt(a_ii - sum_k c_ki^2), c_ij = (a_ij - sum_k c_ki c_kj)/c_ii, k < i. No
+    element is conjugated, so C^T C = N holds for complex C too.
 
     Parameters
     ----------

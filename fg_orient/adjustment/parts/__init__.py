@@ -1,1 +1,1 @@
-"""Work on many processors: a block in parts, or studies of many cases, with dask for processes and machines."""
+"""Distribute work over many processors with dask: a block in parts, or a study of many cases."""

@@ -1,9 +1,10 @@
 """Backend that adjusts a block in parts: Helmert blocking of the reduced normal equations.
 
-Each part eliminates its ground points and returns its contribution to the reduced system of the images. The sum, with
-the priors, is solved in this process, or, for large systems, in fronts by the workers
-(:mod:`fg_orient.adjustment.parts.multifrontal`). Then each part moves its points according to the step of the images.
-The loop and its optimisers are the same as for all backends.
+Each part eliminates its ground points and returns its contribution to the reduced system
+of the images. The sum, with the priors, is solved in this process, or, for large systems,
+in fronts by the workers (:mod:`fg_orient.adjustment.parts.multifrontal`). Then each part
+moves its points according to the step of the images. The loop and its optimisers are the
+same as for all backends.
 """
 
 from __future__ import annotations
@@ -49,7 +50,8 @@ class PartedBackend:
     Raises
     ------
     InputError
-        There are more parts than ground points; the Schur backend refuses the block; the folder cannot be written.
+        There are more parts than ground points; the Schur backend refuses the block; the
+        folder cannot be written.
     """
 
     name: Final = "schur"
@@ -99,7 +101,7 @@ class PartedBackend:
         return error
 
     def known_error(self, state: PartedState) -> float | None:
-        """Return the error of a state if it was computed last; else None."""
+        """Return the error of a state if it is the state that was computed last; else None."""
         return self._last_error[1] if self._last_error and self._last_error[0] == state.name else None
 
     def squares(self, state: State) -> tuple[Array, Array]:
@@ -139,7 +141,10 @@ class PartedBackend:
         return f"{self._names:06d}"
 
     def reduced(self, partial: Partial, damping: float, added: Array | None = None) -> Reduced:
-        """Return the reduced system of a sum, with a matrix (z, z) of observations of several images."""
+        """Return the reduced system from the sum of all parts.
+
+        A matrix (z, z) adds observations of several images.
+        """
         pattern = Pattern(np.diff(self.problem.first).astype(np.int64), partial.row, partial.column)
         if self._systems is None or not all(map(np.array_equal, self._systems.pattern.blocks, pattern.blocks)):
             self._systems = ReducedSystems(pattern, self.problem.first)
@@ -168,7 +173,10 @@ class PartedBackend:
         return None if self._systems is None else self._systems.choice
 
     def _parted(self, state: State) -> PartedState:
-        """Return the state with its points in files; points of a state in memory are written first."""
+        """Return the state with its points in files.
+
+        Points of a state in memory are written first.
+        """
         if isinstance(state, PartedState):
             return state
         if state is self.problem.start:
@@ -188,7 +196,7 @@ class PartedBackend:
         return ground
 
     def _clean(self) -> None:
-        """Remove the files of ground points and fronts before the last two linearised states."""
+        """Remove the files of ground points and fronts that are older than the last two linearised states."""
         oldest = min((name for name in self._kept if name != START), default="")
         for path in self.folder.glob("*.npy"):
             name = path.stem.rsplit("-", 1)[-1]

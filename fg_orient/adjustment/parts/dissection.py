@@ -1,8 +1,10 @@
 """Nested dissection of a block in parts, and the fronts of its multifrontal elimination.
 
-The parts are the leaves of a binary tree (``pool.tree``). An image is eliminated at the lowest node that contains all
-its image points: no other part contributes to its normal equations. The front of a node consists of the images that it
-eliminates and of the images on its border, which are also observed outside (George 1973; Duff & Reid 1983).
+The parts are the leaves of a binary tree (``pool.tree``). An image is eliminated at the
+lowest node that contains all its image points, because no other part contributes to its
+normal equations. The front of a node consists of the images that it eliminates, and of
+the images on its border. Images on the border also have image points outside the node
+(George 1973; Duff & Reid 1983).
 """
 
 from __future__ import annotations
@@ -17,10 +19,10 @@ from fg_orient.adjustment.parts.parts import divide, rays_of_points, rows_of
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.reduced_choice import Choice, choose, narrowest, pattern_of
 
-#: Largest size in bytes of the whole reduced system that one process solves; statistics form its inverse up to 0.29 GB.
+#: Up to this size, bytes, one process solves the whole reduced system. Statistics form its inverse up to 0.29 GB.
 HELD: Final = 0.3e9
-#: Smallest factor by which the largest front must be smaller than the whole reduced system: its elimination takes up to
-#: three times its memory.
+#: Fronts are used only if the largest front is smaller than the whole reduced system by
+#: this factor. The elimination of a front needs up to three times its memory.
 SMALLER: Final = 4.0
 
 
@@ -34,8 +36,8 @@ class Front:
     images : (m,) int array
         Images that the node eliminates.
     unknowns : (n,) int array
-        Unknowns of the front, numbered among those of all images; first the ``own`` ones of these images, then the
-        border.
+        Unknowns of the front, numbered among those of all images; first the ``own`` ones
+        of these images, then the border.
     own : int
     above : (n - own,) int array
         Places of the border in the front of the parent.
@@ -66,7 +68,7 @@ class Dissection:
 
     @property
     def choice(self) -> Choice:
-        """Predicted work of the elimination, bytes and unknowns of the largest front."""
+        """Return the predicted work of the elimination, and the bytes and unknowns of the largest front."""
         fronts = [front for level in self.levels for front in level]
         n, own = (np.array(v, float) for v in ([len(f.unknowns) for f in fronts], [f.own for f in fronts]))
         work = float(np.sum(own * (own**2 / 3.0 + (n - own) * n)))
@@ -74,12 +76,11 @@ class Dissection:
 
 
 def dissected(problem: Problem, parts: int, *, joined: bool) -> Dissection:
-    """Return parts with fronts if the whole reduced system is large and all fronts are small.
+    """Return parts with fronts if the reduced system is large and all fronts are small; else parts without fronts.
 
-    Else parts without fronts.
-
-    The memory of the whole system includes a factor, which conjugate gradients need for the covariance. ``joined``:
-    observations of several images connect images of different nodes, so there are no fronts. Errors as in
+    The memory of the whole system includes a factor, which conjugate gradients need for
+    the covariance. ``joined``: observations of several images connect images of different
+    nodes, so there are no fronts. Errors as in
     :func:`fg_orient.adjustment.parts.parts.divide`.
     """
     whole = Dissection(divide(problem, parts))
@@ -98,8 +99,9 @@ def dissected(problem: Problem, parts: int, *, joined: bool) -> Dissection:
 def nested(problem: Problem, parts: int) -> Dissection:
     """Divide the points into halves repeatedly, so that both halves share few images; return the fronts of this tree.
 
-    At each node the images that are not yet on a border are ordered along the longest extent of their ground points.
-    Each point belongs to the first of its images. Halves have about the same work: pairs of rays.
+    At each node the images that are not yet on a border are ordered along the longest
+    extent of their ground points. Each point belongs to the first of its images. Halves
+    have about the same work: pairs of rays.
     """
     seen, rays, image = rays_of_points(problem, parts)
     begin, work = np.cumsum(rays) - rays, rays * (rays + 1) // 2
@@ -153,7 +155,10 @@ def _order(centres: Array, chosen: Mask) -> Index:
 
 
 def fronts_of(problem: Problem, points: list[Index]) -> tuple[tuple[Front, ...], ...]:
-    """Return the fronts of the tree over these parts by level; images without image points belong to the first part."""
+    """Return the fronts of the tree over these parts by level.
+
+    Images without image points belong to the first part.
+    """
     seen = np.zeros((len(points), problem.n_images), bool)
     for part, rows in zip(seen, rows_of(problem, points), strict=True):
         part[problem.observations.image[rows]] = True
@@ -187,6 +192,6 @@ def fronts_of(problem: Problem, points: list[Index]) -> tuple[tuple[Front, ...],
 
 
 def _unknowns(problem: Problem, images: Index) -> Index:
-    """Return the unknowns of some images, one image after the other."""
+    """Return the numbers of the unknowns of some images, one image after the other."""
     first = problem.first
     return np.concatenate([np.zeros(0, np.int64), *(np.arange(first[k], first[k + 1]) for k in images.tolist())])

@@ -1,4 +1,4 @@
-"""Parts and workers of a block or study, with its processes and its work folder."""
+"""Parts and workers of a block or study, with the processes and the work folder."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from fg_orient.model.errors import InputError, NoSolutionError, finding
 
 #: Seconds to wait for the answer of a scheduler.
 CONNECT_S: Final = 10.0
-#: Starts of the processes of a run, all of which fail if one process ends while it starts.
+#: Maximum number of attempts to start the processes of a run. An attempt fails if one process ends while it starts.
 STARTS: Final = 5
 #: Maximum number of workers started on one machine.
 MAX_WORKERS: Final = 256
@@ -42,11 +42,11 @@ class Execution:
     cluster : str, dask.distributed.Client or None
         Address of the scheduler of a running cluster, or a client of it; replaces ``workers``.
     work_dir : path or None
-        Folder that all workers can access; a temporary folder is made in it. Default: the system's folder for temporary
-        files, to which other machines have no access.
+        Folder that all workers can access; a temporary folder is made in it. Default: the
+        system's folder for temporary files, to which other machines have no access.
     kept : int or None
-        Number of parts that stay open in a process; None: all. The program chooses it by the memory
-        (``adjustment.memory``).
+        Number of parts that stay open in a process; None: all. The program chooses it by
+        the memory (``adjustment.memory``).
 
     Raises
     ------
@@ -104,7 +104,7 @@ def _connected(address: str) -> Any:
     """Return the client of a running scheduler; InputError if it does not answer."""
     try:
         return import_module("distributed").Client(address, timeout=CONNECT_S, set_as_default=False)
-    except TypeError as error:  # dask raises this for a certificate that its configuration does not name
+    except TypeError as error:  # dask raises this if its configuration does not name a certificate
         raise InputError(
             finding(
                 "parallel.certificate (failure): dask's configuration names no certificate for this scheduler -> set "
@@ -119,12 +119,13 @@ def _connected(address: str) -> Any:
 
 @contextmanager
 def _local(workers: int) -> Iterator[Cluster]:
-    """Pool of processes on this machine, one thread each; ended ones are replaced (:class:`Watch`).
+    """Open a pool of processes on this machine with one thread each; ended processes are replaced (:class:`Watch`).
 
-    They listen on the loopback address. Only this client and its workers have the key and the certificate, which are
-    made for this run and kept in memory: dask runs the code that it receives, and every user of a machine can reach its
-    ports. dask does not limit their memory, because the need of a block is estimated before, and a paused worker would
-    never continue.
+    The processes listen on the loopback address. A key and a certificate are made for
+    this run and kept in memory. Only this client and its workers have them. This is
+    necessary, because dask runs the code that it receives, and every user of a machine
+    can reach its ports. dask does not limit the memory of the processes: the memory of a
+    block is estimated before, and a worker that dask pauses would never continue.
     """
     import dask.config
 
@@ -140,9 +141,9 @@ def _local(workers: int) -> Iterator[Cluster]:
 
 
 def _started(distributed: Any, workers: int, scratch: Path) -> Any:
-    """Start the processes of a cluster; all of them again if one ends at its start.
+    """Start the processes of a cluster. If one of them ends while it starts, start all of them again.
 
-    NoSolutionError: it happens ``STARTS`` times.
+    NoSolutionError: the start failed ``STARTS`` times.
     """
     one = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
     for tried in range(1, STARTS + 1):
@@ -162,7 +163,10 @@ def _started(distributed: Any, workers: int, scratch: Path) -> Any:
 
 @contextmanager
 def work_folder(execution: Execution, pool: Pool) -> Iterator[Path]:
-    """New folder inside the work folder, removed at the end; InputError if it cannot be made."""
+    """Give a new folder inside the work folder, and remove it at the end.
+
+    Raise InputError if it cannot be created.
+    """
     parent = Path(execution.work_dir or tempfile.gettempdir()).absolute()
     with contextlib.ExitStack() as stack:
         with writing(execution.work_dir or parent, option=""):

@@ -1,9 +1,11 @@
 """Files of the fronts of a dissected block, and the tasks on them.
 
-With S the normal equations of a front, own unknowns I and border B, the file of a front holds R of ``S_II = R^T R``,
-``W = R^-T S_IB`` and ``R^-T g_I`` of the gradient g. Another file contains the contribution to the parent, ``S_BB - W^T
-W`` and ``g_B - W^T R^-T g_I``. The file of the inverse contains the cofactors of all unknowns of the front: with ``G =
-R^-1 W`` and Q_BB from the parent, ``Q_IB = -G Q_BB`` and ``Q_II = (R^T R)^-1 + G Q_BB G^T`` (Takahashi et al. 1973).
+With S the normal equations of a front, own unknowns I and border B, the file of a front
+holds R of ``S_II = R^T R``, ``W = R^-T S_IB`` and ``R^-T g_I`` of the gradient g. Another
+file contains the contribution to the parent, ``S_BB - W^T W`` and ``g_B - W^T R^-T g_I``.
+The file of the inverse contains the cofactors of all unknowns of the front: with ``G =
+R^-1 W`` and Q_BB from the parent, ``Q_IB = -G Q_BB`` and ``Q_II = (R^T R)^-1 + G Q_BB
+G^T`` (Takahashi et al. 1973).
 
 Tasks are functions of files and small arguments. Files are written completely or not at all.
 """
@@ -27,7 +29,10 @@ from fg_orient.kernels.batch_matrix import add_shared
 
 @dataclass(frozen=True)
 class Partial:
-    """Contribution of some parts to the reduced normal equations; blocks (B, k, k) of images row <= column, sorted."""
+    """Contribution of some parts to the reduced normal equations.
+
+    Blocks (B, k, k) of images row <= column, sorted.
+    """
 
     row: npt.NDArray[np.int64]
     column: npt.NDArray[np.int64]
@@ -50,8 +55,8 @@ class Partial:
 class Added:
     """Terms of the images that a front eliminates: priors, damping, observations of one image.
 
-    ``diagonal`` is added to the diagonal, ``blocks`` are J^T J of each image (empty without such observations),
-    ``gradient`` is (own,).
+    ``diagonal`` is added to the diagonal, ``blocks`` are J^T J of each image (empty
+    without such observations), ``gradient`` is (own,).
     """
 
     diagonal: float
@@ -125,7 +130,10 @@ def forward(folder: str, name: str, node: Front, right: Array) -> tuple[Array, A
 
 
 def backward(folder: str, name: str, node: Front, y: Array | None, border: Array) -> Array:
-    """Solve ``R^-1 (y - W x)`` (own, c) for solutions x (n - own, c) of the border; default of y: of the gradient."""
+    """Solve ``R^-1 (y - W x)`` (own, c) for solutions x (n - own, c) of the border.
+
+    Default of y: of the gradient.
+    """
     root, w, of_gradient = _factor(folder, name, node)
     with one_blas_thread():
         right = (-of_gradient if y is None else y) - w @ border
@@ -135,7 +143,7 @@ def backward(folder: str, name: str, node: Front, y: Array | None, border: Array
 def product(folder: str, name: str, node: Front, x: Array | None) -> Array:
     """Return the contribution (n,) of a front to the product of S with a vector.
 
-    Without a vector to the diagonal of S.
+    If no vector is given, return the contribution to the diagonal of S.
     """
     f = np.hstack(_factor(folder, name, node)[:2])
     with one_blas_thread():

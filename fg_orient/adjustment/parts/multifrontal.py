@@ -1,7 +1,8 @@
-"""Multifrontal solution of the reduced system of a dissected block; this process holds vectors only.
+"""Multifrontal solution of the reduced system of a dissected block; only vectors are in the memory of this process.
 
-The tree is eliminated from the parts to the root. Then solutions are computed from the root down: each front computes
-the unknowns of its images from the unknowns of its border. The matrices are in the files of the fronts.
+The tree is eliminated from the parts to the root. Then solutions are computed from the
+root to the parts. Each front computes the unknowns of its images from the unknowns of its
+border. The matrices are in the files of the fronts.
 """
 
 from __future__ import annotations
@@ -109,9 +110,9 @@ class Multifrontal:
         return self._backward(np.empty((int(self._problem.first[-1]), 1)), given=False)[:, 0]
 
     def _backward(self, x: Array, *, given: bool = True) -> Array:
-        """Replace forward-substituted right sides (u, c) by solutions, from the root.
+        """Replace right sides (u, c) after forward substitution by solutions, from the root on.
 
-        Default: those of the gradient.
+        By default, the right side is the gradient.
         """
         for level in self._levels:
             places = [(node.unknowns[: node.own], node.unknowns[node.own :]) for node in level]
@@ -133,7 +134,7 @@ class Multifrontal:
         return self._backward(x)
 
     def _product(self, x: Array | None) -> Array:
-        """Return the product of S with a vector (u,); without a vector the diagonal of S."""
+        """Return the product of S with a vector (u,); without a vector, return the diagonal of S."""
         out = np.zeros(int(self._problem.first[-1]))
         nodes = [node for level in self._levels for node in level]
         of_nodes = self._each(fronts.product, [(node, None if x is None else x[node.unknowns]) for node in nodes])
@@ -187,7 +188,10 @@ class Multifrontal:
         return out
 
     def _cofactors(self, node: Front) -> Array:
-        """Return the cofactors of a front; the fronts on the path from the root are computed first."""
+        """Return the cofactors of a front.
+
+        The fronts on the path from the root are computed first.
+        """
         if self._read is None or self._read[0] is not node:
             path = [f for level in self._levels for f in level if f.lo <= node.lo and node.hi <= f.hi]
             for parent, one in zip([None, *path], path, strict=False):
@@ -197,7 +201,10 @@ class Multifrontal:
         return self._read[1]
 
     def keep(self, parent: Path) -> Multifrontal:
-        """Move the files to a folder that exists as long as this object; then only this process works on them."""
+        """Move the files to a folder that exists as long as this object.
+
+        Then only this process works on them.
+        """
         kept = contextlib.ExitStack()
         own = kept.enter_context(scratch_folder(parent))
         weakref.finalize(self, kept.close)

@@ -1,7 +1,8 @@
 """Pools that run tasks in this process, or on the workers of a dask cluster, with identical results to the last bit.
 
-A pool runs one function over many arguments. Sums follow a binary tree of the numbers of the parts. So neither the
-number of workers nor the order in which tasks end changes the last bit.
+A pool runs one function over many arguments. Sums follow a binary tree of the numbers of
+the parts. So neither the number of workers nor the order in which tasks end changes the
+last bit.
 """
 
 from __future__ import annotations
@@ -20,12 +21,15 @@ if TYPE_CHECKING:
     from fg_orient.adjustment.parts.watch import Watch
 
 T = TypeVar("T")
-#: Seconds of waiting for results until lost tasks are looked for.
+#: If no result arrives within this time, s, lost tasks are searched for.
 PATIENCE_S: Final = 2.0
 
 
 def tree(arguments: Sequence[Any], depth: float, leaf: Callable[[Sequence[Any]], Any]) -> Any:
-    """Sum ``leaf(branch)`` over the branches of a binary tree at a depth; a branch of one element is not divided."""
+    """Sum ``leaf(branch)`` over the branches of a binary tree at a depth.
+
+    A branch of one element is not divided.
+    """
     if depth == 0 or len(arguments) == 1:
         return leaf(arguments)
     half = len(arguments) // 2
@@ -74,7 +78,7 @@ class Cluster(Pool):
     ----------
     client : dask.distributed.Client
     watch : Watch, optional
-        Of processes that were started for this pool.
+        Watch over the processes that were started for this pool.
     """
 
     threads: int | None = 1
@@ -87,10 +91,10 @@ class Cluster(Pool):
         return sorted(self.client.nthreads())
 
     def _results(self, task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> list[Any]:
-        """Results of a task; an argument goes to the same worker each time, as long as this worker runs.
+        """Yield the results of a task. The same worker always receives the same argument, as long as it runs.
 
-        dask keeps a task for ever that waited for a worker that has ended, if no other one ran at that moment. Such
-        tasks are submitted again, for any worker.
+        If a task waits for a worker that ends, and no other worker runs at that moment,
+        dask never runs the task. Such tasks are submitted again for any worker.
         """
         workers: list[str | None] = [*self.workers()] or [None]
         homes = [workers[k * len(workers) // len(arguments)] for k in range(len(arguments))]
@@ -128,7 +132,7 @@ class Cluster(Pool):
             return tree(arguments, depth, lambda branch: next(sums))
 
     def each(self, task: Callable[..., T], arguments: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, T]]:
-        """See :class:`Pool`; raises as :meth:`total`."""
+        """See :class:`Pool`; it raises the same errors as :meth:`total`."""
         with _failures(self.watch):
             futures = [self.client.submit(task, *argument, pure=False) for argument in arguments]
             number = {future.key: k for k, future in enumerate(futures)}
@@ -161,7 +165,7 @@ def _failures(watch: Watch | None = None) -> Iterator[None]:
     except FgOrientError:
         raise
     except Exception as error:
-        # dask has no classes for these: an OSError without number, or a pool that is closed
+        # dask has no exception classes for these cases: an OSError without number, and a closed pool
         timed_out = isinstance(error, OSError) and error.errno is None
         closed = type(error) is RuntimeError and "closed" in str(error)
         known = dask.comm.CommClosedError, dask.CancelledError, CancelledError, TimeoutError

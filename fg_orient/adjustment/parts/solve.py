@@ -1,4 +1,4 @@
-"""Adjustment of a problem in parts."""
+"""Adjust a problem in parts."""
 
 from __future__ import annotations
 
@@ -60,8 +60,9 @@ def solve_in_parts(
     Raises
     ------
     InputError
-        The options name another backend than the Schur complement; images share unknowns; more parts than points; dask
-        is missing, the scheduler does not answer, or workers have no access to the work folder.
+        The options name another backend than the Schur complement; images share unknowns;
+        more parts than points; dask is missing, the scheduler does not answer, or workers
+        have no access to the work folder.
     NoSolutionError
         The equations become singular or not finite; workers fail repeatedly.
     """

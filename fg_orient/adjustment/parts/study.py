@@ -1,7 +1,8 @@
-"""Studies: one function over many cases, in this process or on many workers.
+"""Run a study: one function over many cases, in this process or on many workers.
 
-Its results are in the order of the cases and the same for any number of workers. With a folder each result is written
-to a file: an interrupted study continues with the missing cases.
+The results are in the order of the cases, and they are the same for any number of
+workers. If a folder is given, each result is written to a file. An interrupted study then
+continues with the missing cases.
 """
 
 from __future__ import annotations
@@ -46,8 +47,9 @@ def study(
     Parameters
     ----------
     task : callable
-        ``task(case)`` depends only on its case. It returns nested dicts and lists of numbers, strings and arrays;
-        tuples become lists. With workers it is pickled: a function of a module, or a ``functools.partial``.
+        ``task(case)`` depends only on its case. It returns nested dicts and lists of
+        numbers, strings and arrays; tuples become lists. With workers it is pickled: a
+        function of a module, or a ``functools.partial``.
     cases : sequence
         Cases, values that JSON can represent.
     workers : int
@@ -57,8 +59,8 @@ def study(
     folder : path, optional
         Folder for the results; it is made if it is missing. Cases with a result are not run again.
     key : str
-        Further inputs of the results, such as a hash of a file. Results with another key, or of another version of this
-        package, are not used.
+        Further inputs of the results, such as a hash of a file. Results with another key,
+        or of another version of this package, are not used.
     callback : callable, optional
         Function that receives (done, of, case), first for cases with a kept result.
 

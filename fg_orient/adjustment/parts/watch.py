@@ -1,7 +1,8 @@
 """Worker processes of this machine that end are replaced, up to a number of times.
 
-dask starts a process again that ends while it works, without a limit, and gives up one that ends while it starts. Tasks
-would then wait for ever: for a process that ends again and again, or for one that does not come back.
+dask starts a process again that ends while it works, without a limit, and gives up one
+that ends while it starts. Tasks would then wait for ever: for a process that ends again
+and again, or for one that does not come back.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ class Watch:
             self._look()
             if self.ended > REPLACED * self._workers:
                 self.exhausted = True
-                with suppress(Exception):  # whatever a closed client raises
+                with suppress(Exception):  # a closed client may raise any exception
                     self._client.close(timeout=1)
                 return
 
