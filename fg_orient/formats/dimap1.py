@@ -1,17 +1,15 @@
 """Read DIMAP 1.1 metadata of SPOT 1 to 5, level 1A.
 
-Source: Riazanoff 2004 (SPOT Geometry Handbook) as specified in docs/equations.md 2. The
-conventions were determined with a real SPOT-5 file: the model meets its frame points within 4
-cm (docs/equations.md 2).
+Source: Riazanoff 2004 (SPOT Geometry Handbook) as specified in docs/equations.md 2. The conventions were determined
+with a real SPOT-5 file: the model meets its frame points within 4 cm (docs/equations.md 2).
 
-The time of a line is ``SCENE_CENTER_TIME + LINE_PERIOD (line - SCENE_CENTER_LINE)``;
-lines are counted from 1. The reader **negates roll and pitch and keeps yaw**. The records
-therefore contain angles of the orbital frame of convention B.
+The time of a line is ``SCENE_CENTER_TIME + LINE_PERIOD (line - SCENE_CENTER_LINE)``; lines are counted from 1. The
+reader **negates roll and pitch and keeps yaw**. The records therefore contain angles of the orbital frame of
+convention B.
 
-Files of SPOT 5 contain ``Corrected_Attitudes``, which are used unchanged. Files of SPOT 1
-to 4 contain raw attitudes: absolute angles every 9 s and angular speeds at 8 Hz. A speed
-is interpreted as the mean over the interval **before** its time tag. Angles are therefore
-linear between the tags. The sum of the speeds starts at the first absolute angle::
+Files of SPOT 5 contain ``Corrected_Attitudes``, which are used unchanged. Files of SPOT 1 to 4 contain raw attitudes:
+absolute angles every 9 s and angular speeds at 8 Hz. A speed is interpreted as the mean over the interval **before**
+its time tag. Angles are therefore linear between the tags. The sum of the speeds starts at the first absolute angle::
 
     angle(t_k) = angle(t_(k-1)) + speed_k (t_k - t_(k-1))
 
@@ -24,11 +22,10 @@ SPOT4). With the attitudes, it meets them within 8.1, 3.6, 1.7 and 24.5 m.
 
 A speed is never extended by more than 0.2 s, neither in a gap nor at the ends of the list.
 
-Files of SPOT 1 to 4 give look angles for the first and the last detector only. The
-detectors lie on a **straight line in the focal plane**. The viewing directions of all
-other detectors are therefore interpolated linearly between these two. With this table,
-the model meets Scene_Center as well as the corners (6.3, 0.2, 1.4, 15.8 m). If tangents
-about the nadir were interpolated instead, the scene centre would be wrong by 64 to 722 m.
+Files of SPOT 1 to 4 give look angles for the first and the last detector only. The detectors lie on a **straight line
+in the focal plane**. The viewing directions of all other detectors are therefore interpolated linearly between these
+two. With this table, the model meets Scene_Center as well as the corners (6.3, 0.2, 1.4, 15.8 m). If tangents about
+the nadir were interpolated instead, the scene centre would be wrong by 64 to 722 m.
 """
 
 from __future__ import annotations
@@ -113,8 +110,8 @@ def straight_line(sample: Array, psi_x_rad: Array, psi_y_rad: Array) -> LookAngl
     Parameters
     ----------
     sample : (n,) array
-        Numbers of some detectors from 0, in increasing order. The first and the last detector
-        are among them. Their angles are not changed.
+        Numbers of some detectors from 0, in increasing order. The first and the last detector are among them. Their
+        angles are not changed.
     psi_x_rad, psi_y_rad : (n,) arrays
         Their look angles along and across track.
     """
@@ -157,10 +154,7 @@ def _rows(nodes: list[XmlNode], epoch: np.datetime64, quantity: Quantity) -> tup
 def _integrate(
     speed_nodes: list[XmlNode], angle_nodes: list[XmlNode], epoch: np.datetime64, ends_s: Array
 ) -> tuple[Array, Array, tuple[Finding, ...]]:
-    """Integrate angular speeds from the first absolute angle.
-
-    The angles (n, 3) have the signs of the file.
-    """
+    """Integrate angular speeds from the first absolute angle. The angles (n, 3) have the signs of the file."""
     speed_time, speeds = _rows(speed_nodes, epoch, RADIANS_PER_SECOND)
     angle_time, absolute = _rows(angle_nodes, epoch, RADIANS)
     _require_close(speed_nodes, angle_nodes, speed_time, angle_time)
@@ -196,10 +190,7 @@ def _held(node: XmlNode, speed_time: Array, angle_time: Array, ends_s: Array) ->
 def _require_close(
     speed_nodes: list[XmlNode], angle_nodes: list[XmlNode], speed_time: Array, angle_time: Array
 ) -> None:
-    """Refuse gaps that are longer than the limit.
-
-    Refuse a first absolute angle outside the list of speeds.
-    """
+    """Refuse gaps that are longer than the limit. Refuse a first absolute angle outside the list of speeds."""
     gaps = np.diff(speed_time)
     if gaps.max() > SPEED_HOLD_S:
         k = int(gaps.argmax()) + 1

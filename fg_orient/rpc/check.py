@@ -1,4 +1,4 @@
-"""Check of an RPC: denominators, agreement of its two models, extrapolation, points, another model.
+"""Check an RPC: denominators, agreement of its two models, extrapolation, points, and another model.
 
 The checks use the pixels of the image and a range of heights. Residuals are projected minus observed.
 """
@@ -26,7 +26,7 @@ Range = tuple[float, float]
 
 #: Numbers of lines, samples and heights of the grid.
 SHAPE: Final = (11, 11, 5)
-#: Largest normalised coordinate inside the domain of the fit; vendors round their scales.
+#: Larger normalised coordinates lie outside the domain of the fit. The limit is above 1, because vendors round scales.
 EXTRAPOLATED: Final = 1.05
 
 
@@ -48,8 +48,9 @@ def check_rpc(
     Returns
     -------
     dict
-        Keys of :func:`fg_orient.rpc.files.describe`, and heights_m, denominators, image_to_ground, extrapolation,
-        points, against; status "good" or "not_trustworthy" with ``findings``.
+        Keys of :func:`fg_orient.rpc.files.describe`, and heights_m, denominators,
+        image_to_ground, extrapolation, points, against; status "good" or
+        "not_trustworthy" with ``findings``.
 
     Raises
     ------
@@ -85,7 +86,10 @@ def _grid(line: Range, sample: Range, heights_m: Range) -> Array:
 
 
 def denominators(model: RpcModel, ground: Array, heights_m: Range) -> dict[str, Any]:
-    """Return smallest denominators at ground points (n, 3), nan for pixels without ground, and the place of a pole."""
+    """Return the smallest denominators at ground points (n, 3), and the place of a pole.
+
+    A pixel without a ground point has nan.
+    """
     seen, least, pole = np.isfinite(ground[:, 0]), [float("nan")] * 2, None
     if seen.any():
         least = rfm.denominators(model.coefficients, normalised(model, ground[seen])).min(axis=0).tolist()
@@ -169,7 +173,7 @@ def differences(model: RpcModel, other: Path, heights_m: Range) -> dict[str, Any
 
 
 def _findings(record: dict[str, Any]) -> list[Finding]:
-    """Return the findings on a model; all except the last two kinds make it unfit for use."""
+    """Return the findings on a model; with any of them except the last two kinds, it must not be used."""
     out, below = [], record["denominators"]
     least = min(below["least_line"], below["least_sample"])
     if below["pole"] is not None:

@@ -1,11 +1,12 @@
-"""Bias compensation of one RPC image from control points: least squares in the image, with covariance and tests.
+"""Estimate the bias compensation of one RPC image from control points, with covariance matrix and tests.
 
     line   - line of the model   = c0 + c2 l + c4 s + v        (Grodecki & Dial 2003, eqs. 4-5)
     sample - sample of the model = c1 + c3 l + c5 s + v
 
-l, s are the model's own normalised coordinates. Ground coordinates are held fixed; the sigmas of line and sample must
-include their errors. Each point is tested with both coordinates together, as in ``fg_orient.quality.outliers``.
-:func:`refine` executes the command ``rpc refine``: compensation, then its errors at check points.
+l, s are the model's own normalised coordinates. Ground coordinates are held fixed; the
+sigmas of line and sample must include their errors. Each point is tested with both
+coordinates together, as in ``fg_orient.quality.outliers``. :func:`refine` executes the
+command ``rpc refine``: compensation, then its errors at check points.
 """
 
 from __future__ import annotations
@@ -33,18 +34,18 @@ KINDS: Final = {"shift": "shift", "shift_drift": "drift", "affine": "affine"}
 NAMES: Final = ("line_0", "sample_0", "line_l1", "sample_l1", "line_s1", "sample_s1")
 #: Probability of a false alarm for one point (Baarda's usual choice).
 LEVEL: Final = 0.001
-#: Ratio of singular values (columns of unit length) below which the points do not determine the terms.
+#: The points do not determine the terms if the ratio of singular values (columns of unit length) is below this.
 RANK: Final = 1e-8
-#: Redundancy number below which the other points do not check a coordinate.
+#: If a redundancy number is below this, the other points do not check the coordinate.
 CHECKED: Final = 1e-6
-#: Largest plausible sigma0, in pixels or given sigmas. A larger sigma0 means that the points were not measured in this
-#: image.
+#: Largest plausible sigma0, in pixels or given sigmas. A larger sigma0 means that the
+#: points were not measured in this image.
 LARGEST_SIGMA0: Final = 5.0
 
 
 @dataclass(frozen=True)
 class Compensation:
-    """Adjusted compensation.
+    """Adjusted bias compensation with its statistics.
 
     Parameters
     ----------
@@ -60,8 +61,8 @@ class Compensation:
         Adjusted minus observed, line and sample.
     redundancy_numbers : (n, 2) array
     outliers : tuple of dict
-        Points that were left out as grossly wrong, in this order: id, statistic F, limit, error_line_px,
-        error_sample_px.
+        Points that were left out as grossly wrong, in this order: id, statistic F, limit,
+        error_line_px, error_sample_px.
     complete : bool
         False if there are too many suspects for all of them to be gross errors.
     """
@@ -156,7 +157,10 @@ def normalised(model: RpcModel, ground: Array) -> Array:
 
 
 def design(model: RpcModel, measured: MeasuredPoints, kind: str) -> Array:
-    """Return the columns (n, k) that ``kind`` uses of 1, l, s; they are the same for line and sample."""
+    """Return the columns (n, k) that ``kind`` uses of 1, l, s.
+
+    They are the same for line and sample.
+    """
     ground = normalised(model, measured.ground)
     columns = np.column_stack([np.ones(len(ground)), rfm.values(model.coefficients, ground)])
     return columns[:, : len(COMPENSATIONS[KINDS[kind]]) // 2]
@@ -192,8 +196,8 @@ def _least_squares(a: Array, l: Array, sigma: Array, kind: str) -> tuple[Array, 
 def _worst(fit: Compensation, level: float) -> list[dict[str, Any]]:
     """Return the point with the largest F if it exceeds its limit, else no point.
 
-    T = (v_l/sigma_l)^2/r_l + (v_s/sigma_s)^2/r_s with redundancy numbers r, because line and sample have no unknown in
-    common. F(2, f - 2) has the scale of the other points.
+    T = (v_l/sigma_l)^2/r_l + (v_s/sigma_s)^2/r_s with redundancy numbers r, because line
+    and sample have no unknown in common. F(2, f - 2) has the scale of the other points.
     """
     error, redundancy = -fit.left_out_px, fit.redundancy
     if redundancy <= 2 or not np.isfinite(error).all():
@@ -229,8 +233,9 @@ def refine(model: RpcModel, measured: MeasuredPoints, kind: str, *, extrapolate:
     Returns
     -------
     dict
-        status, warnings, compensation, terms (name, px, sd_px), covariance_px2, values_px (6), sigma0, redundancy,
-        height_dependence, outliers, control and check (before, after), leave_one_out, check_suspicious, residuals.
+        status, warnings, compensation, terms (name, px, sd_px), covariance_px2, values_px
+        (6), sigma0, redundancy, height_dependence, outliers, control and check (before,
+        after), leave_one_out, check_suspicious, residuals.
 
     Raises
     ------
@@ -297,9 +302,10 @@ def _suspicious(model: RpcModel, check: MeasuredPoints, v: Array, fit: Compensat
 def height_dependence(model: RpcModel, used: MeasuredPoints) -> dict[str, Any] | None:
     """Test whether observed minus projected pixels change with the height, px per 1000 m.
 
-    The test is made in addition to an affine compensation. No compensation has this term: it indicates a wrong height
-    system, or the RPC of another image. The test is F(2, f) of one more column for each coordinate, f the redundancy
-    with it. None if not significant or not determined.
+    The test is made in addition to an affine compensation. No compensation has this term.
+    A significant term indicates a wrong height system or the RPC of another image. The
+    test adds one column for each coordinate and uses F(2, f), where f is the redundancy
+    with this column. The result is None if the term is not significant or not determined.
     """
     a = np.column_stack([design(model, used, "affine"), used.ground[:, 2] / 1000.0])
     n, k = a.shape
@@ -320,7 +326,7 @@ def height_dependence(model: RpcModel, used: MeasuredPoints) -> dict[str, Any] |
 
 
 def _findings(fit: Compensation, suspicious: list[str], height: dict[str, Any] | None) -> list[Finding]:
-    """Return the findings on a compensation; the first two make it unfit for use."""
+    """Return the findings on a compensation; with one of the first two, it must not be used."""
     out = [] if fit.complete else [finding("rpc.too_many_left_out", n=len(fit.outliers))]
     if fit.sigma0 > LARGEST_SIGMA0:
         out.append(finding("rpc.no_fit", sigma0=fit.sigma0))

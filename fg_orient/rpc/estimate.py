@@ -1,6 +1,7 @@
-"""Estimation of rational function models from control points: linear form, weighted linear form, true equations.
+"""Estimate rational function models from control points: linear form, weighted linear form, true equations.
 
-Sources: Tao & Hu 2001 (linear form, weights 1/f2); Terlemezoğlu 2019, section 2.4 and T(2.53)-(2.57), T(3.51).
+The linear form and its weights 1/f2 are from Tao & Hu 2001. Further sources are
+Terlemezoğlu 2019, section 2.4 and T(2.53)-(2.57), T(3.51).
 """
 
 from __future__ import annotations
@@ -21,14 +22,14 @@ from fg_orient.rpc.form import RfmForm
 from fg_orient.rpc.options import Penalty
 from fg_orient.rpc.points import ControlPoints, Scaling
 
-#: QR of A: its condition number is the square root of the condition number of N.
+#: Default solver, QR of A. The condition number of A is the square root of the condition number of N.
 SOLVER: Final = "qr_scaled"
 #: Solver of systems with a penalty and of the weighted linear form, whose design may lack full rank.
 STEP_SOLVER: Final = "svd_scaled"
 MAX_ITERATIONS: Final = 100
 #: The iteration ends if a step changes all unknowns by less than this share,
 END: Final = 1e-12
-#: or if two consecutive steps reduce the sum of squares by less than this share: a residual by 1e-10.
+#: or if two consecutive steps reduce the sum of squares by less than this share. A residual then changes by 1e-10.
 GAIN: Final = 1e-10
 #: Damping of Levenberg-Marquardt relative to the diagonal of N: start, change.
 DAMPING: Final = 1e-6
@@ -39,8 +40,8 @@ MAX_DAMPING: Final = 1e10
 def penalised_unknowns(form: RfmForm, penalty: Penalty) -> Array:
     """Return an indicator (u,) of the penalised unknowns: all unknowns, or all except the affine part.
 
-    A satellite image is affine within some pixels, so the second choice is a suitable prior. The first choice also
-    pulls the scale of the image to zero.
+    A satellite image is affine within some pixels, so the second choice is a suitable
+    prior. The first choice also pulls the scale of the image to zero.
 
     Raises
     ------
@@ -61,7 +62,7 @@ def linear_system(points: ControlPoints, form: RfmForm, scaling: Scaling) -> Lin
 
 
 def _unfitted(points: ControlPoints, form: RfmForm, scaling: Scaling, kappa: float, penalty: Penalty) -> RfmFit:
-    """Return the fit before its estimation: all unknowns zero."""
+    """Return a fit whose unknowns are all zero, before the estimation."""
     require_points(points, form, kappa)
     return RfmFit(form, scaling, points, np.zeros(len(form)), "", kappa, penalised_unknowns(form, penalty))
 
@@ -122,8 +123,9 @@ def fit_weighted(
 ) -> RfmFit:
     """Fit the linear form with the weights 1/f2^2 of the last cycle until convergence (Tao & Hu 2001).
 
-    At convergence A^T P v = 0, and the weighted residuals are the true residuals. But A is not their Jacobian: the
-    result is close to the least-squares solution of the true equations, not equal to it.
+    At convergence, A^T P v = 0, and the weighted residuals are the true residuals.
+    However, A is not the Jacobian of the true residuals. Therefore the result is close to
+    the least-squares solution of the true equations, but not equal to it.
 
     Raises
     ------
@@ -184,7 +186,7 @@ def fit_true(
 
 
 def _minimise(form: RfmForm, m: Array, image: Array, x: Array, penalty: Array) -> tuple[Array, int]:
-    """Minimise by Levenberg-Marquardt; a step over a pole of a point is treated as too long."""
+    """Minimise by Levenberg-Marquardt; if a step crosses a pole at a point, it is shortened."""
     root = np.sqrt(penalty)
     damping, flat, (r, cost) = DAMPING, 0, _misfit(form, m, image, x, root)
     for iteration in range(1, MAX_ITERATIONS + 1):

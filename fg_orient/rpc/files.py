@@ -1,12 +1,13 @@
-"""RPC files: pixel origin, writing in another format, and a compensation written into the model.
+"""Read and write RPC files: pixel origin, conversion to another format, and inclusion of a compensation.
 
 A compensation is written exactly if the form allows it, otherwise approximately with a stated error::
 
     line = off + c0 + scale (f1 (1 + c2/scale))/f2 + c4 f3/f4
 
-Shifts are added to the offsets, the drift of a coordinate with itself changes its numerator. The last term needs
-f3 f2/f4, which is a cubic polynomial only if both denominators are equal; otherwise a cubic polynomial is fitted to it.
-The denominators are not changed, so there is no new pole.
+Shifts are added to the offsets, the drift of a coordinate with itself changes its
+numerator. The last term needs f3 f2/f4, which is a cubic polynomial only if both
+denominators are equal; otherwise a cubic polynomial is fitted to it. The denominators are
+not changed, so there is no new pole.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ def open_rpc(path: str | os.PathLike[str], *, order: str = USUAL_ORDER, first_pi
     Raises
     ------
     InputError
-        The file is not usable.
+        The file cannot be used.
     """
     model = read_rpc(path, order=order, first_pixel=first_pixel)
     if first_pixel is not None:
@@ -109,14 +110,14 @@ def write_as(
     Returns
     -------
     dict
-        file, format, first_pixel; round_trip_line_px, round_trip_sample_px: largest differences of projected points;
-        not_kept: content that the format cannot store.
+        file, format, first_pixel; round_trip_line_px, round_trip_sample_px: largest
+        differences of projected points; not_kept: content that the format cannot store.
 
     Raises
     ------
     InputError
-        The file exists, or cannot be written, or an RPC file beside the image would hide its tags, or a virtual raster
-        has no image.
+        The file exists, or cannot be written, or an RPC file beside the image would hide
+        its tags, or a virtual raster has no image.
     """
     with outputs(out, overwrite=overwrite):
         return write_alone(model, out, target, image=image)
@@ -196,7 +197,7 @@ N_CHECK: Final = 2000
 
 @dataclass(frozen=True)
 class Corrected:
-    """A model that contains its compensation.
+    """Model that contains its compensation.
 
     Parameters
     ----------

@@ -45,11 +45,11 @@ class RfmFit:
     penalised : (u,) array
         1 for penalised unknowns, else 0.
     true : bool
-        True: estimated from the true equations; False: from the linear form.
+        True if the model was estimated from the true equations, False if from the linear form.
     iterations : int
     notes : tuple of str
     choice : dict
-        Kappa or terms that the method chose from the points.
+        Kappa or terms that the method has chosen from the points.
     """
 
     form: RfmForm
@@ -286,7 +286,7 @@ Estimator = Callable[[ControlPoints], RfmFit]
 
 @dataclass(frozen=True)
 class CrossValidation:
-    """Errors at points that were not in the fit.
+    """Errors at points that were not used in the fit.
 
     Parameters
     ----------
@@ -295,7 +295,7 @@ class CrossValidation:
     fits : tuple of RfmFit or None
         Fit of each fold.
     failures : dict
-        Reason why a fold has no solution, by fold.
+        For each fold without a solution, the reason.
     """
 
     residuals_px: Array
@@ -324,8 +324,8 @@ def cross_validate(
 ) -> CrossValidation:
     """Leave out each point, or each of k folds; fit the other points and project the excluded points.
 
-    The estimator receives only the points of the other folds, and chooses its kappa or terms again in each fold (nested
-    cross-validation, Varma & Simon 2006).
+    The estimator receives only the points of the other folds, and chooses its kappa or
+    terms again in each fold (nested cross-validation, Varma & Simon 2006).
 
     Parameters
     ----------

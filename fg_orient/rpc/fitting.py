@@ -1,7 +1,7 @@
-"""``rpc fit``: a rational function model from control points or from a sensor.
+"""Fit a rational function model to control points or to a sensor; this is the command ``rpc fit``.
 
-A fit to control points is assessed by cross-validation and at check points, a fit to a sensor at
-independent points.
+A fit to control points is assessed by cross-validation and at check points. A fit to a
+sensor is assessed at independent points.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from fg_orient.sensors.base import Sensor
 from fg_orient.sensors.rpc import NEAR_ZERO, RpcModel
 
 FOLDS: Final = 10
-#: Ratio of errors at excluded points to errors of the fit, above which there are too many coefficients.
+#: There are too many coefficients if the ratio of errors at excluded points to errors of the fit exceeds this.
 OVERFITTED: Final = 3.0
 
 
@@ -57,13 +57,14 @@ def fit_points(
     model : RpcModel
         Model whose validity range is that of the control points.
     record : dict
-        status, warnings, degree, denominators, equations, method, choice, kappa, unknowns, rank, condition, redundancy,
-        least_denominators, m0_linear_px, m0_px, control, check, cross_validation.
+        status, warnings, degree, denominators, equations, method, choice, kappa,
+        unknowns, rank, condition, redundancy, least_denominators, m0_linear_px, m0_px,
+        control, check, cross_validation.
 
     Raises
     ------
     InputError
-        Too few points for the coefficients; no such degree, solver or selection.
+        There are too few points for the coefficients, or the degree, solver or selection does not exist.
     NoSolutionError
         The fit has no solution or does not converge.
     """
@@ -106,7 +107,10 @@ def fit_points(
 
 
 def _validation(control: ControlPoints, options: FitOptions, progress: Progress | None) -> CrossValidation | None:
-    """Cross-validate, with every choice repeated in each fold; return None if a fold has too few points."""
+    """Cross-validate, with every choice repeated in each fold.
+
+    Return None if a fold has too few points.
+    """
     folds = options.folds or min(FOLDS, len(control))
     try:
         every = None if folds == len(control) else folds
@@ -120,7 +124,7 @@ def _validation(control: ControlPoints, options: FitOptions, progress: Progress 
 
 
 def _doubts(fit: RfmFit, validation: CrossValidation | None) -> list[Finding]:
-    """Return the findings that make a fit unfit for use."""
+    """Return the findings because of which a fit must not be used."""
     out, least = [], float(fit.least_denominators.min())
     if fit.has_pole:
         out.append(finding("rpc.sign_change", least=least))
@@ -155,8 +159,8 @@ def fit_image(
     model : RpcModel
         Ground to image and image to ground.
     record : dict
-        status, warnings, degree, denominators, grid, heights_m, fit (errors at the grid), check (at independent
-        points), image_to_ground (East, North, m).
+        status, warnings, degree, denominators, grid, heights_m, fit (errors at the grid),
+        check (at independent points), image_to_ground (East, North, m).
 
     Raises
     ------

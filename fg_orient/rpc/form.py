@@ -2,8 +2,9 @@
 
     sample = (m a)/(1 + m' b),  line = (m c)/(1 + m' d)       (Terlemezoğlu 2019, T(2.53)-(2.55), x = sample, y = line)
 
-m are the monomials of the normalised ground coordinates in the published order T(2.54), m' the same without the
-constant. The linear form is the equation multiplied by the denominator: m a - sample m' b = sample.
+m are the monomials of the normalised ground coordinates in the published order T(2.54),
+m' the same without the constant. The linear form is the equation multiplied by the
+denominator: m a - sample m' b = sample.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ class RfmForm:
     degree : int
         1, 2 or 3: largest total degree of a monomial.
     denominators : "separate", "common" or "one"
-        A separate denominator for each image coordinate; a common one (IKONOS: b = d); or no denominator (polynomials).
+        A separate denominator for each image coordinate; a common one (IKONOS: b = d); or
+        no denominator (polynomials).
     kept : tuple of int, optional
         Estimated unknowns of the complete form; the others are zero. Default: all.
 
@@ -95,7 +97,7 @@ class RfmForm:
 
     @cached_property
     def beyond_affine(self) -> Mask:
-        """Unknowns (u,) that are neither constant nor linear terms of a numerator."""
+        """Mask (u,) of the unknowns that are neither constant nor linear terms of a numerator."""
         return np.array([name[0] in "bd" or sum(map(int, name[1:])) > 1 for name in self.names])
 
     def monomials(self, ground: Array) -> Array:

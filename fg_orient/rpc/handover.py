@@ -1,8 +1,9 @@
-"""Export of RPC to other programs: the files that a program reads, and how it reads them.
+"""Export RPC to other programs: write the files that a program reads, and describe how it reads them.
 
-ASP's ``.adjust`` files move a camera: a ground point X is projected where the vendor's model projects X - t, with a
-translation t in ECEF. A compensation in the image equals such a movement only approximately. The file is written if the
-two agree within ``SAME_PX`` everywhere in the image; otherwise the reason is given.
+An ``.adjust`` file of ASP moves a camera by a translation t in ECEF: a ground point X is
+projected to the pixel to which the vendor's model projects X - t. A compensation in the
+image is only approximately equal to such a movement. The file is written if the two agree
+within ``SAME_PX`` everywhere in the image. Otherwise the reason is reported.
 """
 
 from __future__ import annotations
@@ -82,7 +83,7 @@ PROGRAMS: Final = {
 
 @dataclass(frozen=True)
 class Handed:
-    """Model of an image, its included compensation (6,) px, None if unknown, and the name of its files."""
+    """Model of an image, the compensation (6,), px, that it contains (None if unknown), and the name of its files."""
 
     model: RpcModel
     values: Array | None
@@ -152,8 +153,8 @@ def hand_over(
     target : str
         Name of a format, as an alternative to ``program``.
     images : mapping of str to Path, optional
-        Raster files by image id: the files are named after them. ``gdal`` and ``qgis`` also get a virtual raster;
-        ``geotiff-tags`` and ``vrt`` need them.
+        Raster files by image id: the files are named after them. ``gdal`` and ``qgis``
+        also get a virtual raster; ``geotiff-tags`` and ``vrt`` need them.
     overwrite : bool
 
     Returns
@@ -191,7 +192,7 @@ def hand_over(
     paths = {name: out / f"adjust-{stems[name]}.adjust" for name, move in moved.items() if move.is_same}
     files = [*(path for _, path, _ in jobs), *paths.values()]
     require_free_files(*files, overwrite=overwrite)
-    # readers of DIMAP need both directions
+    # readers of DIMAP need the models of both directions
     whole = {
         name: with_image_to_ground(handed.model)
         if kind.format == "dimap" and handed.model.direct is None
@@ -245,7 +246,7 @@ class Translation:
 
 
 def translation(handed: Handed) -> Translation:
-    """Return the movement of the vendor's camera that is nearest to a compensation, over image and heights."""
+    """Fit the movement of the vendor's camera that agrees best with a compensation over image and heights."""
     model = handed.model
     axes = [
         np.linspace(low, high, n)
@@ -261,7 +262,7 @@ def translation(handed: Handed) -> Translation:
     def misfit(move: Array) -> Array:
         return np.asarray((vendor_pixels(handed, *ecef_to_geodetic(ground - move)) - wanted).ravel())
 
-    move, steps = np.zeros(3), np.eye(3)  # steps of 1 m, about a pixel
+    move, steps = np.zeros(3), np.eye(3)  # steps of 1 m, which is about one pixel
     for _ in range(3):
         jacobian = np.stack([0.5 * (misfit(move + step) - misfit(move - step)) for step in steps], axis=1)
         move = move - np.linalg.lstsq(jacobian, misfit(move), rcond=None)[0]
@@ -269,7 +270,7 @@ def translation(handed: Handed) -> Translation:
 
 
 def vendor_pixels(handed: Handed, lon_deg: Array, lat_deg: Array, height_m: Array) -> Array:
-    """Return line and sample (N, 2) of the model without its compensation, by the inverse map of the pixels."""
+    """Return line and sample (N, 2) of the model without its compensation, by inversion of the compensation."""
     model, c = handed.model, np.zeros(6) if handed.values is None else handed.values
     scale = model.scales[RANGE.image]
     offset = model.offsets[RANGE.image] - c[[COMPENSATION.line, COMPENSATION.sample]]

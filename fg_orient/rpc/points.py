@@ -1,8 +1,9 @@
-"""Points of an image: control points of a rational function model, their normalisation, and measured points of a file.
+"""Points of one image: control points with their normalisation, and measured points that are read from a file.
 
-Columns of a CSV file: id, line, sample (pixels, (0, 0) = centre of the first pixel), lon_deg, lat_deg, height_m
-(ellipsoidal); optional role (control or check), sigma_line_px, sigma_sample_px. A file of control points (``.gcp``) has
-rows of id, line, sample, latitude, longitude (degrees), height (m).
+A CSV file has the columns id, line, sample (pixels; (0, 0) is the centre of the first
+pixel), lon_deg, lat_deg, height_m (ellipsoidal). Optional columns are role (control or
+check), sigma_line_px and sigma_sample_px. A row of a ``.gcp`` file contains id, line,
+sample, latitude, longitude (degrees), height (m).
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ class ControlPoints:
     Raises
     ------
     InputError
-        Inconsistent shapes, no points, or values that are not finite.
+        Shapes do not fit, there are no points, or values are not finite.
     """
 
     line: Array
@@ -85,7 +86,7 @@ class Scaling:
 
     @classmethod
     def of(cls, points: ControlPoints, *, normalise: bool = True) -> Scaling:
-        """Return the scaling of each coordinate to [-1, 1], T(3.51), or without ``normalise`` the identity.
+        """Return the scaling of each coordinate to [-1, 1], T(3.51); without ``normalise``, the identity.
 
         Raises
         ------
@@ -237,7 +238,7 @@ def read_measured(path: Path) -> MeasuredPoints:
     Raises
     ------
     InputError
-        All errors of the file: columns, numbers, roles, ids used twice, invalid coordinates.
+        The file has errors: columns, numbers, roles, repeated ids, invalid coordinates. All are listed.
     """
     layouts = [(*COLUMNS, *role, *sigmas) for role in ((), ("role",)) for sigmas in ((), _SIGMAS)]
     table = require_table(path, layouts)
@@ -265,7 +266,10 @@ def ids_and_checks(table: Table) -> tuple[tuple[str, ...], Mask]:
 
 
 def checks(table: Table) -> Mask:
-    """Return whether the role of a point is "check" (n,), by default "control"; other roles are refused."""
+    """Return whether the role of a point is "check" (n,), by default "control".
+
+    Other roles are refused.
+    """
     if "role" not in table.columns:
         return np.zeros(len(table), bool)
     check = table.where("role", Role.CHECK)

@@ -1,9 +1,11 @@
-"""Selection of the coefficients of a rational function model by random search: genetic, and by a particle swarm.
+"""Select the coefficients of a rational function model by random search: a genetic search, or a particle swarm.
 
-Both search the subset of the coefficients beyond the affine part with the smallest sum of squared errors of the linear
-form at excluded points (Allen 1974). In the end single coefficients are added or dropped while this decreases the sum.
-The publications divide the points into control and dependent check points instead, and describe their operators in
-words. The reduced system contains the seed and the maximum number of evaluated subsets.
+Both search for a subset of the coefficients beyond the affine part. The best subset has
+the smallest sum of squared errors of the linear form at excluded points (Allen 1974). At
+the end, single coefficients are added or dropped as long as this decreases the sum. The
+publications use control points and dependent check points instead, and they describe
+their operators only in words. The reduced system contains the seed and the maximum number
+of evaluated subsets.
 """
 
 from __future__ import annotations
@@ -22,20 +24,20 @@ SWARM: Final = 30
 DENSITY: Final = 0.3
 #: Number of the best subsets that stay in the population.
 ELITE: Final = 4
-#: Weights of the last velocity and of the differences from a particle's own best subset and from the best subset of the
-#: swarm; largest speed.
+#: Weights of the last velocity and of the differences from a particle's own best subset
+#: and from the best subset of the swarm; largest speed.
 INERTIA: Final = 0.7
 TO_OWN: Final = 1.5
 TO_BEST: Final = 1.5
 FASTEST: Final = 4.0
 #: Number of generations without a better subset after which a search ends.
 IDLE: Final = 25
-#: Smallest diagonal element of the triangular factor of columns of length 1; below it the columns are dependent.
+#: Columns of length 1 are dependent if a diagonal element of their triangular factor is below this.
 DEPENDENT: Final = 1e-9
 
 
 def left_out_squares(reduced: Reduced, chosen: Index) -> float:
-    """Return the sum of squared errors at excluded points, both equations together; inf for dependent columns.
+    """Return the sum of squared errors at excluded points, of both equations together; inf for dependent columns.
 
     Parameters
     ----------
@@ -53,7 +55,7 @@ def left_out_squares(reduced: Reduced, chosen: Index) -> float:
     both = np.stack([basis[:n], basis[n:]], axis=1)
     free = np.eye(2) - both @ np.swapaxes(both, 1, 2)
     determinant = free[:, 0, 0] * free[:, 1, 1] - free[:, 0, 1] ** 2
-    if (determinant <= DEPENDENT).any():  # a single point determines a coefficient
+    if (determinant <= DEPENDENT).any():  # a coefficient depends on a single point only
         return np.inf
     return float(np.sum(np.linalg.solve(free, np.stack([v[:n], v[n:]], axis=1)[:, :, None]) ** 2))
 
@@ -87,7 +89,7 @@ class _Search:
         return subsets
 
     def evaluate(self, subsets: Iterable[Mask]) -> Array:
-        """Return the sums of squares of subsets; inf beyond the budget."""
+        """Return the sums of squares of subsets; inf when the maximum number of evaluations has been reached."""
         out = []
         for subset in subsets:
             key = subset.tobytes()
@@ -112,8 +114,9 @@ class _Search:
 def genetic(reduced: Reduced) -> Selection:
     """Find the subset with the smallest errors at excluded points, by a genetic search.
 
-    Parents are the better of two random subsets each; a child takes each coefficient from either parent, and each
-    changes with probability 1/q. The best four subsets stay.
+    Each parent is the better of two random subsets. A child takes each coefficient from
+    one of its parents at random. Then each coefficient changes with the probability 1/q.
+    The best four subsets remain in the population.
     """
     search = _Search(reduced)
     if not search.size:
@@ -123,7 +126,7 @@ def genetic(reduced: Reduced) -> Selection:
     while idle < IDLE and not search.is_spent:
         before, order = search.least, np.argsort(squares, kind="stable")
         population, squares = population[order], squares[order]
-        # the better of two has the smaller number
+        # subsets are sorted, so that the better one has the smaller number
         parents = random.integers(POPULATION, size=(2, POPULATION - ELITE, 2)).min(axis=2)
         of_first = random.random((POPULATION - ELITE, search.size)) < 0.5
         children = np.where(of_first, population[parents[0]], population[parents[1]])
@@ -138,8 +141,9 @@ def genetic(reduced: Reduced) -> Selection:
 def particle_swarm(reduced: Reduced) -> Selection:
     """Find the subset with the smallest errors at excluded points, by a binary particle swarm.
 
-    A velocity of each coefficient changes towards the particle's own and the swarm's best subset; the coefficient is
-    in the subset with the probability 1/(1 + exp(-velocity)).
+    Each coefficient has a velocity. It changes towards the best subset of the particle
+    and the best subset of the swarm. The coefficient is in the subset with the
+    probability 1/(1 + exp(-velocity)).
     """
     search = _Search(reduced)
     if not search.size:

@@ -1,13 +1,14 @@
-"""Selection of the coefficients of a rational function model, or of a penalty on them.
+"""Select the coefficients of a rational function model, or choose a penalty on them.
 
-A selection is ``function(reduced: Reduced) -> Selection``: it returns the coefficients beyond the affine part that are
-kept, or a kappa. :func:`fit_selected` then fits the true equations with them. The publications describe their methods
-in words only; each docstring states the implemented method. A file that calls :func:`register_selection` adds a method.
+A selection is ``function(reduced: Reduced) -> Selection``: it returns the coefficients
+beyond the affine part that are kept, or a kappa. :func:`fit_selected` then fits the true
+equations with them. The publications describe their methods in words only; each docstring
+states the implemented method. A file that calls :func:`register_selection` adds a method.
 
-Selections use the linear form without its affine part. The affine unknowns (constant and linear terms of the
-numerators) are always kept; they are eliminated by QR. The result is an ordinary regression A x = l in the coefficients
-beyond the affine part, with columns orthogonal to the affine columns, so that a penalty |x| is in standard form (Eldén
-1977).
+Selections use the linear form without its affine part. The affine unknowns (constant and
+linear terms of the numerators) are always kept; they are eliminated by QR. The result is
+an ordinary regression A x = l in the coefficients beyond the affine part, with columns
+orthogonal to the affine columns, so that a penalty |x| is in standard form (Eldén 1977).
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ _MODULES: Final = ("search",)
 
 @dataclass(frozen=True)
 class Reduced:
-    """Regression of the coefficients that may be dropped.
+    """Regression in the coefficients that a selection may drop.
 
     Parameters
     ----------
@@ -78,7 +79,7 @@ class Reduced:
         q = np.linalg.qr(a[:, ~doubtful])[0]
         rest = a[:, doubtful]
         rest = rest - q @ (q.T @ rest)
-        rest = rest - q @ (q.T @ rest)  # twice is enough (Kahan, Parlett 1980)
+        rest = rest - q @ (q.T @ rest)  # orthogonalising twice is sufficient (Kahan, Parlett 1980)
         left = observed - q @ (q.T @ observed)
         return cls(rest, left - q @ (q.T @ left), np.flatnonzero(doubtful), np.flatnonzero(~doubtful), q)
 
@@ -106,7 +107,7 @@ class Reduced:
         return x / length, float(v @ v), np.sum(inverse**2, axis=1) / length**2
 
     def kept(self, chosen: Index, form: RfmForm) -> tuple[int, ...]:
-        """Return the numbers of unknowns of the complete form: the affine ones and the chosen."""
+        """Return the numbers of the affine and the chosen unknowns in the complete form."""
         numbers = np.sort(np.concatenate([self.always, self.unknowns[chosen]]))
         return tuple(int(k) if form.kept is None else form.kept[int(k)] for k in numbers)
 
@@ -120,7 +121,7 @@ LAMBDAS: Final = 40
 LEAST_LAMBDA: Final = 1e-3
 SWEEPS: Final = 10_000
 CONVERGED: Final = 1e-8
-#: Kappas of :func:`press`: from a nearly free model to a model that is practically affine.
+#: Kappas that :func:`press` compares: from nearly no penalty to a model that is practically affine.
 KAPPAS: Final = np.geomspace(1e-6, 1e4, 61)
 #: Smallest redundancy that must remain.
 LEAST_FREEDOM: Final = 10
@@ -249,9 +250,10 @@ def ridge_l_curve(reduced: Reduced) -> Selection:
 
 @register_selection("ridge_press", "ridge, leave-one-out", source="Allen 1974")
 def press(reduced: Reduced) -> Selection:
-    """Keep all coefficients; choose kappa with the least sum of squared errors at points left out.
+    """Keep all coefficients; choose the kappa with the least sum of squared errors at excluded points.
 
-    Both equations of a point are left out together; the errors follow from the hat matrix without a new fit.
+    Both equations of a point are excluded together. The errors follow from the hat
+    matrix, so no new fit is needed.
     """
     return Selection(_everything(reduced), float(KAPPAS[int(np.argmin([press_of(reduced, k) for k in KAPPAS]))]))
 
@@ -334,10 +336,10 @@ def _bic(reduced: Reduced, chosen: Index) -> float:
 
 
 def _explained(reduced: Reduced, chosen: Index, least: float) -> Array:
-    """Return the squares that columns (q,) explain in addition to the chosen ones; -1 for columns that depend on these.
+    """Return the squares that columns (q,) explain in addition to the chosen columns; -1 for dependent columns.
 
-    ``least`` is the length of the part orthogonal to the chosen columns, of a column of length 1, above which a column
-    is independent.
+    For a column of length 1, the part that is orthogonal to the chosen columns must be
+    longer than ``least``. Otherwise the column is dependent.
     """
     unit = reduced.design / np.linalg.norm(reduced.design, axis=0)
     q = np.linalg.qr(unit[:, chosen])[0]
@@ -367,8 +369,9 @@ def _without_insignificant(reduced: Reduced, chosen: Index, last: int = -1) -> I
 def nested(reduced: Reduced) -> Selection:
     """Add coefficients one by one to nested models until BIC increases.
 
-    The next column is the one that explains most of the residuals, orthogonal to the columns before it. (The minimum of
-    BIC over all models has many more columns: the linear form prefers denominators near zero.)
+    The next column is the one whose part orthogonal to the previous columns explains most
+    of the residuals. (The minimum of BIC over all models has many more columns, because
+    the linear form prefers denominators near zero.)
     """
     best = np.zeros(0, dtype=np.intp)
     while len(best) < reduced.design.shape[1] and reduced.freedom - len(best) > LEAST_FREEDOM:
@@ -384,9 +387,9 @@ def nested(reduced: Reduced) -> Selection:
 def uss(reduced: Reduced) -> Selection:
     """Select the significant coefficients among those that do not duplicate a better coefficient.
 
-    In the order of their correlation with the residuals of the affine model, a coefficient is accepted if its
-    correlation with each coefficient accepted before is at most 0.9. Then the least significant coefficient is dropped
-    until all are significant.
+    In the order of their correlation with the residuals of the affine model, a
+    coefficient is accepted if its correlation with each coefficient accepted before is at
+    most 0.9. Then the least significant coefficient is dropped until all are significant.
     """
     unit = reduced.design / np.linalg.norm(reduced.design, axis=0)
     correlation = np.abs(unit.T @ unit)
@@ -402,8 +405,8 @@ def uss(reduced: Reduced) -> Selection:
 def scatter(reduced: Reduced) -> Selection:
     """Select coefficients by stepwise regression with F tests at 5 %.
 
-    The coefficient that explains most enters if it is significant. Then all coefficients leave that are no longer
-    significant.
+    The coefficient that explains most is added if it is significant. Then all
+    coefficients that are no longer significant are removed.
     """
     chosen = np.zeros(0, dtype=np.intp)
     for _ in range(4 * reduced.design.shape[1]):  # Efroymson's rule cannot cycle, but rounding could

@@ -1,9 +1,9 @@
 """Rational function model of a sensor, fitted to a virtual grid and checked between its points.
 
-The sensor's own model locates the pixels of a grid on several height layers. All layers are
-adjusted in one system (Tao & Hu 2001). (Terlemezoğlu 2019, section 2.4, averages the coefficients
-of the layers, which is not a least-squares estimate.) The stated errors are errors at independent points, whose pixels
-and heights lie between the grid values.
+The sensor's own model locates the pixels of a grid on several height layers. All layers
+are adjusted in one system (Tao & Hu 2001). (Terlemezoğlu 2019, section 2.4, averages the
+coefficients of the layers, which is not a least-squares estimate.) The stated errors are
+errors at independent points, whose pixels and heights lie between the grid values.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from fg_orient.sensors.rpc_sensor import RpcSensor
 SHAPE: Final = (20, 20, 5)
 #: Minimum number of nodes per axis: four for a cubic, and one more to check it.
 LEAST: Final = 5
-#: Penalty of the coefficients except the affine part, because the normal equations of degree 3 are singular in
-#: practice. It changes residuals by less than 1e-4 px.
+#: Penalty on the coefficients beyond the affine part. Without it, the normal equations of
+#: degree 3 are singular in practice. It changes residuals by less than 1e-4 px.
 KAPPA: Final = 1e-12
 #: Number of independent points per grid point.
 CHECK_SHARE: Final = 1.0
@@ -47,8 +47,8 @@ class SensorRfm:
     forward : RfmFit
         Fit from ground to image.
     inverse : RfmFit
-        Image to ground with exchanged roles: "line" is the latitude, "sample" the longitude (degrees), "ground" is
-        sample, line and height.
+        Fit from image to ground with exchanged roles: "line" is the latitude, "sample" is
+        the longitude (degrees), and "ground" is sample, line and height.
     validity : RpcValidity
         Ranges of the grid: pixels, degrees, m.
     fit_px, check_px : (n, 2) arrays
@@ -94,7 +94,8 @@ def fit_sensor(
     heights_m : (float, float)
         Lowest and highest layer, m above the ellipsoid.
     shape : (int, int, int)
-        Lines, samples and layers of the grid, at least 5 each, spaced like Chebyshev nodes: denser at the borders.
+        Lines, samples and layers of the grid, at least 5 each, spaced like Chebyshev
+        nodes: denser at the borders.
     degree, denominators
         See :class:`fg_orient.rpc.form.RfmForm`.
     seed : int
@@ -103,7 +104,7 @@ def fit_sensor(
     Raises
     ------
     InputError
-        Too small a grid, heights that do not increase or are not finite, a ray that misses a layer.
+        The grid is too small, heights do not increase or are not finite, or a ray misses a layer.
     NoSolutionError
         The fit does not converge, or has a pole in the grid.
     """
@@ -119,7 +120,7 @@ def fit_sensor(
     count = int(CHECK_SHARE * len(grid))
     check = _located(sensor, *(rng.uniform(*end, count) for end in ends))
     form = RfmForm(degree, denominators)
-    with one_blas_thread():  # a second thread does not accelerate small matrices
+    with one_blas_thread():  # for small matrices, a second thread is not faster
         forward, inverse = fit_true(grid, form, kappa=KAPPA), fit_true(_exchanged(grid), form, kappa=KAPPA)
     ranges = zip(grid.columns.min(axis=0).tolist(), grid.columns.max(axis=0).tolist(), strict=True)
     back = inverse.residuals_px(_exchanged(check))
@@ -153,13 +154,19 @@ def with_image_to_ground(model: RpcModel) -> RpcModel:
 
 
 def _nodes(first: float, last: float, count: int) -> Array:
-    """Return Chebyshev nodes stretched to both ends; errors of a fit to a regular grid are largest at the border."""
+    """Return Chebyshev nodes that extend to both ends.
+
+    With a regular grid, the errors of a fit would be largest at the border.
+    """
     nodes = -np.cos(np.pi * (np.arange(count) + 0.5) / count)
     return np.asarray(0.5 * (first + last) + 0.5 * (last - first) * nodes / nodes[-1])
 
 
 def _located(sensor: Sensor, line: Array, sample: Array, height_m: Array) -> ControlPoints:
-    """Return the control points of pixels at heights; longitudes are continuous across 180 degrees."""
+    """Return the control points of pixels at heights.
+
+    Longitudes are continuous across 180 degrees.
+    """
     geodetic = ellipsoid.geodetic_array(np.ascontiguousarray(sensor.locate(line, sample, height_m=height_m)))
     lon, lat = np.degrees(geodetic[:, 0]), np.degrees(geodetic[:, 1])
     lon = lon[0] + (lon - lon[0] + 180.0) % 360.0 - 180.0

@@ -4,13 +4,13 @@ The description states a chain of transformations from the image to the Earth::
 
     P = P_U + R_OG R_UY (C_M + s R_KU p_k),   p_k = (0, y, 0) - c_s + delta       (Terlemezoğlu 2019, eqs. 2.3-2.21)
 
-The chain is converted to the look-angle collinearity. The mounting of a line is ``M =
-R_OG^T R_ECEF_from_camera``, where R_OG belongs to the projection centre. The unknowns,
-kernels and backends of ``fg_orient.sensors.pushbroom`` can then be used.
+The chain is converted to the look-angle collinearity. The mounting of a line is ``M = R_OG^T R_ECEF_from_camera``,
+where R_OG belongs to the projection centre. The unknowns, kernels and backends of ``fg_orient.sensors.pushbroom`` can
+then be used.
 
-Light time, aberration and refraction rotate the line of sight of each pixel by up to 3e-5
-rad. This rotation is computed from the metadata and the distance of the ground point, and
-it is held fixed. A correction of 1 km or 1e-3 rad would change it by less than 1e-8 rad.
+Light time, aberration and refraction rotate the line of sight of each pixel by up to 3e-5 rad. This rotation is
+computed from the metadata and the distance of the ground point, and it is held fixed. A correction of 1 km or 1e-3 rad
+would change it by less than 1e-8 rad.
 """
 
 from __future__ import annotations
@@ -121,10 +121,7 @@ class GeneralPushbroom(PushbroomSensor):
         return matrices if source.frame == "ITRF" else np.asarray(self._earth(t) @ matrices)
 
     def states(self, line: npt.ArrayLike) -> LineStates:
-        """Return the state of the projection centre at N lines.
-
-        Angles are 0, as the mounting contains the attitude.
-        """
+        """Return the state of the projection centre at N lines. Angles are 0, as the mounting contains the attitude."""
         line = np.atleast_1d(np.asarray(line, float))
         self._require_listed("earth.list_span", line, self.metadata.ephemeris.time_s, "orbit")
         self._require_attitude(line)
@@ -145,9 +142,8 @@ class GeneralPushbroom(PushbroomSensor):
     def _mounting(self, states: LineStates, psi: tuple[Array, Array], to_ground_m: Array | None) -> Array:
         """Return the mountings (N, 3, 3) with the effects on light; see :meth:`PushbroomSensor._mounting`.
 
-        Light time and refraction depend on the distance of the ground point. If the point
-        is at 5000 m but the distance to height 0 is used, light time is wrong by 1 mm,
-        and refraction by 1 m tan z.
+        Light time and refraction depend on the distance of the ground point. If the point is at 5000 m but the
+        distance to height 0 is used, light time is wrong by 1 mm, and refraction by 1 m tan z.
         """
         effects = self.metadata.effects
         if not effects:
@@ -202,8 +198,5 @@ class GeneralModel(PushbroomModel):
     sensor: GeneralPushbroom
 
     def facts(self) -> dict[str, Any]:
-        """Return the entries of a pushbroom and ``light``.
-
-        See :func:`fg_orient.sensors.light_sizes.light_sizes`.
-        """
+        """Return the entries of a pushbroom and ``light``. See :func:`fg_orient.sensors.light_sizes.light_sizes`."""
         return super().facts() | {"light": light_sizes(self.sensor)}

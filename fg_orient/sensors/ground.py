@@ -1,7 +1,7 @@
 """Make records of located, projected and intersected points for commands and files.
 
-Angles are in degrees, and lengths are in metres. Heights are above the WGS84 ellipsoid.
-Pixels are (line, sample); (0, 0) is the centre of the first pixel.
+Angles are in degrees, and lengths are in metres. Heights are above the WGS84 ellipsoid. Pixels are (line, sample); (0,
+0) is the centre of the first pixel.
 """
 
 from __future__ import annotations
@@ -68,11 +68,9 @@ def frame_records(sensor: Any, height_m: float | None = None, dem: HeightSurface
     Returns
     -------
     list of dict
-        The keys of :func:`ground_records`, and ``file_lon_deg``, ``file_lat_deg``,
-        ``misfit_m`` (horizontal, model minus file), ``misfit_east_m``,
-        ``misfit_north_m``, ``height_from`` ("file", "given", "dem", "solved" or "none")
-        and ``note`` (None, or the reason why the points of the file may disagree with the
-        model).
+        The keys of :func:`ground_records`, and ``file_lon_deg``, ``file_lat_deg``, ``misfit_m`` (horizontal, model
+        minus file), ``misfit_east_m``, ``misfit_north_m``, ``height_from`` ("file", "given", "dem", "solved" or
+        "none") and ``note`` (None, or the reason why the points of the file may disagree with the model).
 
     Raises
     ------
@@ -111,10 +109,7 @@ def _frame_heights(
     sensor: Any, points: Sequence[FramePoint], pixel: tuple[Array, Array], place: tuple[Array, Array],
     height_m: float | None,
 ) -> tuple[Array, list[str]]:  # fmt: skip
-    """Return the heights (n,), m, of the frame points, and the source of each.
-
-    Missing heights are computed.
-    """
+    """Return the heights (n,), m, of the frame points, and the source of each. Missing heights are computed."""
     stated = [p.height_m for p in points]
     if height_m is not None:
         return np.full(len(stated), height_m), ["given"] * len(stated)
@@ -138,8 +133,8 @@ def _frame_heights(
 def pixel_records(sensor: Any, ids: Sequence[str], ecef_m: Array) -> Records:
     """Project ground points (n, 3), ECEF m, and return records of id, line, sample and ``inside``.
 
-    Outside the image, line and sample are extrapolated linearly from its border. They are
-    nan if the satellite cannot see the point or if the iteration does not converge.
+    Outside the image, line and sample are extrapolated linearly from its border. They are nan if the satellite cannot
+    see the point or if the iteration does not converge.
     """
     line, sample = sensor.project(ecef_m)
     inside = sensor.is_inside(line, sample)
@@ -162,11 +157,10 @@ def intersection_records(images: tuple[Image, ...], observations: ImagePoints, i
     Returns
     -------
     list of dict
-        The keys of :func:`ground_records` (line and sample in the first image), and
-        ``miss_m``, the largest distance between the foot points on two rays;
-        ``convergence_deg``; ``sigma_east_m``, ``sigma_north_m``, ``sigma_up_m`` and
-        ``covariance_enu_m2`` from the standard deviations of the image points, if the
-        orientation has no error; ``pixels``, all image points.
+        The keys of :func:`ground_records` (line and sample in the first image), and ``miss_m``, the largest distance
+        between the foot points on two rays; ``convergence_deg``; ``sigma_east_m``, ``sigma_north_m``, ``sigma_up_m``
+        and ``covariance_enu_m2`` from the standard deviations of the image points, if the orientation has no error;
+        ``pixels``, all image points.
 
     Raises
     ------

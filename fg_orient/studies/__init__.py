@@ -1,1 +1,1 @@
-"""Studies on synthetic blocks and published data: experiments, published procedures, comparisons."""
+"""Studies with synthetic blocks and published data: experiments, published procedures and comparisons."""

@@ -1,11 +1,11 @@
-"""Statements that a correct reproduction of the publications must satisfy, tested on synthetic blocks of several seeds.
+"""Claims that a faithful reproduction must satisfy, each assessed on synthetic blocks of several seeds.
 
-A claim is a function ``study -> Outcome``. The outcome states whether the claim is true for
-this seed, and gives its figures. :class:`Study` is one seed and computes each result once.
-:func:`run_claims` runs the claims over seeds and returns pass rates with Wilson's interval; a
-rate of 90 % or more meets the claim. No published value is used here. The bounds are those
-stated in docs/reproduce.md; a claim that fails is reported, and its bound is not changed.
-This module contains the claims on solvers, C8 to C16 and C22.
+A claim is a function ``study -> Outcome``, which states whether the claim holds and gives
+its figures. :class:`Study` is one seed and computes each result once. :func:`run_claims`
+runs the claims over seeds and returns pass rates with Wilson's interval; a rate of 90 %
+or more meets the claim. No published value is used here. The bounds are those stated in
+docs/reproduce.md; a claim that fails is reported, and its bound is not changed. This
+module contains the claims on solvers, C8 to C16 and C22.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ from fg_orient.studies.two_stage import TwoStage
 
 #: Synthetic block of the published experiments: 1 px of image noise, look angles bent by 3 microrad.
 TWIN = ZonguldakOptions(point_set="H-10", image_noise_px=1.0, distortion_rad=3e-6)
-#: The same block for the program, with the radial velocity and the attitude of real SPOT-5 scenes. On a circular orbit
-#: with zero attitude the matrices of the authors' program would be orthonormal, and its constant residual would be
-#: zero.
+#: The same block for the authors' program. It has the radial velocity and the attitude of
+#: real SPOT-5 scenes. On a circular orbit with zero attitude, the matrices of the program
+#: would be orthonormal, and its constant residual would be zero.
 AS_RUN_TWIN = replace(TWIN, radial_velocity_m_s=8.0, attitude_rad=(-1.6e-4, -7.2e-4, 9e-4))
 #: EOP sets with redundant unknowns; the thesis calls them ill-conditioned.
 ILL_CONDITIONED = (5, 13, 15, 17, 19, 20)
 #: EOP sets that include the velocity: least squares gives very large errors.
 WITH_VELOCITY = (5, 13, 17, 19, 20)
 TARGET_M = 5.0
-#: Solvers of N x = b without threshold or regularisation. Cramer's rule is omitted, because
-#: in raw units the minors of a matrix lose more digits than any elimination (claims C8 and
+#: Solvers of N x = b without threshold or regularisation. Cramer's rule is left out: in
+#: raw units the minors of a matrix lose more digits than any elimination (claims C8 and
 #: C11 give its figures).
 EXACT = ("pivot_inverse", "gauss_inverse", "cholesky_inverse", "gauss_elimination", "gauss_partial_pivot_elimination",
          "cholesky_elimination")  # fmt: skip
@@ -56,8 +56,8 @@ class Study:
     ----------
     seed : int
     switches : Switches
-        Differences of the authors' program; with any of them the block has the radial velocity and attitude of a real
-        scene.
+        Differences of the authors' program; with any of them the block has the radial
+        velocity and attitude of a real scene.
     twin : ZonguldakOptions, optional
         Options of another block.
     """
@@ -78,7 +78,7 @@ class Study:
 
     @cached_property
     def two_stage(self) -> TwoStage:
-        """Published procedure on the published block: H-10, 1 px."""
+        """Result of the published procedure on the published block: H-10, 1 px."""
         return self.procedure()
 
     def control_jacobian(self, eop_set: int) -> Array:
@@ -206,7 +206,8 @@ def run_claims(
     claims : sequence of Claim, optional
         Claims to assess; default: all.
     switches : Switches
-        Differences of the authors' program. The claims are about the equations of the text, so some fail with switches.
+        Differences of the authors' program. The claims are about the equations of the
+        text, so some fail with switches.
     """
     chosen = all_claims() if claims is None else tuple(claims)
     report = (lambda done, of, _: callback(done, of)) if callback else None
@@ -240,9 +241,9 @@ CRAMER = "cramer_inverse"
 OD, HKB, LW = "tikhonov_od", "tikhonov_hkb", "tikhonov_lw"
 HARMLESS = (1, 2, 3, 4, 6, 7, 8, 9, 10, 11, 12)
 WILD_M = 100.0
-#: Changes of a check point below this, m, are ignored.
+#: Smaller changes of a check point are ignored, m.
 SAME_ICP_M = 0.5
-#: A direction has an effect on the conditions if its singular value of the column-scaled Jacobian is above this.
+#: A direction has an effect on the conditions if its singular value (column-scaled Jacobian) is at least this.
 DEAD = 1e-9
 #: Number of directions that have an effect, by EOP set.
 LIVING = {5: 5, 13: 14, 17: 11, 19: 8, 20: 20}
@@ -251,8 +252,9 @@ LIVING = {5: 5, 13: 14, 17: 11, 19: 8, 20: 20}
 def _icp_change(study: Study, eop_set: int, solver: str, iterations: int = 1) -> float:
     """Return the largest change of a check-point RMSE by the EOP set; inf if there is no result.
 
-    The reference is either the bundle with fixed EOPs or the intersection before the bundle, whichever is closer. A
-    solver that drops small eigenvalues also drops the check points, whose columns are the smallest in raw units.
+    The reference is either the bundle with fixed EOPs or the intersection before the
+    bundle, whichever is closer. A solver that drops small eigenvalues also drops the
+    check points, whose columns are the smallest in raw units.
     """
     return min(_icp_changes(study, eop_set, solver, iterations))
 

@@ -1,9 +1,10 @@
 """Condition equations of the published procedure, computed by the kernel in ``factors``.
 
-Each image point has two conditions ``F = 0`` with derivatives ``A`` (EOP coefficients), ``G`` (ground point) and ``B``
-(look angles), Terlemezoğlu 2019, eqs. 2.66-2.67 as corrected. Units are raw, as published: metre, m/s, rad, each **per
-line** of the image line x. The kernel (``factors.cameras.pushbroom``) is the kernel of the graph with other constants:
-tau is the line number, the whitening is the identity, prior sigmas are one.
+Each image point has two conditions ``F = 0`` with derivatives ``A`` (EOP coefficients),
+``G`` (ground point) and ``B`` (look angles), Terlemezoğlu 2019, eqs. 2.66-2.67 as
+corrected. Units are raw, as published: metre, m/s, rad, each **per line** of the image
+line x. The kernel (``factors.cameras.pushbroom``) is the kernel of the graph with other
+constants: tau is the line number, the whitening is the identity, prior sigmas are one.
 
 Some switches of the authors' program (:mod:`fg_orient.studies.switches`) change the
 equations. x counts from the scene-centre line. The EOPs of the records are degree-2
@@ -11,8 +12,8 @@ polynomials, or interpolated at the line. The across-track axis ``V/|V| x Z`` is
 normalised, and the attitude is a small-angle matrix; both matrices are inverted by
 transposing. The length of the short axis follows the corrections, or stays as in the
 metadata. A change of this length has only cos(V, Z) = 1e-3 of the effect of a change of
-direction. But a velocity along the radius has no other effect. Therefore it determines ranks
-and solutions if V is unknown.
+direction. But it is the only effect of a velocity along the radius: if V is unknown, it
+determines ranks and solutions.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ class Linearised:
 
     @property
     def is_finite(self) -> bool:
-        """False if large corrections have caused an overflow."""
+        """True unless large corrections have caused an overflow."""
         return all(bool(np.isfinite(part).all()) for part in (self.value, self.eop, self.ground, self.look))
 
 
@@ -68,15 +69,15 @@ class Conditions:
     Parameters
     ----------
     records : (n, 34) array
-        Constants of the kernel. Columns 19 and 20 are psi_x and psi_y. Columns 28-30 are zero, because ground
-        corrections count from each point's own approximation.
+        Constants of the kernel. Columns 19 and 20 are psi_x and psi_y. Columns 28-30 are
+        zero, because ground corrections count from each point's own approximation.
     approximate_m : (n, 3) array
         Ground coordinates to which the records refer, ECEF.
     image, point : (n,) int arrays
         Image and ground point of each row.
     switches : Switches
-        Switches that change values and derivatives. If the short axis follows the corrections, the records contain the
-        mounting of the sensor.
+        Switches that change values and derivatives. If the short axis follows the
+        corrections, the records contain the mounting of the sensor.
     """
 
     records: Array
@@ -117,7 +118,10 @@ class Conditions:
         )
 
     def with_orbit(self, other: Conditions) -> Conditions:
-        """Return the conditions with the EOPs of other conditions, row by row; points and look angles are unchanged."""
+        """Return the conditions with the EOPs of other conditions, row by row.
+
+        Points and look angles are unchanged.
+        """
         return other.with_look(self.look_rad).with_ground(self.approximate_m)
 
     @np.errstate(all="ignore")  # large corrections overflow: see Linearised.is_finite

@@ -18,7 +18,7 @@ from fg_orient.studies.two_stage_results import AxisErrors
 #: Length of a large vector as a share of the width of a map.
 SHARE: Final = 0.12
 KM: Final = 1e3
-#: Characters of the title of a small map.
+#: Maximum number of characters in the title of a small map.
 NAME: Final = 30
 
 
@@ -31,7 +31,7 @@ class RoleErrors(NamedTuple):
     enu_m : (n, 3) array
         Computed minus measured, East, North, Up at the middle of the control points.
     rmse_m : float
-        Of the worst ECEF axis; nan if the points are not determined.
+        RMSE of the worst ECEF axis; nan if the points are not determined.
     """
 
     ids: Sequence[str]
@@ -62,7 +62,7 @@ def places_km(block: Block) -> dict[str, Array]:
 
 
 def empty_map(place: Array, title: str) -> Chart:
-    """Map with room for points (n, 2) in km and a legend."""
+    """Return an empty map with space for points (n, 2), km, and a legend."""
     low, high = place.min(axis=0), place.max(axis=0)
     half = 0.5 * 1.15 * float(max((high - low).max(), 1e-3))
     east, north = (0.5 * (low + high)).tolist()
@@ -74,10 +74,10 @@ def empty_map(place: Array, title: str) -> Chart:
 def error_map(
     places: Mapping[str, Array], roles: Mapping[str, RoleErrors], title: str, *, numbers: bool = True
 ) -> Chart:  # fmt: skip
-    """Return horizontal error vectors at points (:func:`places_km`); the legend contains the RMSE of each role.
+    """Draw horizontal error vectors at points (:func:`places_km`) with the RMSE of each role.
 
-    ``numbers``: in the legend; else in the map, for small maps with a common legend, which have bars of lengths and no
-    axes.
+    With ``numbers``, the RMSE is in the legend. Otherwise it is in the map; this is for
+    small maps with a common legend, which have a bar of length and no axes.
     """
     chart = empty_map(np.array([*places.values()]), title if numbers else cut(title, NAME))
     drawn = [np.zeros((0, 2))]

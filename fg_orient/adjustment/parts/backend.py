@@ -1,10 +1,9 @@
 """Backend that adjusts a block in parts: Helmert blocking of the reduced normal equations.
 
-Each part eliminates its ground points and returns its contribution to the reduced system
-of the images. The sum, with the priors, is solved in this process, or, for large systems,
-in fronts by the workers (:mod:`fg_orient.adjustment.parts.multifrontal`). Then each part
-moves its points according to the step of the images. The loop and its optimisers are the
-same as for all backends.
+Each part eliminates its ground points and returns its contribution to the reduced system of the images. The sum, with
+the priors, is solved in this process, or, for large systems, in fronts by the workers
+(:mod:`fg_orient.adjustment.parts.multifrontal`). Then each part moves its points according to the step of the images.
+The loop and its optimisers are the same as for all backends.
 """
 
 from __future__ import annotations
@@ -50,8 +49,7 @@ class PartedBackend:
     Raises
     ------
     InputError
-        There are more parts than ground points; the Schur backend refuses the block; the
-        folder cannot be written.
+        There are more parts than ground points; the Schur backend refuses the block; the folder cannot be written.
     """
 
     name: Final = "schur"
@@ -141,10 +139,7 @@ class PartedBackend:
         return f"{self._names:06d}"
 
     def reduced(self, partial: Partial, damping: float, added: Array | None = None) -> Reduced:
-        """Return the reduced system from the sum of all parts.
-
-        A matrix (z, z) adds observations of several images.
-        """
+        """Return the reduced system from the sum of all parts. A matrix (z, z) adds observations of several images."""
         pattern = Pattern(np.diff(self.problem.first).astype(np.int64), partial.row, partial.column)
         if self._systems is None or not all(map(np.array_equal, self._systems.pattern.blocks, pattern.blocks)):
             self._systems = ReducedSystems(pattern, self.problem.first)
@@ -173,10 +168,7 @@ class PartedBackend:
         return None if self._systems is None else self._systems.choice
 
     def _parted(self, state: State) -> PartedState:
-        """Return the state with its points in files.
-
-        Points of a state in memory are written first.
-        """
+        """Return the state with its points in files. Points of a state in memory are written first."""
         if isinstance(state, PartedState):
             return state
         if state is self.problem.start:

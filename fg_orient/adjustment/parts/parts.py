@@ -1,9 +1,8 @@
 """Division of a problem by ground points, and the files of the parts.
 
-Images are never divided: every part contains the unknowns of all images. A part contains
-the whitened records of its image points; workers need neither sensors nor metadata. Files
-are ``.npz`` without pickles, one per part. Ground points of a state are in one ``.npy``
-file per part.
+Images are never divided: every part contains the unknowns of all images. A part contains the whitened records of its
+image points; workers need neither sensors nor metadata. Files are ``.npz`` without pickles, one per part. Ground
+points of a state are in one ``.npy`` file per part.
 """
 
 from __future__ import annotations
@@ -40,8 +39,7 @@ def rays_of_points(problem: Problem, parts: int) -> tuple[Index, Index, Index]:
 
     Ground points, and images of a point, are in ascending order.
 
-    InputError: there are more parts than ground points, or less than one part; the Schur
-    backend refuses the block.
+    InputError: there are more parts than ground points, or less than one part; the Schur backend refuses the block.
     """
     if not no_point_is_named(problem.block):
         raise InputError.of("adjust.schur", option="parts", value="extra observations name ground points")
@@ -55,9 +53,8 @@ def rays_of_points(problem: Problem, parts: int) -> tuple[Index, Index, Index]:
 def divide(problem: Problem, parts: int) -> list[Index]:
     """Divide the ground points into parts; the points of each part are in ascending order.
 
-    Points that the same images see are in one part, so each part contributes to few
-    blocks of the reduced system. Parts have about the same work: pairs of rays of their
-    points. Errors as in :func:`rays_of_points`.
+    Points that the same images see are in one part, so each part contributes to few blocks of the reduced system.
+    Parts have about the same work: pairs of rays of their points. Errors as in :func:`rays_of_points`.
     """
     seen, rays, image = rays_of_points(problem, parts)
     ends = np.cumsum(rays)
@@ -72,10 +69,7 @@ def divide(problem: Problem, parts: int) -> list[Index]:
 
 @dataclass(frozen=True)
 class PartModel:
-    """Equation and unknowns of an image in a part.
-
-    The sensor is not needed, because records contain its constants.
-    """
+    """Equation and unknowns of an image in a part. The sensor is not needed, because records contain its constants."""
 
     equation: Equation
     parameters: ImageParameters
@@ -164,8 +158,8 @@ def write_part(problem: Problem, points: Index, rows: Index, folder: Path, numbe
 def read_part(folder: str, number: int) -> Problem:
     """Read the problem of a part.
 
-    InputError: the file is missing or incomplete, because this process has no access to
-    the folder, or it was written by another version of this package.
+    InputError: the file is missing or incomplete, because this process has no access to the folder, or it was written
+    by another version of this package.
     """
     path = part_file(folder, number)
     try:
@@ -188,10 +182,7 @@ def write_ground(folder: str | Path, part: int, name: str, ground: Array) -> Non
 
 
 def read_ground(folder: str | Path, part: int, name: str) -> Array:
-    """Read the ground points (P, 3) of a part.
-
-    InputError if this process has no access to the file.
-    """
+    """Read the ground points (P, 3) of a part. InputError if this process has no access to the file."""
     return np.array(read_array(_ground_file(folder, part, name)))
 
 

@@ -1,10 +1,9 @@
 """Make surveys from tie points of other programs, and join matches of image pairs to tie points (tracks).
 
-Two matched keypoints show the same ground point. All keypoints that match one of them
-show this point, too. Therefore a track is a connected component of the graph of
-keypoints. Wrong matches connect different ground points. A track that has two places in
-one image is a conflict. The matches do not show which connection is wrong. Therefore the
-whole track is left out and counted.
+Two matched keypoints show the same ground point. All keypoints that match one of them show this point, too. Therefore
+a track is a connected component of the graph of keypoints. Wrong matches connect different ground points. A track that
+has two places in one image is a conflict. The matches do not show which connection is wrong. Therefore the whole track
+is left out and counted.
 """
 
 from __future__ import annotations
@@ -55,8 +54,8 @@ def matched_survey(
 ) -> Survey:
     """Make a survey of matched keypoints.
 
-    Tie points are numbered from 1. Tie points with two places in one image are left out,
-    and a note gives their number.
+    Tie points are numbered from 1. Tie points with two places in one image are left out, and a note gives their
+    number.
 
     Parameters
     ----------
@@ -86,8 +85,8 @@ def pairs_of(image: Index, point: Index) -> dict[tuple[int, int], Index]:
     Returns
     -------
     dict of (int, int) to (k, 2) int array
-        Rows of both image points, for each pair of images. The first image has the
-        smaller number. The pairs are sorted.
+        Rows of both image points, for each pair of images. The first image has the smaller number. The pairs are
+        sorted.
     """
     order = np.lexsort((image, point))
     p, parts = point[order], []
@@ -106,10 +105,7 @@ def pairs_of(image: Index, point: Index) -> dict[tuple[int, int], Index]:
 
 
 def model_survey(model: FrameModel) -> Survey:
-    """Return the tie points of a frame model.
-
-    Cameras, poses and coordinates are left out, and a note counts them.
-    """
+    """Return the tie points of a frame model. Cameras, poses and coordinates are left out, and a note counts them."""
     left_out = finding("points.model_left_out", poses=len(model.poses), cameras=len(model.cameras),
                        points=len(model.point_ids))  # fmt: skip
     return tie_survey(
@@ -119,10 +115,7 @@ def model_survey(model: FrameModel) -> Survey:
 
 
 def model_format(read_model: Callable[[tuple[Path, ...], Settings], FrameModel], **fields: Any) -> Format:
-    """Make the registry record of a frame-model format.
-
-    Its point reader returns the tie points of the model.
-    """
+    """Make the registry record of a frame-model format. Its point reader returns the tie points of the model."""
     usual = {"ground_axes": "local x, y, z (left out)", "holds": TIES_ONLY}
     read = lambda paths, settings: model_survey(read_model(paths, settings))  # noqa: E731
     return Format(read_model=read_model, **{"read": read, **usual, **fields})
@@ -139,23 +132,22 @@ def join(image: Index, line: Array, sample: Array, matches: Index) -> tuple[tupl
     image : (n,) int array
         Image of each keypoint.
     line, sample : (n,) arrays
-        Pixels of the keypoints. Keypoints of an image at the same pixel count as one
-        keypoint; detectors may give a place several orientations.
+        Pixels of the keypoints. Keypoints of an image at the same pixel count as one keypoint; detectors may give a
+        place several orientations.
     matches : (m, 2) int array
         Rows of matched keypoints.
 
     Returns
     -------
     tracks, conflicts : pairs of (k,) int arrays
-        Tie points, and groups with two places in one image. Each contains the rows of
-        keypoints, and the group of each row, sorted by group, then by image. Groups are
-        numbered from 0 in the order of their first keypoints.
+        Tie points, and groups with two places in one image. Each contains the rows of keypoints, and the group of each
+        row, sorted by group, then by image. Groups are numbered from 0 in the order of their first keypoints.
 
     Raises
     ------
     ValueError
-        A match names a missing keypoint or two keypoints of one image. Readers refuse
-        such matches before, with their place in the file.
+        A match names a missing keypoint or two keypoints of one image. Readers refuse such matches before, with their
+        place in the file.
     """
     image, matches = np.asarray(image, np.intp), np.asarray(matches, np.intp).reshape(-1, 2)
     if matches.size and not (0 <= matches.min() and matches.max() < len(image)):
@@ -180,8 +172,7 @@ def conflict_note(
 ) -> tuple[Finding, ...]:
     """Return a note with the number of omitted tie points and the first of them; empty if there is no conflict.
 
-    ``names`` contains the names of the images; ``image``, ``line``, ``sample`` are the
-    arguments of :func:`join`.
+    ``names`` contains the names of the images; ``image``, ``line``, ``sample`` are the arguments of :func:`join`.
     """
     keypoint, track = conflicts
     if not len(keypoint):

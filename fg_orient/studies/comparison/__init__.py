@@ -1,1 +1,1 @@
-"""Comparison of dense and sparse solutions on any block, with all EOP sets, solvers and backends."""
+"""Compare EOP sets, solvers, and dense and sparse backends on any block."""

@@ -1,20 +1,23 @@
-"""Recommendation of an EOP set, a regularisation and an engine, with reasons.
+"""Recommend an EOP set, a regularisation and an engine from a comparison, with reasons.
 
-EOP set: two sets are not distinguishable if the mean square error at the check points exceeds
-the least one by at most its standard error (one-standard-error rule: Breiman et al. 1984). Of
-these sets, the set with the least AICc is recommended (``fg_orient.orientation.reduction``).
-The standard error of a mean square s is ``s sqrt(2 / h)``, h as in ``set_results``: errors of
-the orientation are common to all check points, so there are fewer independent errors than
-coordinates. Without check points the least AICc decides. Sets with directions that only a
-prior determines come last. If check points have selected a set, they no longer test it
-independently: its errors appear slightly too small.
+The set is chosen as follows. If there are check points, the set with the least mean
+square error at these points is the reference. Other sets are not distinguishable from it
+if their mean square error is larger by at most its standard error (one-standard-error
+rule: Breiman et al. 1984). Of these sets, the one with the least AICc is recommended
+(``fg_orient.orientation.reduction``). The standard error of a mean square s is ``s sqrt(2
+/ h)``, with h as in ``set_results``. Errors of the orientation are common to all check
+points, so that the number h of independent errors is smaller than the number of
+coordinates. Without check points, the least AICc decides. Sets with directions that only
+a prior determines are last. After the choice, the check points are no longer an
+independent test of the chosen set: its errors look slightly too small.
 
-Regularisation: a regularised estimate is biased. Its standard deviations are not an accuracy,
-and its likelihood has no AICc. Estimates are compared by the errors at check points, which
-contain the bias. An estimate without regularisation is recommended if it is not
-distinguishable from the best one. Without check points a regularised estimate is recommended
-only if no other estimate has a solution. Of several regularised estimates, the one with the
-fewest effective unknowns (trace of the resolution) is recommended.
+The regularisation is chosen as follows. A regularised estimate is biased. Its standard
+deviations do not describe its accuracy, and its likelihood has no AICc. Therefore it is
+compared by the errors at check points, which contain the bias. If an estimate without
+regularisation is not distinguishable from the best one, it is recommended. Without check
+points, a regularised estimate is recommended only if no other estimate has a solution. If
+there are several, the one with the fewest effective unknowns (trace of the resolution) is
+recommended.
 """
 
 from __future__ import annotations
@@ -28,12 +31,12 @@ from fg_orient.studies.comparison.model import LOOP_SOLVER, OWN_CHOICE, Key, Row
 from fg_orient.studies.comparison.selections import options_of
 from fg_orient.studies.comparison.set_results import SetResult
 
-#: Number of check points that is sufficient to decide between sets.
+#: Minimum number of check points that decide between sets.
 ENOUGH: Final = 3
-#: Two engines have the same solution if the differences are at most these: prior sigmas, m.
+#: Two engines have the same solution if they differ by at most this: prior sigmas, m.
 SAME_SIGMAS, SAME_M = 1e-4, 1e-4
-#: The default engine is recommended if its processor time is at most this, or at most this
-#: multiple of the fastest engine's.
+#: The default engine is recommended if it needs at most this processor time, s; below: or
+#: at most this multiple of the time of the fastest engine.
 NEGLIGIBLE_S: Final = 0.5
 SLOWER: Final = 1.5
 
@@ -45,9 +48,9 @@ class Advice:
     Parameters
     ----------
     eop_set : int or None
-        None if no set has a solution.
+        Recommended set; None if no set has a solution.
     backend, solver, optimizer, regularisation : str
-        Columns of the recommended row; "" without one.
+        Columns of the recommended row; "" if there is no such row.
     set_reason, solver_reason : tuple of str
         Reasons, as sentences.
     options : dict
@@ -65,12 +68,12 @@ class Advice:
 
     @property
     def key(self) -> Key:
-        """Engine of the recommended row, as a key."""
+        """Return the engine of the recommended row."""
         return Key(self.backend, None, self.solver, self.optimizer, self.regularisation)
 
     @property
     def set_key(self) -> tuple[int | None, str]:
-        """Recommended set and its regularisation."""
+        """Return the recommended set and its regularisation."""
         return self.eop_set, self.regularisation
 
 
@@ -84,9 +87,9 @@ def advise(
     sets : sequence of SetResult
     rows : iterable of Row
     labels : dict
-        Solver name to its label.
+        Labels of the solvers by name.
     priors : bool
-        True if the block was adjusted with priors. Otherwise the options contain this, too.
+        Whether the block was adjusted with priors. If not, the recommended options state it.
     """
     best, why = best_set(sets)
     if best is None:
@@ -153,7 +156,7 @@ def _sets(count: int, sets: Sequence[SetResult]) -> str:
 
 
 def _of_bias(best: SetResult) -> tuple[str, ...]:
-    """Return a warning on a regularised estimate; nothing for other estimates."""
+    """Return a warning if the estimate is regularised."""
     if not best.is_regularised:
         return ()
     text = "the estimate is regularised and therefore biased: its standard deviations do not describe its accuracy"
@@ -168,7 +171,10 @@ def _indistinguishable(one: SetResult, closest: SetResult) -> bool:
 
 
 def _least(sets: Sequence[SetResult]) -> tuple[SetResult, str]:
-    """Return a set and the reason: not regularised, then least AICc (or BIC), then fewest unknowns."""
+    """Return the set without regularisation that has the least AICc, and the reason.
+
+    If AICc is missing, the least BIC decides, then the number of unknowns.
+    """
     plain = [s for s in sets if not s.is_regularised]
     if not plain:
         best = min(sets, key=lambda s: (_or_inf(s.effective_unknowns), s.image_unknowns, s.eop_set))
@@ -188,7 +194,7 @@ def _or_inf(value: float) -> float:
 
 
 def _criterion(name: str, best: SetResult, sets: Sequence[SetResult]) -> str:
-    """Return a text on the criterion, and on the agreement of BIC."""
+    """Describe the criterion, and whether BIC agrees with it."""
     if name == "image_unknowns":
         return "it has the fewest unknowns (there is no AICc of all of them)"
     text = f"it has the least {'AICc' if name == 'aicc' else 'BIC'}"
@@ -201,7 +207,7 @@ def _criterion(name: str, best: SetResult, sets: Sequence[SetResult]) -> str:
 def best_engine(
     best: SetResult, rows: Sequence[Row], labels: dict[str, str]
 ) -> tuple[Row | None, tuple[str, ...]]:  # fmt: skip
-    """Return the recommended engine for a set, of those that options can select, and the reasons."""
+    """Return the recommended row of the set among the engines that options can select, and the reasons."""
     solved = [r for r in rows if not r.failure]
     same = [r for r in solved if not (r.difference_sigmas > SAME_SIGMAS or r.difference_m > SAME_M)]
     eliminated = any(r.backend == "graph" and not r.left_out for r in rows)
@@ -223,7 +229,7 @@ def best_engine(
 
 
 def _agreement(rows: Sequence[Row], solved: Sequence[Row], same: Sequence[Row]) -> str:
-    """Return a sentence on the engines with the same solution, with another solution, and without solution."""
+    """Return a sentence on how many engines have the same solution, another solution, or no solution."""
     left = sum(r.left_out for r in rows)
     text = f"{len(same)} of {len(rows)} engines give the same solution"
     apart = [max((getattr(r, name) for r in same if math.isfinite(getattr(r, name))), default=math.nan)
@@ -238,7 +244,7 @@ def _agreement(rows: Sequence[Row], solved: Sequence[Row], same: Sequence[Row]) 
 
 
 def _is_default(best: SetResult, row: Row) -> bool:
-    """Return whether this row is the default way in which the program adjusts the block."""
+    """Return whether the program would adjust the block with this engine by default."""
     if row.optimizer != best.optimizer:
         return False
     if row.backend == "dense":

@@ -1,4 +1,4 @@
-"""Execution of a comparison: adjustments of a block with all selected sets, regularisations, engines and solvers."""
+"""Adjust a block with every EOP set, regularisation, engine and solver, one set after the other."""
 
 from __future__ import annotations
 
@@ -50,45 +50,50 @@ def compare(
     folder: str | Path | None = None,
     callback: Progress | None = None,
 ) -> Comparison:
-    """Compare EOP sets, and all regularisations and engines with each set, on one block; recommend one of each.
+    """Compare EOP sets, regularisations and engines on one block, and recommend one of each.
 
     Parameters
     ----------
     block : Block
-        Block with control points; check points give the most information.
+        Block with control points. Check points give most information and should exist.
     eop_sets : str or iterable
         "1-20", "5,13,PUA", or numbers and names.
     solvers : str or iterable
-        "all", "published", or names in the registry of ``fg_orient.adjustment.linear``, for "faithful" and "dense".
+        "all", "published", or names in the registry of ``fg_orient.adjustment.linear``,
+        for "faithful" and "dense".
     backends : str or iterable
-        Any of "faithful" (the published two-stage procedure, one iteration), "dense" (full matrices), "schur" (arrays,
-        each method for the reduced system), "explicit" (GTSAM, a factor for each image point) and "graph" (GTSAM,
-        points eliminated in the factors).
+        Any of "faithful" (the published two-stage procedure, one iteration), "dense"
+        (full matrices), "schur" (arrays, each method for the reduced system), "explicit"
+        (GTSAM, a factor for each image point) and "graph" (GTSAM, points eliminated in
+        the factors).
     types : str or iterable
         Pre-adjustments of the published procedure: 1 for look angles, 2 for look angles and EOPs.
     regularisations : str or iterable, optional
-        Regularisations of the image unknowns, of all engines but "faithful": "none",
-        "METHOD", "METHOD:RULE" or "METHOD:NUMBER" such as "tikhonov:gcv", "truncated:0.1"
-        (kappa) or "minimum_norm:1e-5" (cut of the rank), or "all"; default: that of the
-        block. Values that a word does not state are options of the block.
+        Regularisations of the image unknowns for all engines except "faithful": "none",
+        "METHOD", "METHOD:RULE" or "METHOD:NUMBER", such as "tikhonov:gcv",
+        "truncated:0.1" (kappa) or "minimum_norm:1e-5" (cut of the rank), or "all". The
+        default is the regularisation of the block. Parts that a word leaves out are taken
+        from the options of the block.
     as_run : bool
-        True: run the published procedure as the authors' program does.
+        Whether to run the published procedure as the authors' program does.
     look_polynomial : int, optional
-        Degree of the look-angle polynomial of all engines but "faithful"; default: that of the block.
+        Degree of the look-angle polynomial for all engines except "faithful"; default: the degree of the block.
     target_m : float, optional
-        RMSE to reach; default: the 95 % limit of the RMSE that the adjustment with the recommended set predicts at the
-        check points, without it the ground sampling distance, see :func:`ground_sampling_m`.
+        RMSE to reach. The default is the 95 % limit of the RMSE that the adjustment with
+        the recommended set predicts at the check points. Without this limit, it is the
+        ground sampling distance; see :func:`ground_sampling_m`.
     time_limit_s : float
-        An adjustment is not run if its predicted processor time exceeds this, s. The limit of
-        the memory is an option of the block.
+        An adjustment is not tried if its predicted processor time exceeds this, s. The
+        limit of the memory is an option of the block.
     workers : int
-        Processes on this machine that share the EOP sets; 0 or 1: this process.
+        Number of processes on this machine that share the EOP sets; 0 or 1: only this process.
     cluster : str or dask.distributed.Client, optional
-        Scheduler of a running cluster instead.
+        Scheduler of a running cluster; it replaces ``workers``.
     folder : path, optional
-        Folder for finished sets: a comparison that is started again with this folder continues.
+        Folder for finished sets. A comparison that is started again with this folder continues.
     callback : callable, optional
-        Called with (done, of, text) after each adjustment; with workers or a folder after each set.
+        Function that is called with (done, of, text) after each adjustment; with workers
+        or a folder, after each set.
 
     Returns
     -------
@@ -97,8 +102,9 @@ def compare(
     Raises
     ------
     InputError
-        Unknown set, solver, backend or type; a target that is not positive; no control point; a block
-        that cannot be adjusted at all. Adjustments that fail are rows with a ``failure``.
+        A set, solver, backend or type is unknown; the target is not positive; there is no
+        control point; or the block cannot be adjusted at all. Single adjustments that
+        fail are rows with a ``failure``.
     """
     start = working_clock()
     numbers, names = SELECTIONS["eop_sets"](eop_sets), SELECTIONS["solvers"](solvers)
@@ -150,7 +156,7 @@ def compare(
 
 
 def _key(plan: Comparison) -> str:
-    """Return the digest of all inputs that determine the rows of a set."""
+    """Return a hash of all inputs of the rows of a set."""
     block, selections = plan.block, (
         plan.solvers, plan.backends, plan.types, plan.regularisations, plan.as_run, plan.time_limit_s,
     )  # fmt: skip
@@ -165,7 +171,7 @@ def _key(plan: Comparison) -> str:
 
 
 def _one_set(plan: Comparison, report: Callable[[Row], None] | None, number: int) -> dict[str, Any]:
-    """Return rows, spectra, directions, curves and error vectors of one set, as plain values for a study."""
+    """Compute rows, spectra, directions, curves and error vectors of one set, as plain values for a study."""
     rows: list[Row] = []
 
     def add(row: Row) -> None:
@@ -196,22 +202,23 @@ def _one_set(plan: Comparison, report: Callable[[Row], None] | None, number: int
                     add(one.run(engine))
                 known = {(s.system, s.scaling) for s in parts["spectra"]}
                 parts["spectra"] += [s for s in one.spectra if (s.system, s.scaling) not in known]
-                parts["directions"] += [] if parts["sets"] else one.directions  # without priors and penalty
+                parts["directions"] += [] if parts["sets"] else one.directions  # they depend on the observations only
                 parts["sets"].append(one.result)
     return {name: [asdict(one) for one in part] for name, part in parts.items()}
 
 
 def _rows_of(backend: str, types: int, solvers: int) -> int:
-    """Return the number of rows of a backend with one set."""
+    """Return the number of rows of a backend for one set."""
     n = len(model.OPTIMIZERS)
     reduced = n + len(model.REDUCED_LABELS) - 1
     return {"faithful": types * solvers, "dense": solvers, "schur": reduced, "explicit": n + 1}.get(backend, n)
 
 
 def _distinct(block: Block, numbers: tuple[int, ...]) -> tuple[tuple[int, ...], dict[int, int]]:
-    """Return the sets with different image unknowns, and the other sets with the set whose unknowns they repeat.
+    """Return sets that differ in an unknown of an image; and the other sets with the set that they repeat.
 
-    Images without such unknowns (RPC, frames) have the same unknowns with all sets, as have named single unknowns.
+    Images without EOP unknowns (RPC, frames), and images with explicitly named unknowns,
+    have the same unknowns with all sets.
     """
     first: dict[tuple[tuple[str, ...], ...], int] = {}
     repeated = {}
@@ -233,7 +240,10 @@ def _target(block: Block, given: float | None, best: SetResult | None) -> tuple[
 
 
 def reached(row: Row, target_m: float) -> bool:
-    """Return whether control and check points reach the target; a role without points is ignored."""
+    """Return whether control and check points reach the target.
+
+    A role without points is ignored.
+    """
     values = [v for v in (row.control_rmse_m, row.check_rmse_m) if not math.isnan(v)]
     return not row.failure and bool(values) and all(v <= target_m for v in values)
 
@@ -251,7 +261,7 @@ def ground_sampling_m(block: Block) -> float:
 
 
 def _require_control(block: Block) -> None:
-    """Raise InputError if no control point is measured: the block has no datum."""
+    """Raise InputError if no control point is measured, because the block then has no datum."""
     control = block.points.where(Role.CONTROL)
     if not np.isin(control, block.observations.point).any():
         raise InputError.of("block.no_control", file=block.name, place="points", value=f"{len(control)} measured")

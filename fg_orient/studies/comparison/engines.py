@@ -1,8 +1,8 @@
-"""Execution of the engines of a comparison. Each engine gives a row, also if it fails.
+"""Engines of a comparison. Each engine computes a row for an EOP set and a solver; a failure also gives a row.
 
-The block is adjusted once with each set as :func:`fg_orient.adjust` does it, with all
-statistics. The other engines solve the same compiled problem from the start values, without
-statistics. Under a loss they use its final weights.
+With each set, the block is adjusted once as :func:`fg_orient.adjust` does it, with all
+statistics. The other engines solve the same compiled problem without statistics. Each of
+them begins at the start values. With a loss, they use its final weights.
 """
 
 from __future__ import annotations
@@ -49,17 +49,17 @@ from fg_orient.studies.comparison.set_results import SetResult, of_failure, of_s
 from fg_orient.studies.comparison.solving import Engine, Engines, timed
 from fg_orient.studies.comparison.work import Limits, Sparsity
 
-#: Maximum number of image unknowns for which the condition of the reduced matrix is computed.
+#: The condition number of the reduced matrix is computed up to this number of image unknowns.
 CONDITIONED = 1000
 
 
 class Adjustments:
-    """Adjustments of a block with one EOP set, by :func:`fg_orient.adjust` and by each engine.
+    """Adjustments of the block with one EOP set: by :func:`fg_orient.adjust`, and by each engine.
 
     Parameters
     ----------
     block : Block
-        Its options choose the regularisation.
+        Block whose options choose the regularisation.
     eop_set : int
     limits : Limits
 
@@ -85,14 +85,14 @@ class Adjustments:
         self.spectra: tuple[Spectrum, ...] = ()
         self.directions = directions_of(self.problem)
         self.matrix: dict[str, Any] = {"order": self.problem.n_unknowns}
-        # five decompositions of the matrix, which take most of the time of small blocks
+        # five decompositions and the matrix take most of the time of small blocks
         svd = replace(self.sparsity.dense("svd"), seconds=5.0 * self.sparsity.dense("svd").operations / work.RATE)
         penalty_is_unknown = self.failure and self.regularisation != UNREGULARISED
         if not limits.reason("svd", svd) and not penalty_is_unknown:
             self._describe()
 
     def _describe(self) -> None:
-        """Compute the singular values at the start, with and without priors, in three scalings."""
+        """Compute singular values at the start, with and without priors, in raw, column-scaled and prior units."""
         design = self._at_start[1]
         is_regularised = self.regularisation != UNREGULARISED
         system = f"adjustment, {self.regularisation}" if is_regularised else "adjustment"
@@ -108,11 +108,14 @@ class Adjustments:
 
     @cached_property
     def _at_start(self) -> tuple[Array, Array]:
-        """Return residuals (n,) and Jacobian (n, u) at the start; columns of shared unknowns are summed."""
+        """Return residuals (n,) and Jacobian (n, u) at the start.
+
+        Columns of shared unknowns are summed.
+        """
         return _rows_at(self.problem, self.problem.start)
 
     def engines(self, backend: str, solvers: tuple[str, ...]) -> list[Engine]:
-        """Return the engines of a backend; ``solvers`` are the solvers of full matrices."""
+        """Return the engines of a backend for this problem; ``solvers`` are the solvers of full matrices."""
         return Engines(self.problem, self.sparsity).of(backend, solvers)
 
     def run(self, engine: Engine) -> Row:
@@ -161,10 +164,10 @@ class Adjustments:
 
     @cached_property
     def _common(self) -> tuple[State, Array | None]:
-        """Return the state at which all engines are linearised, and its exact Gauss-Newton step of the images.
+        """Return the state at which all engines are linearised, and the exact Gauss-Newton step of the images there.
 
-        The graph intersects its points again before it linearises. Therefore its state is
-        used for all engines.
+        The graph intersects its points again before it linearises. Therefore the state of
+        the graph is used for all engines.
         """
         problem, state = self.problem, self.problem.start
         if self.problem.n_unknowns > reference.LIMIT:
@@ -179,7 +182,7 @@ class Adjustments:
         return state, None if step is None else step[: problem.n_free_unknowns]
 
     def _of_step(self, engine: Engine, problem: Problem) -> dict[str, float]:
-        """Return the forward error of the first Gauss-Newton step, of the image unknowns in prior sigmas."""
+        """Return the forward error of the first Gauss-Newton step, for the image unknowns in prior sigmas."""
         state, exact = self._common
         if exact is None or engine.optimizer != "gauss-newton":
             return {}
@@ -204,7 +207,7 @@ class Adjustments:
 
 
 def _least_squares(solution: Solution) -> Problem:
-    """Return the problem of a solution; under a loss, least squares with the weights at the solution."""
+    """Return the problem of a solution; with a loss, the least-squares problem with the weights at the solution."""
     problem = solution.weighted
     if solution.weights is None:
         return problem
@@ -213,13 +216,13 @@ def _least_squares(solution: Solution) -> Problem:
 
 
 def _rows_at(problem: Problem, state: State) -> tuple[Array, Array]:
-    """Return residuals (n,) and Jacobian (n, u), shared unknowns once."""
+    """Return residuals (n,) and Jacobian (n, u) in which shared unknowns occur once."""
     residual, design = assemble(problem, state)
     return residual, design if problem.ties is None else problem.ties.columns(design)
 
 
 def directions_of(compiled: Problem) -> tuple[Direction, ...]:
-    """Return the directions that the image observations do not determine: of each image, then of the block."""
+    """Return the directions that the image observations do not determine: of each image, then of the whole block."""
     number, out = compiled.block.options.eop_set, list[Direction]()
     for image in judge_observability(compiled):
         words = [text.removeprefix(f"image {image.image}: ") for text in image.sentences]
@@ -236,9 +239,9 @@ def _accuracy(role: str, differences: PointDifferences) -> dict[str, float]:
 
 
 def _per_physical_unit(compiled: Problem, design: Array) -> Array:
-    """Return the Jacobian per m, m/s and rad instead of prior sigmas.
+    """Convert columns from prior sigmas to m, m/s and rad.
 
-    Columns of ground points are per metre already.
+    Columns of ground points are already per metre.
     """
     scale = np.ones(design.shape[1])
     scale[: compiled.n_free_unknowns] = compiled.free(np.concatenate([p.sigma for p in compiled.parameters]))
@@ -246,7 +249,7 @@ def _per_physical_unit(compiled: Problem, design: Array) -> Array:
 
 
 def _without_priors(compiled: Problem) -> Array:
-    """Return the rows of the observations alone: of the same block without priors and penalty."""
+    """Return the rows of the observations only, that is, of the block without priors and penalty."""
     options, plain = replace(compiled.block.options, priors=False), without_penalties(compiled)
     free = replace(plain, block=replace(plain.block, options=options))
     return _rows_at(free, free.start)[1]

@@ -1,4 +1,4 @@
-"""Comparison of a project, and the folder with its tables, figures, record and report."""
+"""Compare a project and write the folder of the comparison: tables, figures, record and report."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from fg_orient.studies.comparison.selections import SELECTIONS
 from fg_orient.studies.comparison.set_results import SetResult
 
 SCHEMA_VERSION: Final = 2
-#: Options of a comparison that replace those of the project file.
+#: These options of a comparison replace options of the project file.
 OF_BLOCK: Final = ("memory_limit_gb", "priors")
 #: Contents of a comparison folder.
 COMPARISON: Final = Contents(
@@ -45,9 +45,9 @@ COMPARISON: Final = Contents(
 SET_COLUMNS: Final = tuple(f.name for f in fields(SetResult))
 SPECTRUM_COLUMNS: Final = ("eop_set", "system", "scaling", "index", "singular_value")
 DIRECTION_COLUMNS: Final = ("eop_set", "image", "direction", "held_by")
-#: ``rule`` is empty for a point of the curve; otherwise it is the rule that selected this kappa.
+#: Columns of the L-curves. ``rule`` is the rule that chose this kappa; it is empty for other points of a curve.
 CURVE_COLUMNS: Final = ("eop_set", "type", "rule", "kappa", "residual_norm", "solution_norm")
-#: Errors are computed minus measured, in the axes at the middle of the control points.
+#: Columns of error vectors: computed minus measured, in the axes at the middle of the control points.
 VECTOR_COLUMNS: Final = ("eop_set", "type", "solver", "role", "id", "east_m", "north_m", "up_m")
 
 
@@ -65,14 +65,14 @@ def compare_project(
     Parameters
     ----------
     project : path
-        The TOML file.
+        Project file (TOML).
     out : path
         Folder to write.
     overwrite : bool
         Replace an existing comparison folder when the new one is complete.
     options : mapping, optional
-        Arguments of :func:`fg_orient.compare`, and :data:`OF_BLOCK`. With workers, a hidden folder next to ``out``
-        contains the finished sets until ``out`` is written.
+        Arguments of :func:`fg_orient.compare`, and :data:`OF_BLOCK`. With workers, a
+        hidden folder next to ``out`` contains the finished sets until ``out`` is written.
     callback : callable, optional
         Called with (done, of, text) after each adjustment.
     command : sequence of str
@@ -86,9 +86,9 @@ def compare_project(
     Raises
     ------
     InputError
-        The project, an option or the output folder is unusable.
+        The project, an option or the output folder cannot be used.
     NoSolutionError
-        Not one adjustment has a solution; nothing is written.
+        No adjustment has a solution; nothing is written.
     """
     start = working_clock()
     require_free(Path(out), overwrite=overwrite, contents=COMPARISON)
@@ -126,9 +126,9 @@ def write_folder(folder: Path, comparison: Comparison, record: Mapping[str, Any]
     folder : Path
     comparison : Comparison
     record : mapping
-        For ``result.json``.
+        Content of ``result.json``.
     figures : mapping
-        File name to SVG text.
+        SVG text by file name.
     """
     write_rows(folder / "compare.csv", COLUMNS, (list(row.as_dict().values()) for row in comparison.rows))
     write_rows(folder / "sets.csv", SET_COLUMNS, ([getattr(s, n) for n in SET_COLUMNS] for s in comparison.sets))
@@ -154,7 +154,7 @@ def write_folder(folder: Path, comparison: Comparison, record: Mapping[str, Any]
 
 
 def _curve_rows(comparison: Comparison) -> Iterator[tuple[object, ...]]:
-    """Return the points of all curves; the choices of the rules follow each curve."""
+    """Return the points of all curves; after each curve, the choices of the rules follow."""
     for of_set in comparison.curves:
         curve, key = of_set.curve, (of_set.eop_set, of_set.type)
         for point in zip(curve.kappa.tolist(), curve.residual_norm.tolist(), curve.solution_norm.tolist(), strict=True):
@@ -164,14 +164,14 @@ def _curve_rows(comparison: Comparison) -> Iterator[tuple[object, ...]]:
 
 
 def _remarks(comparison: Comparison) -> list[Finding]:
-    """Return findings on missing packages."""
+    """Return findings on packages that are not installed."""
     found = [] if available() else [finding("compare.no_figures")]
     missing = not reference.available() and any((r.order or 0) <= reference.LIMIT for r in comparison.rows)
     return [*found, finding("compare.no_reference")] if missing else found
 
 
 def _record(comparison: Comparison, project: Path, out: Path, command: Sequence[str]) -> dict[str, Any]:
-    """Return the content of ``result.json`` without the times."""
+    """Return the content of ``result.json`` without times."""
     record: dict[str, Any] = plain({
         "schema": SCHEMA_VERSION,
         "kind": "compare",

@@ -1,4 +1,4 @@
-"""Records of a comparison: rows, singular values, undetermined directions, L-curves and error vectors."""
+"""Data of a comparison: rows, EOP sets, singular values, directions and L-curves."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from fg_orient.studies.comparison.advice import Advice
     from fg_orient.studies.comparison.set_results import SetResult
 
-#: Backends: the published procedure; :func:`fg_orient.adjust` with full matrices, with arrays
-#: and eliminated points, with a graph that has a factor for each image point, and with a
-#: graph of eliminated points.
+#: Names of the engines: the published procedure; :func:`fg_orient.adjust` with full
+#: matrices, with arrays and eliminated points, with the graph that has a factor for each
+#: image point, and with the graph of eliminated points.
 BACKENDS: Final = ("faithful", "dense", "schur", "explicit", "graph")
 TYPES: Final = (1, 2)
-#: Optimisers of the graphs and of our loop on arrays.
+#: Names of the optimisers of the graphs and of our loop over arrays.
 OPTIMIZERS: Final = get_args(Optimizer)
 OPTIMIZER_WORDS: Final = {
     "gauss-newton": "Gauss-Newton", "levenberg-marquardt": "Levenberg-Marquardt", "dogleg": "Dogleg",
@@ -39,26 +39,25 @@ GRAPH_SOLVER: Final = "gtsam"
 LOOP_SOLVER: Final = "gtsam_loop"
 GRAPH_LABELS: Final = {GRAPH_SOLVER: "GTSAM", LOOP_SOLVER: "GTSAM elimination, our loop"}
 AXES: Final = ("x", "y", "z")
-#: Value of the column ``regularisation`` without a regularisation.
+#: Value in the column ``regularisation`` if there is no regularisation.
 UNREGULARISED: Final = "none"
-#: Note of the row of the Schur backend whose method the program selects by itself.
+#: Note of the row with the method that the program itself would choose for the Schur backend.
 OWN_CHOICE: Final = "the program's own choice"
-#: A singular value below eps times the largest one is a rounding error. A condition number of
-#: N with this value therefore means "at least this".
+#: A singular value below eps times the largest one is rounding. This condition number of N means "at least this".
 LARGEST_CONDITION: Final = float(np.finfo(float).eps ** -2)
 _NAN: Final = float("nan")
 
 
 @dataclass(frozen=True)
 class Row:
-    """One adjustment of the comparison; missing numbers are nan or None.
+    """Row of a comparison, which describes one adjustment; missing numbers are nan or None.
 
     Parameters
     ----------
     eop_set, eop_set_name : int, str
     solver : str
-        Name in the registry of ``fg_orient.adjustment.linear``; method for the reduced system ("schur"); "gtsam" or
-        "gtsam_loop" for the graphs.
+        Name in the registry of ``fg_orient.adjustment.linear``; method for the reduced
+        system ("schur"); "gtsam" or "gtsam_loop" for the graphs.
     backend : str
         One of :data:`BACKENDS`.
     type : int or None
@@ -66,50 +65,53 @@ class Row:
     optimizer : str
         "" for the published procedure.
     regularisation : str
-        Regularisation of the image unknowns: "none", the method with its rule or kappa
-        ("tikhonov:gcv", "truncated:0.1"), or with the cut of its rank ("minimum_norm:1e-09");
-        "" for the published procedure, whose solvers regularise.
+        Regularisation of the image unknowns: "none", or the method with its rule or kappa
+        ("tikhonov:gcv", "truncated:0.1"), or with the cut of its rank
+        ("minimum_norm:1e-09"). It is "" for the published procedure, whose solvers
+        regularise.
     control_rmse_m, check_rmse_m : float
-        Largest of the three ECEF axes, as published (Terlemezoğlu 2019, eq. 2.72); nan without points.
+        RMSE of the worst of the three ECEF axes, as published (Terlemezoğlu 2019, eq.
+        2.72); nan without points.
     control_rmse_x_m ... check_rmse_z_m : float
         RMSE of each axis.
     cond_raw, cond_scaled : float
-        Condition number of ``N = A^T A`` as the square of A's: unknowns in m, m/s, rad; columns of A of
-        unit length. At most :data:`LARGEST_CONDITION`.
+        Condition numbers of ``N = A^T A``, computed as the square of the condition number
+        of A: with unknowns in m, m/s, rad; with columns of A of unit length. At most
+        :data:`LARGEST_CONDITION`.
     rank, order : int or None
         Numerical rank of A in raw units, and the number of unknowns.
     kappa : float
         Parameter of the regularisation, or of a Tikhonov solver of the published procedure.
     sigma0 : float
-        A posteriori standard deviation of unit weight, without the rows of a penalty; nan for the published procedure.
+        A posteriori standard deviation of unit weight, without the rows of a penalty; nan
+        for the published procedure.
     m0_rad : float
         ``sqrt(v^T v / redundancy)`` of the look angles, for the published procedure.
     iterations : int
     processor_s : float
-        Processor time of this adjustment, all threads, without statistics.
+        Processor time of this adjustment over all threads, without statistics, s.
     peak_bytes : float
-        Increase of the resident memory during the adjustment; nan if the system does not
-        report it.
+        Increase of the resident memory during the adjustment; nan if the system does not report it.
     operations, factor_elements, fill : float
-        Predicted numbers: operations of the linear algebra in one iteration, elements of the
-        factor, and elements of the factor that are zero in the normal matrix (``work``).
+        Predicted numbers (``work``): operations of the linear algebra in one iteration;
+        elements of the factor; elements of the factor that are zero in the normal matrix.
     forward_error : float
-        Relative error of the first step against a solution with 256 bits (``reference``): of
-        the image unknowns in prior sigmas. For the published procedure: of all unknowns times
-        the lengths of their columns. nan for large or singular systems, and for damped steps.
+        Relative error of the first step, compared with a solution with 256 bits
+        (``reference``). It refers to the image unknowns in prior sigmas; for the
+        published procedure, to all unknowns times the lengths of their columns. nan for
+        large or singular systems, and for damped steps.
     cond_reduced : float
-        Condition number of the reduced normal matrix at the solution, unknowns of the images in prior sigmas.
+        Condition number of the reduced normal matrix at the solution, with image unknowns in prior sigmas.
     reached : bool
-        True if both RMSE are at most the target (only control points if there are no check
-        points).
+        Whether both RMSE are at most the target; without check points, only the RMSE of control points counts.
     difference_sigmas, difference_m : float
-        Largest difference of an orientation unknown in prior sigmas, and of a coordinate of a ground point, from
-        :func:`fg_orient.adjust` with the options of the block and the same regularisation; nan if one of the two
-        solutions is missing.
+        Largest differences from :func:`fg_orient.adjust` with the options of the block
+        and the same regularisation: of an orientation unknown, in prior sigmas, and of a
+        ground coordinate, m. nan if one of the two solutions is missing.
     failure : str
         Reason for a missing solution; "" if there is one.
     left_out : bool
-        True if the adjustment was not run; ``failure`` is the reason.
+        True if the adjustment was not tried; ``failure`` is then the reason.
     notes : tuple of str
         Remarks of the solver.
     """
@@ -153,7 +155,7 @@ class Row:
 
     @property
     def key(self) -> Key:
-        """Engine."""
+        """Return the engine of the row."""
         return Key(self.backend, self.type, self.solver, self.optimizer, self.regularisation)
 
     def as_dict(self) -> dict[str, Any]:
@@ -172,9 +174,10 @@ class Spectrum:
     ----------
     eop_set : int
     system : str
-        "published 1", "published 2" (bundle after the pre-adjustment of type 1, 2), "adjustment" (of
-        :func:`fg_orient.adjust`, priors included), "adjustment, tikhonov:gcv" (with the penalty of a regularisation)
-        or "no priors" (without priors and penalty).
+        "published 1", "published 2" (bundle after the pre-adjustment of type 1, 2),
+        "adjustment" (of :func:`fg_orient.adjust`, priors included), "adjustment,
+        tikhonov:gcv" (with the penalty of a regularisation) or "no priors" (without
+        priors and penalty).
     scaling : str
         "raw" (m, m/s, rad), "columns" (unit length) or "priors" (unknowns in prior sigmas, as solved).
     values : (u,) array
@@ -187,23 +190,27 @@ class Spectrum:
 
     @property
     def condition(self) -> float:
-        """Condition number of ``N = A^T A``: the square of A's, at most :data:`LARGEST_CONDITION`."""
+        """Condition number of ``N = A^T A``, the square of that of A.
+
+        At most :data:`LARGEST_CONDITION`.
+        """
         smallest = max(float(self.values[-1]), float(self.values[0]) * np.finfo(float).eps)
         return min(float((self.values[0] / smallest) ** 2), LARGEST_CONDITION)
 
 
 @dataclass(frozen=True)
 class Direction:
-    """Direction that the image observations do not determine with an EOP set, as described by ``fg_orient.adjust``.
+    """Direction that the image observations of one EOP set do not determine, as ``fg_orient.adjust`` describes it.
 
     Parameters
     ----------
     eop_set : int
     image : str
-        "" for the whole block.
+        Id of the image; "" for the whole block.
     words : str
     held_by : "nothing" or "prior"
-        "nothing": a singular value up to 1e-5 of the image's Jacobian, unknowns in prior sigmas.
+        What determines the direction. "nothing" means that the image's Jacobian has a
+        singular value of at most 1e-5, with unknowns in prior sigmas.
     """
 
     eop_set: int
@@ -214,14 +221,14 @@ class Direction:
 
 @dataclass(frozen=True)
 class Curve:
-    """L-curve of the bundle of the published procedure with one set, for the Tikhonov solvers.
+    """L-curve of the published bundle with one set, for the Tikhonov solvers.
 
     Parameters
     ----------
     eop_set, type : int
         Type of the pre-adjustment.
     curve : LCurve
-        Unknowns in m, m/s and rad together, residuals as published.
+        L-curve. The norm combines unknowns in m, m/s and rad; residuals are as published.
     """
 
     eop_set: int
@@ -230,7 +237,7 @@ class Curve:
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> Curve:
-        """Return the curve from its ``dataclasses.asdict``."""
+        """Make a curve from its ``dataclasses.asdict``."""
         curve = dict(values["curve"])
         choices = tuple(Choice(**{**c, "notes": tuple(c["notes"])}) for c in curve.pop("choices"))
         return cls(values["eop_set"], values["type"], LCurve(**curve, choices=choices))
@@ -243,12 +250,11 @@ class ErrorVectors:
     Parameters
     ----------
     eop_set, type, solver : int, int, str
-        Columns of its row.
+        Row to which the errors belong.
     ids : dict
         Ids of the points by role ("control", "check").
     enu_m : dict
-        Errors (n, 3) by role, computed minus measured, in East, North, Up at the middle of
-        the control points.
+        Errors (n, 3) by role, computed minus measured, East, North, Up at the middle of the control points.
     """
 
     eop_set: int
@@ -259,7 +265,7 @@ class ErrorVectors:
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> ErrorVectors:
-        """Return the errors from their ``dataclasses.asdict``."""
+        """Make error vectors from their ``dataclasses.asdict``."""
         ids = {role: tuple(own) for role, own in values["ids"].items()}
         return cls(**values | {
             "ids": ids, "enu_m": {r: np.reshape(v, (-1, 3)) for r, v in values["enu_m"].items()},
@@ -279,7 +285,7 @@ class Comparison:
     target_m : float
         RMSE to reach.
     eop_sets, solvers, backends, types, regularisations : tuples
-        Selections of the caller.
+        Selections that the caller has made.
     as_run : bool
         The published procedure as the authors' program works.
     seconds : float
@@ -287,21 +293,21 @@ class Comparison:
     labels : dict
         Solver name to its label.
     repeated : dict
-        Sets that have the same unknowns as another set, and that set. They are not compared.
+        Sets with the same unknowns as another set, and that other set. They are not compared.
     time_limit_s : float
-        Predicted processor seconds above which an adjustment is not tried.
+        Adjustments with a longer predicted processor time, s, are not tried.
     target_from : str
         "given", "predicted" (limit of the RMSE at the check points) or "pixel".
     sets : tuple of SetResult
-        The adjustment with each set and regularisation as by :func:`fg_orient.adjust`.
+        Adjustments with each set and regularisation by :func:`fg_orient.adjust`.
     advice : Advice or None
         Recommended set, regularisation and engine.
     directions : tuple of Direction
-        Directions that no observation determines, set by set.
+        Directions that no observation determines, for each set.
     curves : tuple of Curve
         L-curves of the published procedure, if Tikhonov solvers are selected.
     vectors : tuple of ErrorVectors
-        Error vectors of each row of the published procedure with a solution.
+        Error vectors of each row of the published procedure that has a solution.
     """
 
     block: Block
@@ -327,7 +333,7 @@ class Comparison:
 
     @property
     def table(self) -> Any:
-        """Return the rows as ``pandas.DataFrame``, or as a list of dicts without pandas (extra "tables")."""
+        """Return the rows as ``pandas.DataFrame``; without pandas (extra "tables"), as a list of dicts."""
         records = [row.as_dict() for row in self.rows]
         if find_spec("pandas") is None:
             return records
@@ -341,7 +347,7 @@ class Comparison:
 
 
 class Key(NamedTuple):
-    """Engine of a row, as a key for grouping."""
+    """Engine of a row: the columns that identify it."""
 
     backend: str
     type: int | None
@@ -350,7 +356,7 @@ class Key(NamedTuple):
     regularisation: str = ""
 
     def name(self, labels: Mapping[str, str]) -> str:
-        """Return the name of the engine in words; ``labels`` contains the label of each solver."""
+        """Return the name of the engine in words; ``labels`` contains the labels of solvers by name."""
         words = regularisation_words(self.regularisation)
         return self._of_engine(labels) + (f", {words}" if words else "")
 
@@ -371,7 +377,7 @@ class Key(NamedTuple):
 
 
 def regularisation_words(word: str) -> str:
-    """Return a regularisation in words: "tikhonov (gcv)"; "" without one."""
+    """Return the words for a regularisation, for example "tikhonov (gcv)"; "" if there is none."""
     method, _, value = word.partition(":")
     if method in ("", UNREGULARISED):
         return ""
@@ -379,7 +385,7 @@ def regularisation_words(word: str) -> str:
 
 
 def groups(rows: Sequence[Row]) -> dict[Key, list[Row]]:
-    """Return the rows by engine, in the order of their first row."""
+    """Group the rows by engine, in the order of their first row."""
     out: dict[Key, list[Row]] = {}
     for row in rows:
         out.setdefault(row.key, []).append(row)
@@ -387,7 +393,7 @@ def groups(rows: Sequence[Row]) -> dict[Key, list[Row]]:
 
 
 def tried(comparison: Comparison) -> dict[Key, list[Row | None]]:
-    """Return, for each engine that was run with any set, the rows by EOP set; None for a missing row."""
+    """Return, for each engine that was tried, its rows by EOP set; None for a missing row."""
     out: dict[Key, list[Row | None]] = {}
     for key, rows in groups(comparison.rows).items():
         if not all(row.left_out for row in rows):

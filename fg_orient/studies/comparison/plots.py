@@ -1,7 +1,8 @@
-"""Figures of a comparison as SVG text: heat maps, condition numbers, singular values, run times.
+"""Draw the figures of a comparison as SVG text: heat maps, condition numbers, singular values, run times.
 
-Colour-blind readers can distinguish the colours (blue and orange; Okabe and Ito 2008), and every quantity also has a
-number, a marker or a line style. Matplotlib (extra "report") is imported at use.
+Colour-blind readers can distinguish the colours (blue and orange; Okabe and Ito 2008). In
+addition, every quantity has a number, a marker or a line style. Matplotlib (extra
+"report") is imported when a figure is drawn.
 """
 
 from __future__ import annotations
@@ -32,14 +33,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-#: Sizes are larger than for a column of a paper, because these figures are for pages.
+#: Style of the figures. They are larger than a column of a paper, because they are for pages.
 _STYLE: Final[dict[Any, Any]] = {
     **STYLE, "font.size": 9, "axes.titlesize": 9, "axes.labelsize": 9, "xtick.labelsize": 9, "ytick.labelsize": 9,
     "legend.fontsize": 8,
 }  # fmt: skip
-#: Range of colours of the heat maps: powers of ten relative to the target.
+#: Range of the colours in heat maps, as powers of ten relative to the target.
 _DECADES: Final = (-2.0, 4.0)
-#: Equation systems of the condition numbers and spectra: text and kind of mark.
+#: Systems whose condition numbers and spectra are drawn, with their words and kinds of mark.
 _SYSTEMS: Final = {
     ("published 1", "raw"): ("published, raw units", "series-1"),
     ("published 1", "columns"): ("published, columns scaled", "series-3"),
@@ -48,12 +49,15 @@ _SYSTEMS: Final = {
     ("no priors", "priors"): ("prior units, without priors", "series-2"),
     ("adjustment", "priors"): ("prior units, with priors (as solved)", "series-0"),
 }
-#: Kinds of mark of the systems with a penalty.
+#: Kinds of mark for systems with a penalty.
 _REGULARISED: Final = ("series-4", "series-5", "control", "check", "station", "tie")
 
 
 def figures(comparison: Comparison) -> dict[str, str]:
-    """Return the figures for which the rows have data, as SVG text by file name; none without matplotlib."""
+    """Draw the figures for which the rows have data: SVG text by file name.
+
+    No figures without matplotlib.
+    """
     if not available():
         return {}
     drawings: dict[str, Callable[[Comparison], Figure | None]] = {
@@ -78,7 +82,10 @@ def figures(comparison: Comparison) -> dict[str, str]:
 
 
 def _heat_map(comparison: Comparison, role: str) -> Figure | None:
-    """Draw RMSE relative to the target by EOP set and solver; failed adjustments are hatched."""
+    """Draw the RMSE relative to the target for each EOP set and solver.
+
+    Failed adjustments are hatched.
+    """
     grouped, sets = tried(comparison), comparison.eop_sets
     values = [[math.nan if r is None else getattr(r, f"{role}_rmse_m") for r in rows] for rows in grouped.values()]
     failed = [[r is not None and bool(r.failure) for r in rows] for rows in grouped.values()]
@@ -125,7 +132,7 @@ def _coloured(axes: Axes, values: Any, failed: Any, target_m: float) -> Any:
             ink = "#fdfdfd" if dark else "#111111"
             artist = axes.text(j, i, short(values[i, j]), ha="center", va="center", fontsize=6, color=ink)
         if artist is not None:
-            artist.set_in_layout(False)  # without this, the layout of hundreds of cells would take most of the time
+            artist.set_in_layout(False)  # otherwise the layout of hundreds of cells takes most of the time
     return image
 
 
@@ -155,7 +162,7 @@ def _conditions(comparison: Comparison) -> Figure | None:
 
 
 def _systems(comparison: Comparison) -> dict[tuple[str, str], tuple[str, str]]:
-    """Return the systems to draw with text and kind of mark; only the first published type is drawn."""
+    """Return the systems to draw with words and kind of mark; of the two published types, only the first."""
     present = {(s.system, s.scaling) for s in comparison.spectra}
     treated = [word for word in comparison.regularisations if regularisation_words(word)]
     known = _SYSTEMS | {
@@ -167,12 +174,12 @@ def _systems(comparison: Comparison) -> dict[tuple[str, str], tuple[str, str]]:
 
 
 def _spectra(comparison: Comparison) -> Figure | None:
-    """Draw the singular values of A, one panel per EOP set."""
+    """Draw the singular values of A, with one panel for each EOP set."""
     wanted = _systems(comparison)
     if not wanted:
         return None
     drawn = [s for s in comparison.spectra if (s.system, s.scaling) in wanted]
-    floor = np.finfo(float).eps / 10.0  # smaller values are only rounding errors
+    floor = np.finfo(float).eps / 10.0  # smaller values have no meaning
     shares = [np.maximum(s.values / s.values[0], floor) for s in drawn]
     y = Axis("singular value / largest", decades(np.concatenate(shares)), log=True)
     charts = []
@@ -189,7 +196,7 @@ def _spectra(comparison: Comparison) -> Figure | None:
 
 
 def _l_curves(comparison: Comparison) -> Figure | None:
-    """Draw the L-curves of the published bundle, one panel per EOP set, with the choices of its Tikhonov solvers."""
+    """Draw the L-curves of the published bundle, with one panel for each EOP set, and the choices of its solvers."""
     types = sorted({of_set.type for of_set in comparison.curves})
     chosen = [(name, solver(name).label) for name in comparison.solvers if solver(name).family == "tikhonov"]
     if not types or not chosen:
@@ -213,7 +220,7 @@ def _l_curves(comparison: Comparison) -> Figure | None:
 
 
 def _vectors_of_solvers(comparison: Comparison) -> Figure | None:
-    """Draw error vectors of the published procedure with the recommended or first set, a map per type and solver."""
+    """Draw error vectors of the published procedure with the recommended or first set, for each type and solver."""
     if not comparison.vectors:
         return None
     sets = {one.eop_set for one in comparison.vectors}
@@ -226,7 +233,7 @@ def _vectors_of_solvers(comparison: Comparison) -> Figure | None:
 
 
 def _vectors_of_sets(comparison: Comparison) -> Figure | None:
-    """Draw error vectors with the published solver that solves most sets, a map per type and set."""
+    """Draw error vectors for each type and set, with the published solver that solves most sets."""
     solved = [one.solver for one in comparison.vectors]
     if not solved or len(comparison.eop_sets) == 1:
         return None
@@ -238,7 +245,7 @@ def _vectors_of_sets(comparison: Comparison) -> Figure | None:
 
 
 def _maps(comparison: Comparison, chosen: list[tuple[ErrorVectors, str]]) -> Figure | None:
-    """Draw maps of error vectors with their titles, for existing rows."""
+    """Draw maps of the error vectors that have a row, with their titles."""
     places, charts = places_km(comparison.block), []
     for one, title in chosen:
         for row in comparison.select(eop_set=one.eop_set, backend="faithful", type=one.type, solver=one.solver):

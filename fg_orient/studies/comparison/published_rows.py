@@ -1,4 +1,4 @@
-"""Rows of the published procedure, and columns common to all rows."""
+"""Make rows of engines from failures, matrices and errors; run the published procedure."""
 
 from __future__ import annotations
 
@@ -29,12 +29,15 @@ def row(eop_set: int, solver: str, backend: str, kind: int | None = None, **valu
 
 
 def one_line(error: FgOrientError) -> str:
-    """Return the problems of an error in one line."""
+    """Return the problems of an error as one line."""
     return " | ".join(map(str, error.problems))
 
 
 def spectra_of(design: Array, eop_set: int, system: str) -> tuple[Spectrum, Spectrum]:
-    """Return singular values of a design matrix, raw and with columns of unit length (a zero column stays zero)."""
+    """Compute the singular values of a design matrix, raw and with columns of unit length.
+
+    Zero columns stay zero.
+    """
     return (
         Spectrum(eop_set, system, "raw", singular_values(design)),
         Spectrum(eop_set, system, "columns", singular_values(unit_columns(design))),
@@ -42,7 +45,10 @@ def spectra_of(design: Array, eop_set: int, system: str) -> tuple[Spectrum, Spec
 
 
 def conditioning(raw: Spectrum, columns: Spectrum, n_rows: int) -> dict[str, Any]:
-    """Return the columns of a row that describe its matrix; the numerical rank of A is defined as in MATLAB."""
+    """Return the columns of a row that describe its matrix.
+
+    The numerical rank of A is that of MATLAB.
+    """
     order = len(raw.values)
     return {
         "cond_raw": raw.condition, "cond_scaled": columns.condition, "order": order,
@@ -51,7 +57,7 @@ def conditioning(raw: Spectrum, columns: Spectrum, n_rows: int) -> dict[str, Any
 
 
 def axes(role: str, rmse: Array) -> dict[str, float]:
-    """Return the RMSE of a role: of the largest axis (nan if any axis is nan), then of the three axes."""
+    """Return the RMSE of a role: of the worst axis (nan if any axis is nan), and of the three axes."""
     named = {f"{role}_rmse_{axis}_m": float(value) for axis, value in zip(AXES, rmse, strict=True)}
     return {f"{role}_rmse_m": float(np.max(rmse))} | named
 
@@ -64,7 +70,7 @@ class Published:
     block : Block
     eop_set : int
     as_run : bool
-        True: as the authors' program does.
+        Whether to compute as the authors' program does.
     limits : Limits
     """
 
@@ -103,7 +109,10 @@ class Published:
         return new(processor_s=effort.processor_s, peak_bytes=effort.peak_bytes, **self._values(bundle, kind))
 
     def _values(self, bundle: TwoStageResult, kind: int) -> dict[str, Any]:
-        """Return the columns of a row. Spectra and L-curve of a type come from its first solver."""
+        """Return the columns of a row.
+
+        The spectra and the L-curve of a type are stored at its first solver.
+        """
         kappa, system = bundle.solution.kappa, f"published {kind}"
         values: dict[str, Any] = {
             "failure": bundle.failure, "iterations": 1, "order": bundle.n_unknowns, "notes": bundle.solution.notes,
@@ -127,7 +136,10 @@ class Published:
 
 
 def _error_of_step(system: LinearSystem, x: Array) -> float:
-    """Return the forward error of a solution; unknowns are multiplied by the lengths of their columns of A."""
+    """Return the forward error of a solution.
+
+    Unknowns are multiplied by the lengths of their columns of A.
+    """
     design, observed = system.require_design("reference")
     exact, lengths = reference.exact(design, observed, reference.LIMIT_OF_ROW), np.linalg.norm(design, axis=0)
     return reference.forward_error(x * lengths, None if exact is None else exact * lengths)

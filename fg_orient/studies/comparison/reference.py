@@ -1,11 +1,11 @@
-"""Reference solutions of small least-squares problems with 256 bits, for the errors of solvers.
+"""Reference solutions of small least-squares problems with 256 bits, with which solvers are compared.
 
-The elements of the matrix are exact binary numbers. FLINT (Johansson 2017) forms and solves
-the normal equations with :data:`BITS` bits; quadruple precision has 113. With a condition
-number of N up to 1e30, the result still has more correct digits than a double. There is no
-reference for a matrix that is singular in double precision. Ball arithmetic gives a proven
-bound of the residual of the solution, and this bound is tested. Needs python-flint (extra
-"reference").
+The elements of the matrix are exact binary numbers. FLINT (Johansson 2017) forms and
+solves the normal equations with :data:`BITS` bits; quadruple precision has 113 bits. For
+condition numbers of N up to 1e30, the result then has more correct digits than a double.
+If a matrix is singular in double precision, there is no reference. Ball arithmetic gives
+a proven bound for the residual of the solution, which is tested. The module needs
+python-flint (extra "reference").
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ import numpy as np
 from factors.arrays import Array
 from fg_orient.adjustment.linear.system import numerical_rank, singular_values, unit_columns
 
-#: Bits of the mantissa.
+#: Number of bits of the mantissa.
 BITS: Final = 256
-#: Maximum number of unknowns for a reference per set (0.7 s for 400), and for a reference per row (0.1 s for 150).
+#: A reference is computed for a set up to this number of unknowns (0.7 s for 400); below: for each row (0.1 s for 150).
 LIMIT: Final = 400
 LIMIT_OF_ROW: Final = 150
-#: Limit of the largest element of the residual, relative to the largest element of the right-hand side.
+#: Maximum element of the residual, relative to the largest element of the right-hand side.
 RESIDUAL: Final = 1e-50
 
 
@@ -33,12 +33,12 @@ def available() -> bool:
 
 
 def exact(design: Array, observed: Array, limit: int = LIMIT) -> Array | None:
-    """Return the minimum x (u,) of ``|A x - l|``, rounded to doubles; None if A is singular or too large.
+    """Compute the x (u,) that minimises ``|A x - l|``, rounded to doubles; None if A is singular or too large.
 
     Parameters
     ----------
     design : (r, u) array
-        A, every element exact.
+        A; its elements are taken as exact.
     observed : (r,) array
         l.
     limit : int

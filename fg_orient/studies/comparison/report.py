@@ -1,4 +1,4 @@
-"""HTML report of a comparison, with heat maps as tables, and the result as sentences."""
+"""Make the HTML report of a comparison: heat maps as tables of numbers, and the result in sentences."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from fg_orient.studies.comparison.model import (
 )
 from fg_orient.studies.comparison.set_results import SetResult
 
-#: Upper limits of the colour steps, as multiples of the target, and their classes: blue up to the target, orange above.
+#: Upper limits of the colour steps, as multiples of the target, and their classes: blue up to the target, then orange.
 STEPS: Final = ((0.01, "b3"), (0.1, "b2"), (1.0, "b1"), (10.0, "o1"), (100.0, "o2"), (math.inf, "o3"))
-#: Engines of an adjustment, in words.
+#: Names of the engines of an adjustment in sentences.
 ENGINES: Final = {
     "graph": "The graph with eliminated points (GTSAM)", "explicit": "The graph with explicit points (GTSAM)",
     "schur": "Arrays with eliminated points", "dense": "Full matrices (scaled, iterated)",
 }  # fmt: skip
-#: Outcomes of an adjustment: sign, words and meaning.
+#: Outcomes of an adjustment: symbol, words and meaning.
 OUTCOMES: Final = {
     "reached": ("✓", "at the target", "RMSE of the worst ECEF axis at most the target, at control and check points"),
     "missed": ("✗", "misses the target", "a solution, but an RMSE beyond the target"),
@@ -54,7 +54,7 @@ class Cell:
 
 
 def outcome(row: Row) -> str:
-    """Return the key of :data:`OUTCOMES` for a row."""
+    """Return the outcome of a row as a key of :data:`OUTCOMES`."""
     if row.left_out:
         return "left_out"
     return "failed" if row.failure else "reached" if row.reached else "missed"
@@ -67,10 +67,10 @@ def counts(comparison: Comparison) -> dict[str, int]:
 
 
 def heat_map(comparison: Comparison, role: str) -> list[tuple[str, bool, list[Cell]]]:
-    """Return the rows of a heat map: name, True at the first row of a backend, cells.
+    """Return the rows of a heat map of the RMSE at control or check points.
 
-    The values are the RMSE at control or check points. Adjustments that were not run with any
-    set are omitted. The result is empty if there is no number.
+    A row contains its name, True at the first row of a backend, and cells. Engines that
+    were not tried with any set are omitted. The result is empty if there is no number.
     """
     out: list[tuple[str, bool, list[Cell]]] = []
     before: tuple[str, int | None] | None = None
@@ -94,14 +94,14 @@ def _cell(row: Row | None, role: str, target_m: float) -> Cell:
 
 
 def steps(target_m: float) -> Sequence[tuple[str, str]]:
-    """Return the classes and texts of the colour steps for a legend, in metres."""
+    """Return the classes and words of the colour steps for a legend, in metres."""
     words = [f"≤ {limit * target_m:.3g} m" for limit, _ in STEPS[:-1]]
     words.append(f"> {STEPS[-2][0] * target_m:.3g} m")
     return [(name, text) for (_, name), text in zip(STEPS, words, strict=True)]
 
 
 def render(comparison: Comparison, record: Mapping[str, Any], figures: Mapping[str, str]) -> str:
-    """Return the report of a comparison as HTML."""
+    """Return the HTML text of a comparison."""
     from markupsafe import Markup
 
     shell = environment()
@@ -124,7 +124,7 @@ def render(comparison: Comparison, record: Mapping[str, Any], figures: Mapping[s
 
 
 def three_digits(value: float | None) -> str:
-    """Return a length or a very large number with three digits; a dash for a missing number."""
+    """Format a length or a very large number with three digits; a missing number is a dash."""
     if value is None or not math.isfinite(value):
         return "–"
     text = f"{value:.2f}" if 0.01 <= abs(value) < 1000.0 or value == 0.0 else f"{value:.0e}"
@@ -143,7 +143,7 @@ def inline(svg: str, name: str) -> str:
 
 
 def _lines(comparison: Comparison, eop_set: int) -> list[dict[str, Any]]:
-    """Return the rows of one set with name and outcome."""
+    """Return the rows of one set with names and outcomes."""
     return [
         row.as_dict()
         | {"name": row.key.name(comparison.labels)}
@@ -153,7 +153,7 @@ def _lines(comparison: Comparison, eop_set: int) -> list[dict[str, Any]]:
 
 
 def _chosen(comparison: Comparison) -> list[dict[str, Any]]:
-    """Return the rows of the recommended set, without the published procedure."""
+    """Return the rows of the recommended set without the published procedure."""
     advice = comparison.advice
     if advice is None or advice.eop_set is None:
         return []
@@ -163,7 +163,7 @@ def _chosen(comparison: Comparison) -> list[dict[str, Any]]:
 
 
 def _conditions(comparison: Comparison) -> tuple[list[str], list[tuple[int, list[tuple[str, str]]]]]:
-    """Return column heads (system and scaling) and a line of condition numbers per set."""
+    """Return a table of condition numbers: a column for each system and scaling, a line for each set."""
     columns = dict.fromkeys((s.system, s.scaling) for s in comparison.spectra)
     conditions = {(s.eop_set, s.system, s.scaling): s.condition for s in comparison.spectra}
     rows = [(n, [_condition(conditions.get((n, *column))) for column in columns]) for n in comparison.eop_sets]
@@ -171,7 +171,10 @@ def _conditions(comparison: Comparison) -> tuple[list[str], list[tuple[int, list
 
 
 def _directions(comparison: Comparison) -> list[tuple[str, str, list[str], list[int]]]:
-    """Return undetermined directions: description, what holds them (nothing or the prior), images and sets."""
+    """Return directions in words, what determines them (nothing or the prior), images and sets.
+
+    Directions that nothing determines are first.
+    """
     groups_of: dict[tuple[str, str], list[Direction]] = {}
     for direction in comparison.directions:
         groups_of.setdefault((direction.held_by, direction.words), []).append(direction)
@@ -190,7 +193,10 @@ def _condition(value: float | None) -> tuple[str, str]:
 
 
 def _reasons(comparison: Comparison, left_out: bool) -> list[tuple[str, int, list[int]]]:
-    """Return reasons for rows without solution, with numbers of rows and sets; reasons are compared without digits."""
+    """Return the reasons for rows without a solution, with numbers of rows and sets.
+
+    Digits are ignored.
+    """
     by_text: dict[str, tuple[str, list[int]]] = {}
     for row in comparison.rows:
         if row.failure and row.left_out == left_out:
@@ -211,15 +217,15 @@ class Summary:
     ----------
     backend, type, solver, optimizer, regularisation : str, int or None, str, str, str
     label, name : str
-        Names of the solver and of the engine.
+        Label of the solver, and name of the engine.
     tried, solved, reached : int
-        Numbers of EOP sets.
+        Numbers of EOP sets that were tried, that have a solution, and that reach the target.
     missed : tuple of int
         Sets that were run and do not reach the target.
     unsolved : tuple of int
         Sets that were run and have no solution.
     worst_control_m, worst_check_m : float
-        Largest RMSE of the sets with a solution; nan without any.
+        Largest RMSE of the sets with a solution; nan if there is no solution.
     """
 
     backend: str
@@ -239,7 +245,7 @@ class Summary:
 
 
 def summaries(comparison: Comparison) -> list[Summary]:
-    """Return one summary per backend, type and solver."""
+    """Return one summary for each backend, type and solver."""
     return [_summary(key, rows, comparison.labels) for key, rows in groups(comparison.rows).items()]
 
 
@@ -295,7 +301,7 @@ def _capital(text: str) -> str:
 
 
 def _accuracy_words(comparison: Comparison, best: SetResult, row: Row | None) -> list[str]:
-    """Return sentences on the accuracy of the recommended row, the target, and the source of the target."""
+    """Return sentences on the accuracy of the recommended row, the target and the source of the target."""
     target, predicted = comparison.target_m, f"predicted {best.predicted_m:.3g} m at the check points"
     if best.is_regularised:
         predicted += " with the bias of true deviations of one prior sigma"
@@ -317,7 +323,7 @@ def _accuracy_words(comparison: Comparison, best: SetResult, row: Row | None) ->
 
 
 def _details(comparison: Comparison) -> list[str]:
-    """Return sentences on the sets that reach the target, by engine, and on adjustments that were not run."""
+    """Return sentences on the sets at the target by engine, and on adjustments that were not tried."""
     lines, total = summaries(comparison), len(comparison.eop_sets)
     tried = [line for line in lines if line.tried]
     out = []
@@ -339,7 +345,10 @@ def _of(count: int, total: int) -> str:
 
 
 def _reached(line: Summary, total: int) -> str:
-    """Return the number of sets that reach the target, the other sets, the worst RMSE, and sets without solution."""
+    """Describe how many sets reach the target.
+
+    Name the other sets, the worst RMSE, and sets without a solution.
+    """
     text = f"{_of(line.reached, total)} sets at the target"
     if not line.missed:
         return text
@@ -353,7 +362,7 @@ def _reached(line: Summary, total: int) -> str:
 
 
 def ranges(values: Iterable[int]) -> str:
-    """Return whole numbers as ranges: 1, 5-8."""
+    """Format whole numbers as ranges, for example "1, 5-8"."""
     runs: list[list[int]] = []
     for value in sorted(set(values)):
         if runs and value == runs[-1][-1] + 1:
@@ -364,7 +373,7 @@ def ranges(values: Iterable[int]) -> str:
 
 
 def _of_solvers(name: str, comparison: Comparison, lines: list[Summary]) -> list[str]:
-    """Return a sentence on the sets that reach the target with every solver, with some solvers and with no solver."""
+    """Return a sentence on the sets that reach the target with every solver, with some solvers, or with no solver."""
     if not lines:
         return []
     sets = comparison.eop_sets
@@ -381,7 +390,7 @@ def _of_solvers(name: str, comparison: Comparison, lines: list[Summary]) -> list
 
 
 def _remarks(comparison: Comparison, lines: list[Summary]) -> list[str]:
-    """Return sentences on differences between backends, missing check points and adjustments that were not run."""
+    """Return sentences on differences between backends, missing check points and adjustments not tried."""
     out = []
     sigmas = _largest(r.difference_sigmas for r in comparison.rows)
     if math.isfinite(sigmas):

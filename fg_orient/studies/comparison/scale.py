@@ -1,10 +1,11 @@
-"""Cost of the engines against the size of the block: from ten to a million image points.
+"""Measure the cost of the engines for blocks from ten to a million image points.
 
-Synthetic blocks (``fg-orient simulate block``) have more and more image points and,
-increasing more slowly, images. Each engine adjusts each block once. Small blocks are adjusted
-several times, and the median is used. If the predicted memory or time of an engine exceeds
-its limit, the row contains the reason. Elimination orders of the graph with explicit points
-are compared by their fill and operations, and by GTSAM's time for one elimination.
+The blocks are synthetic (``fg-orient simulate block``). The number of image points grows,
+and the number of images grows more slowly. Each engine adjusts each block once. Small
+blocks are adjusted several times, and the median is used. If the predicted memory or time
+of an engine exceeds its limit, its row contains the reason. Elimination orders of the
+graph with explicit points are compared by their fill and operations, and by GTSAM's time
+for one elimination.
 """
 
 from __future__ import annotations
@@ -37,22 +38,21 @@ from fg_orient.studies.comparison.model import GRAPH_LABELS, Key
 from fg_orient.studies.comparison.solving import Engine, Engines, timed
 from fg_orient.studies.comparison.work import Limits, Sparsity
 
-#: Image points of the blocks.
+#: Numbers of image points of the blocks.
 SIZES: Final = (*(k * 10**e for e in range(1, 6) for k in (1, 2, 5)), 10**6)
 SMALLEST, LARGEST = 10, 2_000_000
-#: Solvers of full matrices.
+#: Solvers that are used for full matrices.
 SOLVERS: Final = ("qr", "lapack_cholesky")
-#: An adjustment is repeated if it takes less than this processor time, s; the second number
-#: is the number of repetitions.
+#: An adjustment is repeated if it takes less processor time than this, s; below: number of repetitions.
 SHORT_S: Final = 0.2
 REPEATS: Final = 5
-#: Elimination orders, and the largest block for each. The natural order (images first) links
-#: all points of an image, so its blocks must be small.
+#: Elimination orders and the largest number of image points for each. The natural order
+#: (images first) links all points of an image, so that only small blocks are possible.
 ORDERED: Final = {**dict.fromkeys(ORDERINGS, 30_000), "natural": 1000}
-#: Largest number of operations of an elimination that is timed.
+#: The time of an elimination is measured up to this number of operations.
 TIMED: Final = 2e10
-#: Values below this multiple of the least one are regarded as overhead. The second number is
-#: the minimum number of sizes for an exponent.
+#: Values below this multiple of the least value are overhead and do not show the growth;
+#: below: minimum number of sizes for an exponent.
 OVERHEAD: Final = 5.0
 FEWEST: Final = 4
 LABELS: Final = {**GRAPH_LABELS, "qr": "QR", "lapack_cholesky": "LAPACK Cholesky"}
@@ -68,32 +68,33 @@ def scale(
     folder: str | Path | None = None,
     callback: Progress | None = None,
 ) -> dict[str, Any]:
-    """Adjust blocks of growing size by all engines.
+    """Adjust blocks of increasing size with all engines.
 
     Parameters
     ----------
     sizes : str or sequence of int
-        Image points of the blocks: "10,100,1000", "1e4" or numbers.
+        Numbers of image points of the blocks: "10,100,1000", "1e4" or numbers.
     time_limit_s, memory_limit_gb : float
-        Predicted processor seconds, and memory, above which an adjustment is not tried.
+        An adjustment is not tried if its predicted processor time or memory exceeds these limits.
     workers : int
-        Processes that share the sizes. Times are then those of a busy machine.
+        Number of processes that share the sizes. The measured times are then those of a busy machine.
     cluster : str or dask.distributed.Client, optional
-        Scheduler of a running cluster instead.
+        Scheduler of a running cluster; it replaces ``workers``.
     folder : path, optional
-        Folder for finished sizes: a study that is started again with this folder continues.
+        Folder for finished sizes. A study that is started again with this folder continues.
     callback : callable, optional
-        Called with (done, of, text) after each size.
+        Function that is called with (done, of, text) after each size.
 
     Returns
     -------
     dict
-        ``sizes``, ``rows`` (one for each size and engine), ``orderings``, ``exponents``, ``crossings``, ``processor``.
+        ``sizes``, ``rows`` (one for each size and engine), ``orderings``, ``exponents``,
+        ``crossings``, ``processor``.
 
     Raises
     ------
     InputError
-        A size that is no whole number from 10 to 2 000 000; an unusable limit.
+        A size is not a whole number from 10 to 2 000 000, or a limit is invalid.
     """
     chosen = sizes_of(sizes)
     if not time_limit_s > 0.0:
@@ -118,7 +119,7 @@ def scale(
 
 
 def sizes_of(given: str | Sequence[int]) -> tuple[int, ...]:
-    """Return the whole numbers of a selection in ascending order."""
+    """Read a selection of sizes as whole numbers in ascending order."""
     words = given.split(",") if isinstance(given, str) else list(given)
     out = set[int]()
     for word in words:
@@ -135,7 +136,7 @@ def sizes_of(given: str | Sequence[int]) -> tuple[int, ...]:
 
 
 def block_of(size: int) -> Block:
-    """Return a block with about this many image points: 2 images up to 1000 points, 100 images from a million."""
+    """Make a block with about this number of image points: 2 images up to 1000 points, 100 from a million on."""
     side = int(min(max(round((size / 1000.0) ** (1.0 / 3.0)), 1), 10))
     rays = {1: 2.0, 2: 2.7}.get(side, 3.5)
     points = max(round(size / rays), LEAST_CONTROL)
@@ -150,7 +151,7 @@ def block_of(size: int) -> Block:
 
 
 def _one_size(memory_limit_gb: float | None, time_limit_s: float, size: int) -> dict[str, Any]:
-    """Return the rows of all engines, and the elimination orders, for one size."""
+    """Compute the rows of all engines and the elimination orders for one size."""
     block = block_of(size)
     problem = compile_problem(replace(block, options=replace(block.options, memory_limit_gb=memory_limit_gb)))
     sparsity = Sparsity(problem)
@@ -174,7 +175,7 @@ def _one_size(memory_limit_gb: float | None, time_limit_s: float, size: int) -> 
 
 
 def _row(engine: Engine, problem: Problem, limits: Limits) -> tuple[dict[str, Any], Array | None]:
-    """Run an engine; return its row and the unknowns of the images."""
+    """Return the row of an engine, and the image unknowns."""
     name = Key(engine.backend, None, engine.solver, engine.optimizer).name(LABELS)
     row: dict[str, Any] = {
         "backend": engine.backend, "solver": engine.solver, "engine": name, "own_choice": bool(engine.note),
@@ -208,7 +209,7 @@ def _row(engine: Engine, problem: Problem, limits: Limits) -> tuple[dict[str, An
 
 
 def _orderings(problem: Problem) -> list[dict[str, Any]]:
-    """Return elements, fill and operations of the factor of the explicit graph, by elimination order."""
+    """Return elements, fill and operations of the factor of the explicit graph for each elimination order."""
     out: list[dict[str, Any]] = []
     structure = None
     for name, most in ORDERED.items():
@@ -228,10 +229,11 @@ def _orderings(problem: Problem) -> list[dict[str, Any]]:
 
 
 def exponents(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the exponents of time, memory and elements of the factor, with 95 % intervals, by engine.
+    """Estimate the exponents of time, memory and factor elements for each engine, with 95 % intervals.
 
-    ``log y = a + b log n`` by least squares over the sizes n whose value is at least :data:`OVERHEAD` times the least
-    one, the four largest at least. ``unknowns_exponent``: with the number of all unknowns as n.
+    ``log y = a + b log n`` is fitted by least squares. The fit uses the sizes n whose
+    value is at least :data:`OVERHEAD` times the least value, and always the four largest
+    sizes. For ``unknowns_exponent``, n is the number of all unknowns.
     """
     out = []
     for engine in dict.fromkeys(row["engine"] for row in rows):
@@ -245,7 +247,10 @@ def exponents(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def exponent(points: Sequence[tuple[float, float]]) -> dict[str, float]:
-    """Return exponent b of values y(n), half of its 95 % interval, y(1), range of n; empty if y hardly grows."""
+    """Return the exponent b of values y(n), half of its 95 % interval, y(1), and the range of n.
+
+    The result is empty if y hardly grows.
+    """
     points = sorted(points)
     grown = [k for k, (_, y) in enumerate(points) if y >= OVERHEAD * min(y for _, y in points)]
     if not grown or len(points) < FEWEST:
@@ -262,11 +267,12 @@ def exponent(points: Sequence[tuple[float, float]]) -> dict[str, float]:
 
 
 def crossings(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the numbers of image points from which each sparse engine needs less than the best full matrices.
+    """Return the crossing points, where a sparse engine begins to need less time, or memory, than full matrices.
 
-    Time and memory are compared separately. Numbers are interpolated between two sizes on
-    logarithmic scales. ``image_points`` is nan if the engine needs less at all sizes, or more
-    at all common sizes; ``always`` states which.
+    A crossing point is a number of image points. It is interpolated between two sizes on
+    logarithmic scales. The fastest solver of full matrices is the reference.
+    ``image_points`` is nan if the engine needs less at all sizes, or more at all common
+    sizes; ``always`` states which of the two.
     """
     out = []
     for quantity in ("processor_s", "peak_bytes"):
@@ -284,7 +290,7 @@ def crossings(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _crossing(sizes: Sequence[int], gap: Sequence[float]) -> dict[str, Any]:
-    """Return the place of the last change of a ratio's logarithm from positive to negative."""
+    """Return where the logarithm of a ratio last changes from positive to negative."""
     if gap[-1] >= 0.0:
         return {"image_points": math.nan, "always": "dense"}
     above = [k for k, value in enumerate(gap) if value >= 0.0]

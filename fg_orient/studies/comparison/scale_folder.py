@@ -1,4 +1,4 @@
-"""Writing of the folder of a study of sizes: tables, figures for papers, page and record."""
+"""Run a study of sizes and write its folder: tables, figures for papers, page and record."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from fg_orient.studies.comparison.scale import scale, sizes_of
 from fg_orient.studies.comparison.scale_page import captions, charts, growth_files, page
 
 SCHEMA_VERSION: Final = 1
-#: Tables of the folder, by key of the record.
+#: Files of the tables by the keys of the record.
 TABLES: Final = {"rows": "scale.csv", "orderings": "orderings.csv", "exponents": "exponents.csv"}
-#: Contents of the folder.
+#: Contents of the folder of a study.
 SCALE: Final = Contents(
     "scale.csv", (*TABLES.values(), "result.json", "scale.md", CAPTIONS_FILE, "*.svg", "*.pdf")
 )  # fmt: skip
@@ -53,7 +53,7 @@ def scale_to(
     Raises
     ------
     InputError
-        An option or the output folder is unusable; matplotlib is missing.
+        An option or the output folder cannot be used, or matplotlib is not installed.
     """
     require_matplotlib()
     target = Path(out)

@@ -1,4 +1,4 @@
-"""Charts and page of a study of the cost against the size of the block."""
+"""Make the charts and the page on the cost of engines against the size of the block."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from fg_orient.report.paper import STYLE, TWO_COLUMNS, file_of, panels_of
 from fg_orient.simulate.block import BlockOptions, grid_block
 from fg_orient.studies.comparison.scale import ORDERED
 
-#: Marks of the engines, in the order of their rows.
+#: Kinds of marks of the engines, in the order of their rows.
 KINDS: Final = (*(f"series-{k}" for k in range(6)), "control", "check", "dot equal", "station")
-#: Quantities: text, unit and factor.
+#: Quantities of the charts: words, unit and factor.
 QUANTITIES: Final = {
     "processor_s": ("processor time of an adjustment", "s", 1.0), "peak_bytes": ("rise of the memory", "MB", 1e-6),
     "factor_elements": ("elements of the factor", "", 1.0),
@@ -52,7 +52,7 @@ def charts(record: dict[str, Any]) -> dict[str, Callable[[], Sequence[Chart | No
 
 
 def growth_files(record: dict[str, Any]) -> dict[str, bytes]:
-    """Return the figures of time and memory, as wide as two columns, by file name."""
+    """Return the figures of time and memory by file name; they are as wide as two columns."""
     import matplotlib
 
     out: dict[str, bytes] = {}
@@ -65,13 +65,13 @@ def growth_files(record: dict[str, Any]) -> dict[str, bytes]:
 
 
 def example() -> Problem:
-    """Return a small block of six images whose structure is drawn."""
+    """Make the small block of six images whose structure is drawn."""
     block, _ = grid_block(BlockOptions(rows=2, columns=3, points=60, check_share=0.0))
     return compile_problem(block)
 
 
 def growth_chart(record: dict[str, Any], quantity: str) -> Chart | None:
-    """Return the chart of values of all engines against the number of image points."""
+    """Draw the values of all engines against the number of image points."""
     words, unit, factor = QUANTITIES[quantity]
     series: dict[str, list[tuple[float, float]]] = {}
     for row in record["rows"]:
@@ -94,7 +94,7 @@ def growth_chart(record: dict[str, Any], quantity: str) -> Chart | None:
 
 
 def ordering_chart(record: dict[str, Any], quantity: str) -> Chart | None:
-    """Return the chart of elements of the factor, or of the time of an elimination, for each order."""
+    """Draw the elements of the factor, or the time of an elimination, for each order."""
     found = {name: np.array([(r["image_points"], r[quantity]) for r in record["orderings"]
                              if r["ordering"] == name and _positive(r[quantity])]) for name in ORDERED}  # fmt: skip
     drawn = {name: own for name, own in found.items() if len(own)}
@@ -111,7 +111,7 @@ def ordering_chart(record: dict[str, Any], quantity: str) -> Chart | None:
 
 
 def jacobian_chart(structure: Structure) -> Chart:
-    """Return the chart of the blocks of the Jacobian: rows are factors, columns are variables."""
+    """Draw the blocks of the Jacobian: rows are factors in their order, and columns are variables."""
     ends = np.concatenate([[0], np.cumsum(structure.sizes)])
     rows = [2 if kind == "image point" else int(structure.sizes[list(own)].sum())
             for kind, own in zip(structure.kinds, structure.factors, strict=True)]  # fmt: skip
@@ -140,7 +140,7 @@ def captions(shown: Sequence[str]) -> str:
 
 
 def page(record: dict[str, Any], figures: str = "") -> str:
-    """Return the page of a run as Markdown; ``figures`` is the address of the folder of figures, with a slash."""
+    """Return the page of a run as Markdown; ``figures`` is the address of the figures' folder, with a final slash."""
     largest = max(one["image_points"] for one in record["sizes"])
     lines = [
         "# Dense and sparse from ten to a million image points", "",
@@ -211,7 +211,10 @@ def _cell(row: dict[str, Any], quantity: str, factor: float) -> str:
 
 
 def _reasons(record: dict[str, Any]) -> list[str]:
-    """Return the reasons for missing values by engine, with the sizes; the text of the first size is used."""
+    """Return the reasons of each engine for sizes without a value, with these sizes.
+
+    Similar reasons have the text of the first one.
+    """
     found: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for row in record["rows"]:
         if row["failure"]:

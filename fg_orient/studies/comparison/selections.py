@@ -1,4 +1,4 @@
-"""Parsing and checks of the arguments that select sets, solvers, backends, types and regularisations."""
+"""Read and check the selections of a comparison: sets, solvers, backends, types and regularisations."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def _words(given: Any) -> list[str]:
 
 
 def _once(chosen: Iterable[T], option: str, given: object) -> tuple[T, ...]:
-    """Return a selection without repetitions; raise InputError if it is empty."""
+    """Remove repetitions; raise InputError for an empty selection."""
     out = tuple(dict.fromkeys(chosen))
     if not out:
         raise InputError.of("compare.nothing", option=option, value=given)
@@ -34,9 +34,9 @@ def _once(chosen: Iterable[T], option: str, given: object) -> tuple[T, ...]:
 
 
 def _chosen(given: Any, members: Mapping[str, Sequence[T]], option: str, code: str) -> tuple[T, ...]:
-    """Return the members that the words of a selection name, each once.
+    """Return the selected members, each once.
 
-    An unknown word raises InputError with this code.
+    Raise InputError with this code for an unknown word.
     """
     words = _words(given)
     for word in words:
@@ -46,7 +46,7 @@ def _chosen(given: Any, members: Mapping[str, Sequence[T]], option: str, code: s
 
 
 def eop_sets(given: str | int | Iterable[int | str]) -> tuple[int, ...]:
-    """Return the numbers of the EOP sets in "1-20", "5,13,PUA" or a list of numbers and names, each once."""
+    """Return the numbers of EOP sets, each once, from "1-20", "5,13,PUA" or a list of numbers and names."""
     chosen: list[int] = []
     for word in _words(given):
         first, dash, last = word.partition("-")
@@ -58,32 +58,32 @@ def eop_sets(given: str | int | Iterable[int | str]) -> tuple[int, ...]:
 
 
 def solver_names(given: str | Iterable[str]) -> tuple[str, ...]:
-    """Return the names of the solvers in "all", "published", "svd,qr" or a list of names, each once."""
+    """Return the names of solvers, each once, from "all", "published", "svd,qr" or a list of names."""
     known = registry.solvers()
     groups = {"all": list(known), "published": [name for name, one in known.items() if one.published]}
     return _chosen(given, {name: [name] for name in known} | groups, "solvers", "linear.solver")
 
 
 def backend_names(given: str | Iterable[str]) -> tuple[str, ...]:
-    """Return the names of the backends in "faithful,graph" or a list, in the order of ``BACKENDS``."""
+    """Return the names of backends in the order of ``BACKENDS``, from "faithful,graph" or a list."""
     chosen = _chosen(given, {name: [name] for name in BACKENDS}, "backends", "adjust.backend")
     return tuple(sorted(chosen, key=BACKENDS.index))
 
 
 def types(given: str | int | Iterable[int | str]) -> tuple[int, ...]:
-    """Return the types of pre-adjustment in "1,2" or a list, in ascending order."""
+    """Return the types of pre-adjustment in order, from "1,2" or a list."""
     return tuple(sorted(_chosen(given, {str(kind): [kind] for kind in TYPES}, "types", "compare.type")))
 
 
 def target(given: float | None) -> float | None:
-    """Return the RMSE to reach, m, after a check; None stays None."""
+    """Check the RMSE to reach, m; None is returned unchanged."""
     if given is not None and not (math.isfinite(given) and given > 0.0):
         raise InputError.of("compare.target", option="target", value=given)
     return given
 
 
 def time_limit(given: float) -> float:
-    """Return the limit of the processor time, s, after a check."""
+    """Check the limit of the processor time, s."""
     if not given > 0.0:
         raise InputError.of("compare.time_limit", option="time_limit_s", value=given)
     return given
@@ -91,16 +91,15 @@ def time_limit(given: float) -> float:
 
 # --- regularisations ------------------------------------------------------------------------------
 
-#: Methods with a parameter kappa; the number of other methods is the cut of the rank.
+#: Methods with a parameter kappa. For other methods, the number in a word is the cut of the rank.
 WITH_KAPPA: Final = ("tikhonov", "truncated")
 METHODS: Final[tuple[Method, ...]] = get_args(Method)
 
 
 def regularisations(given: str | Iterable[str] | None) -> tuple[str, ...] | None:
-    """Return the words of a selection of regularisations, each once.
+    """Return the words "METHOD", "METHOD:RULE" or "METHOD:NUMBER" of a selection, each once.
 
-    A word is "METHOD", "METHOD:RULE" or "METHOD:NUMBER"; "all" selects all methods; None
-    stays None.
+    "all" selects all methods; None is returned unchanged.
     """
     if given is None:
         return None
@@ -118,7 +117,7 @@ def regularisations(given: str | Iterable[str] | None) -> tuple[str, ...] | None
 
 
 def _is_value(method: str, value: str) -> bool:
-    """Return whether a text is a rule, a kappa or a cut of the rank for a method."""
+    """Return whether a text is a rule, a kappa or a cut of the rank that is valid for a method."""
     number = _number(value)
     if method in WITH_KAPPA:
         return value in _rules() or number > 0.0
@@ -131,7 +130,7 @@ def _rules() -> list[str]:
 
 
 def _number(text: str) -> float:
-    """Return the finite number in a text; nan for other texts."""
+    """Read a text as a finite number; nan for other texts."""
     try:
         value = float(text)
     except ValueError:
@@ -140,7 +139,7 @@ def _number(text: str) -> float:
 
 
 def regularisation_of(options: Options) -> str:
-    """Return the regularisation of options as one word, such as "none", "tikhonov:gcv" or "minimum_norm:1e-09"."""
+    """Return the regularisation of options as a word: "none", "tikhonov:gcv", "truncated:0.1", "minimum_norm:1e-09"."""
     method = options.regularisation
     if method == UNREGULARISED:
         return UNREGULARISED
@@ -150,10 +149,10 @@ def regularisation_of(options: Options) -> str:
 
 
 def regularised(options: Options, word: str) -> Options:
-    """Return options with the regularisation of a word; values that the word does not state stay unchanged.
+    """Return the options with the regularisation of a word from :func:`regularisations`.
 
-    The word comes from :func:`regularisations`. The penalty of the options is used for
-    Tikhonov's method; other methods penalise the deviation.
+    Parts that the word leaves out are not changed. The penalty of the options is used for
+    Tikhonov's method only; the other methods penalise the deviation.
     """
     method, _, value = word.partition(":")
     out = replace(options, regularisation=cast(Method, method))
@@ -168,7 +167,7 @@ def regularised(options: Options, word: str) -> Options:
 
 
 def options_of(word: str) -> dict[str, Any]:
-    """Return the options of the project file for a complete word of :func:`regularisation_of`."""
+    """Return the options of the project file that correspond to a complete word of :func:`regularisation_of`."""
     method, _, value = word.partition(":")
     out: dict[str, Any] = {"regularisation": method}
     if method in WITH_KAPPA:
@@ -179,7 +178,7 @@ def options_of(word: str) -> dict[str, Any]:
     return out
 
 
-#: Functions that check the arguments of ``compare`` and raise InputError, by the name of the argument.
+#: For each argument of ``compare``, the function that checks it and raises InputError.
 SELECTIONS: Final[dict[str, Callable[[Any], Any]]] = {
     "eop_sets": eop_sets, "solvers": solver_names, "backends": backend_names, "types": types, "target_m": target,
     "time_limit_s": time_limit, "regularisations": regularisations,

@@ -1,12 +1,11 @@
-"""Results of a comparison for each EOP set and regularisation, with the predicted accuracy at check points.
+"""Results of a comparison by EOP set and regularisation, and the predicted accuracy at the check points.
 
-The target follows from the predicted accuracy. The errors of n check points have the joint
-covariance C. It is predicted by the adjustment and includes the variances of the measured
-coordinates. Their mean square along an axis is about
-``g chi2(h) / h`` with ``g = tr C / n`` and ``h = (tr C)^2 / tr C^2`` (Satterthwaite 1946).
-The RMSE to reach is the 95 % limit for the worst ECEF axis. For a regularised estimate, C
-contains the expected products of the errors, including the bias
-(``fg_orient.quality.regularised_points``).
+The RMSE to reach is derived as follows. The adjustment predicts the joint covariance
+matrix C of the errors of n check points; C includes the variances of the measured
+coordinates. Along an axis, their mean square is approximately ``g chi2(h) / h`` with ``g
+= tr C / n`` and ``h = (tr C)^2 / tr C^2`` (Satterthwaite 1946). The 95 % limit for the
+worst ECEF axis is the RMSE to reach. For a regularised estimate, C contains the expected
+products of the errors including the bias (``fg_orient.quality.regularised_points``).
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ LEVEL: Final = 0.05
 
 @dataclass(frozen=True)
 class SetResult:
-    """Adjustment with one EOP set, as by :func:`fg_orient.adjust`.
+    """Result of :func:`fg_orient.adjust` with one EOP set.
 
     Parameters
     ----------
@@ -45,14 +44,14 @@ class SetResult:
     name : str
     image_unknowns : int
     regularisation : str
-        Regularisation, as in a row.
+        Word for the regularisation, as in a row.
     kappa : float
-        Parameter of the regularisation; nan without one.
+        Regularisation parameter; nan if there is none.
     held : int
-        Directions that a truncation or a minimum norm keeps at the metadata.
+        Number of directions that a truncation or a minimum norm keeps at the metadata.
     effective_unknowns : float
-        Number of image unknowns that the penalty does not determine: trace of the resolution,
-        including the share of priors. nan without a regularisation.
+        Number of image unknowns that the penalty does not determine: trace of the
+        resolution, including the share of priors. nan without a regularisation.
     failure : str
         Reason for a missing solution; "" if there is one.
     status, reason : str
@@ -64,25 +63,26 @@ class SetResult:
     sigma0, global_p : float
         A posteriori standard deviation of unit weight, and probability of the global test.
     aic, aicc, bic : float
-        Criteria of the model; nan without them.
+        Information criteria of the model; nan if they do not exist.
     n_check : int
         Number of check points.
     check_rmse_3d_m : float
-        RMSE of the check points, all axes together.
+        RMSE of the check points over all axes.
     check_freedom : float
-        Number of independent errors in their mean square.
+        Number of independent errors in the mean square of the check points.
     predicted_m, limit_m : float
-        Predicted RMSE at the check points of the worst ECEF axis, and its 95 % limit; nan without a covariance. With a
-        regularisation they contain the bias of true deviations of one prior sigma.
+        Predicted RMSE at the check points of the worst ECEF axis, and its 95 % limit; nan
+        without a covariance. With a regularisation they contain the bias of true
+        deviations of one prior sigma.
     bias_m : float
-        Part of ``predicted_m`` that is bias, on the same axis; nan without a regularisation.
+        Part of ``predicted_m`` that is bias, for its axis; nan without a regularisation.
     prediction_factor : float
-        Ratio of actual to predicted errors at the check points, by their joint covariance;
-        nan with a regularisation.
+        Ratio of the errors at the check points to the predicted errors, by their joint
+        covariance matrix; nan with a regularisation.
     prediction_holds : bool or None
         True if chance explains this factor; None if it is not tested.
     processor_s : float
-        Processor time, s, with all statistics.
+        Processor time with all statistics, s.
     """
 
     eop_set: int
@@ -116,34 +116,34 @@ class SetResult:
 
     @property
     def is_usable(self) -> bool:
-        """True if there is a converged solution."""
+        """Return whether there is a converged solution."""
         return not self.failure and self.status != Status.NOT_CONVERGED.value
 
     @property
     def is_regularised(self) -> bool:
-        """True if the estimate is regularised and therefore biased."""
+        """Return whether the estimate is biased because of a regularisation."""
         return self.regularisation != UNREGULARISED
 
     @property
     def key(self) -> tuple[int, str]:
-        """Set and regularisation, as a key."""
+        """Return the set and the regularisation."""
         return self.eop_set, self.regularisation
 
     @property
     def words(self) -> str:
-        """Text of set, name and regularisation: "20 (PUVA), tikhonov (gcv)"."""
+        """Return set, name and regularisation in words, for example "20 (PUVA), tikhonov (gcv)"."""
         own = regularisation_words(self.regularisation)
         return f"{self.eop_set} ({self.name})" + (f", {own}" if own else "")
 
 
 def of_failure(eop_set: int, failure: str, problem: Problem, regularisation: str = UNREGULARISED) -> SetResult:
-    """Return the result of a set without a solution."""
+    """Make the result of a set without a solution."""
     name = EOP_SETS[eop_set].name
     return SetResult(eop_set, name, problem.n_free_unknowns, regularisation, failure=failure)
 
 
 def of_solution(eop_set: int, solution: Solution, processor_s: float) -> SetResult:
-    """Return the result of a set from its solution."""
+    """Make the result of a set from its solution."""
     values: dict[str, Any] = {}
     check, chosen = solution.accuracy.check, solution.problem.regularisation
     covariance = check.covariance_m2
@@ -179,10 +179,11 @@ def _number(value: float | None) -> float:
 
 
 def expected_at(solution: Solution, check: PointDifferences) -> tuple[Array | None, Array | None]:
-    """Return expected products (3k, 3k) of the errors at check points: of all errors, and of the bias.
+    """Return the expected products of the errors at selected check points (3k, 3k), and those of the bias.
 
-    The axes are East, North, Up; the unit is m^2. The first matrix includes the variances of
-    the measured coordinates. The solution is regularised; None if the products are unknown.
+    The unit is m^2, and the axes are East, North, Up. The first matrix includes the
+    variances of the measured coordinates. The solution is regularised. None: they are
+    unknown.
     """
     if check.joint is None or not len(check):
         return None, None
@@ -196,12 +197,11 @@ def expected_at(solution: Solution, check: PointDifferences) -> tuple[Array | No
 
 
 def predicted_rmse(check: PointDifferences, covariance: Array | None) -> tuple[float, float, float]:
-    """Return predicted RMSE of check points, its 95 % limit, and the number of independent errors.
+    """Return the predicted RMSE of check points on the worst ECEF axis, its 95 % limit, and the independent errors.
 
-    RMSE and limit belong to the worst ECEF axis, m.
-
-    ``covariance``: (3k, 3k) of the selected points in East, North, Up, m^2. Without it nan, nan and the number of
-    coordinates.
+    The third value is the number of independent errors of all axes. ``covariance`` (3k,
+    3k) belongs to the selected points in East, North, Up, m^2. Without it, the result is
+    nan, nan and the number of coordinates.
     """
     if covariance is None:
         return math.nan, math.nan, 3.0 * len(check)
@@ -211,7 +211,7 @@ def predicted_rmse(check: PointDifferences, covariance: Array | None) -> tuple[f
 
 
 def bias_of(check: PointDifferences, covariance: Array | None, bias: Array | None) -> float:
-    """Return the RMS of the bias along the axis of :func:`predicted_rmse`, m; nan without a bias."""
+    """Return the RMS of the bias along the axis of :func:`predicted_rmse`, m; nan if it is unknown."""
     if covariance is None or bias is None:
         return math.nan
     worst = int(np.argmax([_mean_square(own) for own in _by_axis(check, covariance)]))
@@ -219,7 +219,7 @@ def bias_of(check: PointDifferences, covariance: Array | None, bias: Array | Non
 
 
 def _by_axis(check: PointDifferences, covariance: Array) -> list[Array]:
-    """Return the blocks (k, k), one per ECEF axis, of a matrix (3k, 3k) in East, North, Up."""
+    """Return the parts (k, k) along each ECEF axis of a matrix (3k, 3k) in East, North, Up."""
     assert check.joint is not None
     k, turn = len(check.selected), check.joint.axes[check.selected]
     ecef = np.einsum("aji,ajbk,bkl->aibl", turn, covariance.reshape(k, 3, k, 3), turn)
@@ -231,7 +231,7 @@ def _mean_square(covariance: Array) -> float:
 
 
 def _limit(covariance: Array) -> float:
-    """Return the 95 % limit of the mean square of correlated errors (n, n)."""
+    """Return the 95 % limit of the mean square of errors with the covariance matrix (n, n)."""
     freedom = _freedom(covariance)
     return _mean_square(covariance) / freedom * float(chi_square_limit(freedom, LEVEL))
 

@@ -1,4 +1,4 @@
-"""Engines that solve one compiled problem, with their predicted effort."""
+"""Engines that solve the adjustment of one compiled problem, with their predicted effort."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from fg_orient.studies.comparison.work import Sparsity, Work
 
 @dataclass(frozen=True)
 class Engine:
-    """Method that solves the adjustment.
+    """Engine: one way to solve the adjustment.
 
     Parameters
     ----------
@@ -40,9 +40,9 @@ class Engine:
     run : callable
         Function that solves a problem from a state with a maximum number of iterations.
     work : callable
-        Function that returns the predicted effort.
+        Function that predicts the effort.
     impossible : str
-        Reason why the engine cannot solve this problem.
+        Reason why the engine cannot solve this problem; "" if it can.
     note : str
         Remark for the row.
     """
@@ -87,7 +87,10 @@ class Engines:
         return [engine(name) for name in solvers]
 
     def _schur(self) -> list[Engine]:
-        """Return each method for the reduced system with Gauss-Newton, and the default method with each optimiser."""
+        """Return engines with each method for the reduced system.
+
+        The program's own method has each optimiser.
+        """
         problem, sparsity = self.problem, self.sparsity
         named = bool(problem.named_points())
         possible = {one.kind for one in predictions(sparsity.pattern, sparsity.band)} | {
@@ -116,13 +119,16 @@ class Engines:
         return [engine(chosen, name) for name in OPTIMIZERS] + [engine(kind, "gauss-newton") for kind in rest]
 
     def _ill_conditioned(self, engine: str) -> str:
-        """Return the reason for not running an engine that forms normal equations; "" without a reason."""
+        """Return the reason why engines that form normal equations are not tried."""
         assert self.problem.regularisation is not None
         condition = self.problem.regularisation.condition
         return str(finding("compare.ill_conditioned", place=engine, condition=condition, limit=NORMAL_LIMIT))
 
     def _explicit(self) -> list[Engine]:
-        """Return engines on the graph with a factor per image point: our Gauss-Newton, and GTSAM's optimisers."""
+        """Return engines on the graph with a factor for each image point.
+
+        They are our Gauss-Newton over GTSAM's elimination, and GTSAM's optimisers.
+        """
 
         def run(optimizer: str, problem: Problem, start: State, most: int) -> LoopResult[State]:
             return ExplicitRun(problem, optimizer).run(start, most)
@@ -139,7 +145,7 @@ class Engines:
         return [own, *native]
 
     def _graph(self) -> list[Engine]:
-        """Return GTSAM's optimisers on the graph whose factors eliminate the points."""
+        """Return engines with GTSAM's optimisers on the graph whose factors eliminate the points."""
         first = images_first(self.problem)
         impossible = "" if first or eliminates_points(self.problem) else str(finding("compare.not_eliminated"))
         if needs_rows(self.problem):
@@ -154,7 +160,7 @@ class Engines:
 
 
 def _by_loop(make: Callable[[Problem], Any], optimizer: str) -> Callable[[Problem, State, int], LoopResult[State]]:
-    """Return an engine that runs our own optimiser on a backend."""
+    """Run our optimiser on a backend."""
 
     def run(problem: Problem, start: State, most: int) -> LoopResult[State]:
         backend = make(problem)
@@ -165,9 +171,9 @@ def _by_loop(make: Callable[[Problem], Any], optimizer: str) -> Callable[[Proble
 
 
 def timed(engine: Engine, problem: Problem) -> tuple[LoopResult[State], Effort]:
-    """Run an engine; return its result and effort.
+    """Return the result and the effort of an engine.
 
-    It runs again if kernels were compiled or loaded in the first run.
+    Repeat the run if kernels were compiled or loaded in it.
     """
     while True:
         prepared = preparing_seconds()

@@ -1,11 +1,12 @@
-"""Predicted effort of an adjustment by each engine: operations, elements of the factor, fill, memory, time.
+"""Predict the effort of an adjustment by each engine: operations, elements of the factor, fill, memory, time.
 
-Operations are counted for one iteration; a multiplication and an addition are two operations.
-They include either the normal equations or QR of the full matrix (Golub & Van Loan 2013,
-tables 5.5 and 8.6), or the elimination of the ground points and the Cholesky factor of the
-reduced matrix. Eliminating a variable of s unknowns that is linked with d others costs
-``s^3/3 + s^2 d + s d^2``. Memory and time are used only to decide which engines are not run.
-Their constants were measured and rounded to the safe side.
+Operations belong to one iteration. A multiplication and an addition count as two
+operations. For full matrices, these are the operations of normal equations or QR (Golub &
+Van Loan 2013, tables 5.5 and 8.6). For sparse engines, they are the elimination of the
+ground points and the Cholesky factor of the remaining matrix. If a variable of s unknowns
+is linked with d other unknowns, its elimination needs ``s^3/3 + s^2 d + s d^2``
+operations. Memory and time are used only to decide which adjustments are not tried. Their
+constants were measured and rounded to the safe side.
 """
 
 from __future__ import annotations
@@ -33,29 +34,30 @@ from fg_orient.adjustment.reduced_choice import (
 from fg_orient.model.errors import finding
 from fg_orient.model.machine import allowed_bytes, in_gb
 
-#: Maximum number of image points for a symbolic elimination of the graph. For larger blocks
-#: formulas count the elements.
+#: Up to this number of image points, the graph is eliminated symbolically. For larger blocks, formulas are used.
 COUNTED: Final = 20_000
-#: Maximum number of blocks of the reduced matrix for a symbolic elimination by GTSAM, and
-#: maximum number of images for an elimination by least degree.
+#: Up to this number of blocks, GTSAM eliminates the reduced matrix symbolically; below:
+#: up to this number of images, an elimination by least degree is used.
 BLOCKS: Final = 100_000
 SYMBOLIC: Final = 5000
-#: Assumed number of iterations for the time of an adjustment.
+#: Number of iterations that is assumed for the time of an adjustment.
 ITERATIONS: Final = 6
-#: Operations per second of one processor: the least of all solvers except the exchange step (measured: 1 to 25e9).
+#: Operations per second of one processor. It is the lowest rate of the solvers except the
+#: exchange step (measured: 1 to 25e9).
 RATE: Final = 2e9
-#: Processor seconds per image point and iteration: with compiled kernels, with groups of
-#: points as factors, and with a factor per image point.
+#: Processor time of an image point in an iteration, s: with compiled kernels; with groups
+#: of points as factors; with a factor for each image point.
 KERNELS, GROUPS, FACTORS = 2e-6, 4e-6, 6e-5
-#: Processor seconds of an iteration of GTSAM's optimisers for each pair of factors (measured: 7e-8 at 5000 factors,
-#: 1e-7 at 10 000). Linearisation and elimination, called one by one, take time in proportion to the factors.
+#: Processor time of an iteration of GTSAM's optimisers for each pair of factors, s
+#: (measured: 7e-8 at 5000 factors, 1e-7 at 10 000). If linearisation and elimination are
+#: called separately, their time is proportional to the factors.
 PAIRS: Final = 1e-7
 
 Cost = Callable[[float, float], float]
 
 
 def _of_normal(cost: Callable[[float], float]) -> Cost:
-    """Return the operations of the normal equations (n u^2) plus those of a method for u unknowns."""
+    """Return the operations of normal equations (n u^2) plus those of a method for u unknowns."""
     return lambda n, u: n * u**2 + cost(u)
 
 
@@ -83,7 +85,7 @@ DENSE: Final[dict[str, Cost]] = {
 
 
 def dense_operations(solver: str, n: int, u: int) -> float:
-    """Return the operations of a registered solver; nan if they are unknown."""
+    """Return the operations of a registered solver; nan if they are not known here."""
     cost = DENSE.get(solver, _svd if solver.startswith("tikhonov_") else None)
     return math.nan if cost is None else float(cost(float(n), float(u)))
 
@@ -95,9 +97,9 @@ class Work:
     Parameters
     ----------
     operations : float
-        Operations of one iteration.
+        Number of operations of one iteration.
     factor, fill : float
-        Elements of the factor, and elements of it that are zero in the normal matrix.
+        Number of elements of the factor, and number of those that are zero in the normal matrix.
     memory : float
         Memory of the adjustment, bytes.
     seconds : float
@@ -111,24 +113,24 @@ class Work:
     seconds: float = math.nan
 
     def columns(self) -> dict[str, float]:
-        """Return the columns of a row."""
+        """Return the effort as columns of a row."""
         return {"operations": self.operations, "factor_elements": self.factor, "fill": self.fill}
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Largest predicted memory, bytes (None: unknown), and processor seconds of an adjustment."""
+    """Limits of the predicted memory, bytes (None: unknown), and of the processor time of an adjustment, s."""
 
     memory: int | None
     seconds: float
 
     @classmethod
     def of(cls, memory_gb: float | None, seconds: float) -> Limits:
-        """Return the limits by the options; the default is 80 % of the available memory."""
+        """Return the limits of the options; if there is no limit, 80 % of the available memory."""
         return cls(allowed_bytes(memory_gb), seconds)
 
     def reason(self, engine: str, work: Work) -> str:
-        """Return the reason for not running an engine; "" if it can be run."""
+        """Return the reason why an engine is not tried; "" if it is tried."""
         if self.memory is not None and work.memory > self.memory:
             return str(finding("compare.memory", place=engine, needed=in_gb(work.memory), allowed=in_gb(self.memory)))
         if work.seconds > self.seconds:
@@ -137,7 +139,7 @@ class Limits:
 
 
 class Sparsity:
-    """Counts of elements and operations, from the structure of a problem alone.
+    """Numbers of elements and operations of a problem; they do not depend on its values.
 
     Parameters
     ----------
@@ -150,29 +152,29 @@ class Sparsity:
         o, size = problem.observations, np.diff(problem.first)
         free = problem.active[o.point]
         wide = np.bincount(o.point[free], weights=size[o.image[free]], minlength=len(problem.active))[problem.active]
-        #: Elements of the normal matrix and of the factor in the rows of the ground points.
+        #: Number of elements of the normal matrix and of the factor in the rows of the ground points.
         self.of_points = float(np.sum(6.0 + 3.0 * wide))
-        #: Operations of the normal equations of all rows, and of the elimination of the points.
+        #: Number of operations of the normal equations of all rows, and of the elimination of the points.
         self.eliminating = float(2.0 * np.sum((size[o.image] + 3.0) ** 2) + np.sum(9.0 + 9.0 * wide + 3.0 * wide**2))
 
     @cached_property
     def pattern(self) -> Pattern:
-        """Pairs of images that share points."""
+        """Return the pattern of images that share points."""
         return pattern_of(self.problem)
 
     @cached_property
     def band(self) -> int:
-        """Number of elements below the diagonal in a column of the band of the reduced matrix."""
+        """Return the number of elements of a column of the reduced matrix's band, below the diagonal."""
         return narrowest(self.pattern, self.problem.first).band
 
     @cached_property
     def structure(self) -> Structure | None:
-        """Graph with explicit points; None for a large block."""
+        """Return the graph with explicit points; None for a large block."""
         return explicit_structure(self.problem) if self.n <= COUNTED else None
 
     @cached_property
     def reduced(self) -> Structure:
-        """Graph of the vectors of images after the elimination of the points."""
+        """Return the graph of the image vectors after the elimination of the points."""
         if self.structure is not None:
             return self.structure.without_points
         images = range(self.problem.n_images)
@@ -183,12 +185,12 @@ class Sparsity:
 
     @property
     def is_plain(self) -> bool:
-        """True if the formulas are valid for a block that is not eliminated symbolically."""
+        """Return whether the formulas are valid for a block that is not eliminated symbolically."""
         return self.structure is not None or (self.problem.ties is None and not self.problem.block.extra)
 
     @cached_property
     def normal(self) -> float:
-        """Number of nonzero elements in the lower triangle of the normal matrix; nan if unknown."""
+        """Return the number of nonzero elements of the normal matrix's lower triangle; nan if unknown."""
         if self.structure is not None:
             sizes = self.structure.sizes
             own = float((sizes * (sizes + 1) // 2).sum())
@@ -197,7 +199,7 @@ class Sparsity:
         return self.of_points + float((size * (size + 1) // 2).sum()) if self.is_plain else math.nan
 
     def factor_of_images(self, ordering: str) -> tuple[float, float]:
-        """Operations and elements of the sparse factor of the images; for very many blocks by least degree."""
+        """Return operations and elements of the sparse factor of the images; for very many blocks, by least degree."""
         if len(self.pattern.block_row) <= BLOCKS:
             tree = self.reduced.eliminated(self.reduced.ordering(ordering))
             return tree.operations, float(tree.counts["nonzeros_factor"])
@@ -209,13 +211,13 @@ class Sparsity:
 
     @cached_property
     def colamd(self) -> tuple[float, float]:
-        """Operations and elements of the sparse factor of the images by COLAMD."""
+        """Return operations and elements of the sparse factor of the images with the order of COLAMD."""
         return self.factor_of_images("COLAMD")
 
     # --- engines ----------------------------------------------------------------------------------
 
     def dense(self, solver: str) -> Work:
-        """Return the effort with full matrices."""
+        """Predict the effort with full matrices."""
         operations = dense_operations(solver, self.problem.n_observations, self.u)
         known = operations if math.isfinite(operations) else _svd(self.problem.n_observations, self.u)
         return self._work(
@@ -223,7 +225,7 @@ class Sparsity:
         )  # fmt: skip
 
     def schur(self, kind: str) -> Work:
-        """Return the effort of the compiled elimination of points with a method for the reduced system."""
+        """Predict the effort with compiled elimination of the points and a method for the reduced system."""
         u, blocks = float(self.images), self.reduced_elements
         steps = STEPS * farthest(self.pattern) if kind in ("iterative", "implicit") else 0
         operations, factor = {
@@ -241,13 +243,13 @@ class Sparsity:
         )  # fmt: skip
 
     def graph(self) -> Work:
-        """Return the effort with groups of points as factors and images eliminated by COLAMD."""
+        """Predict the effort with groups of points as factors and images in the order of COLAMD."""
         operations, factor = self.colamd
         seconds = ITERATIONS * (self.n * GROUPS + (self.eliminating + GTSAM * operations) / RATE)
         return self._work(self.eliminating + operations, self.of_points + factor, self._memory("graph"), seconds)
 
     def explicit(self, *, native: bool = False) -> Work:
-        """Return the effort with a factor per image point, points eliminated first; ``native``: GTSAM's optimisers."""
+        """Predict the effort with a factor for each image point, points first; ``native``: by GTSAM's optimisers."""
         operations, factor = self.factor_of_images("natural")
         each = self.n * FACTORS + (self.n**2 * PAIRS if native else 0.0)
         seconds = (ITERATIONS + 2.0) * (each + GTSAM * operations / RATE)
@@ -256,7 +258,7 @@ class Sparsity:
 
     @cached_property
     def reduced_elements(self) -> float:
-        """Number of nonzero elements in the lower triangle of the reduced matrix."""
+        """Return the number of nonzero elements of the reduced matrix's lower triangle."""
         if len(self.pattern.block_row) > BLOCKS:
             return float(self.pattern.size.max(initial=1)) ** 2 * len(self.pattern.block_row)
         sizes = self.reduced.sizes
@@ -273,7 +275,7 @@ class Sparsity:
 
 
 def published_work(solver: str, block_points: int, unknowns: int) -> Work:
-    """Return the effort of the published bundle: one solution of full matrices."""
+    """Predict the effort of the published bundle, which is one solution of full matrices."""
     n = 2 * block_points
     known = dense_operations(solver, n, unknowns)
     return Work(

@@ -1,9 +1,10 @@
 """Ayhan (1996): surfaces of revolution by close-range photogrammetry, from the measurements printed there.
 
-The thesis prints raw data: comparator coordinates of 15 points, refined coordinates of 49 points, and geodetic
-coordinates. Numbers that follow from these data are recomputed. Some numbers may have been computed in single precision
-or with other parameters; each such number is given with a spread for this effect. This module recomputes rings,
-geodetic points, fitted surfaces, the mapping and sums.
+The thesis prints raw data: comparator coordinates of 15 points, refined coordinates of 49
+points, and geodetic coordinates. Numbers that follow from these data are recomputed. Some
+numbers may have been computed in single precision or with other parameters; each such
+number is given with a spread for this effect. This module recomputes rings, geodetic
+points, fitted surfaces, the mapping and sums.
 """
 
 from __future__ import annotations
@@ -35,7 +36,10 @@ LARGE_CM: Final = 5.0
 
 
 def ring_cells(values: Values) -> Cells:
-    """Recompute tables 1 and 2 and the text: distance of each ring from the centre (eqs. 174, 175), diameters."""
+    """Recompute tables 1 and 2 and the text: distances of the rings from the surface's centre, and diameters.
+
+    Source: eqs. 174 and 175.
+    """
     rings = [f"ring {k}" for k in range(1, len(RINGS) + 1)]
     across, along, ball = (values[row_key("text", "rig", name)] for name in ("design_a", "design_b", "design_radius"))
     radius = points_of(values, "1", ["radius_m"], rings)
@@ -92,7 +96,10 @@ def ring_radius(points: Array, centre: Array) -> Array:
 
 
 def _mapped(points: Array, surface: Surface) -> Array:
-    """Return the mapped land points (49, 3); the root of eq. 182 is positive for any sign of Y - Y0."""
+    """Return the mapped land points (49, 3).
+
+    The root of eq. 182 is positive for any sign of Y - Y0.
+    """
     forward = points.copy()
     forward[:, 1] = surface.centre[1] + np.abs(points[:, 1] - surface.centre[1])
     return map_points(forward, surface, ring_radius(points, surface.centre))
@@ -123,7 +130,10 @@ def sum_cells(values: Values) -> Cells:
 
 
 def six_point_cells(values: Values) -> Cells:
-    """Recompute tables 13 to 20: case I of table 13 is in appendix 3, and large values of other cases are noise."""
+    """Recompute tables 13 to 20.
+
+    Case I of table 13 is the case of appendix 3. Large values of other cases are noise.
+    """
     out: Cells = {}
     for key, value in values.items():
         if key.quantity == "db_cm" and abs(value) > LARGE_CM:

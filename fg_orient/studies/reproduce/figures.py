@@ -1,8 +1,9 @@
 """Figures of the publications in their original arrangement, drawn from the reproduction.
 
-Layouts show the points of our synthetic block and contain no published values. Error vectors belong to the first seed;
-each panel states the RMSE of its table. The published positions and drawings are not available. Figures that cannot be
-drawn are listed with the reason.
+Layouts show the points of our synthetic block and contain no published values. Error
+vectors belong to the first seed; each panel states the RMSE of its table. The published
+positions and drawings are not available. Figures that cannot be drawn are listed with the
+reason.
 """
 
 from __future__ import annotations
@@ -68,8 +69,11 @@ class SourceFigure:
 
 
 def figures(result: Reproduction) -> tuple[SourceFigure, ...]:
-    """Return the figures of a publication that belong to the chosen tables; layouts are always included."""
-    with one_blas_thread(), np.errstate(all="ignore"):  # adjustments that break down overflow; nan is drawn as missing
+    """Return the figures of a publication that belong to the chosen tables.
+
+    Layouts are always included.
+    """
+    with one_blas_thread(), np.errstate(all="ignore"):  # failed adjustments overflow; nan is drawn as missing
         return tuple(_FIGURES[result.source.name](result))
 
 

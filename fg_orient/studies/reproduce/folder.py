@@ -209,9 +209,10 @@ def verdict(result: Reproduction) -> dict[str, str]:
 
 
 class Grid(NamedTuple):
-    """Verdicts of one table, arranged for the page: column names.
+    """Verdicts of one table, arranged for the page.
 
-    And lines of an address and a Row or None per column.
+    The fields are the names of the columns, and the lines. A line contains an address,
+    and a Row or None for each column.
     """
 
     columns: tuple[str, ...]
@@ -219,7 +220,10 @@ class Grid(NamedTuple):
 
 
 def grid(rows: Sequence[Row]) -> Grid | None:
-    """Arrange the rows of one table by solver or EOP set; return None if there would be only one column."""
+    """Arrange the rows of one table by solver or EOP set.
+
+    Return None if there would be only one column.
+    """
     for field in ("method", "eop_set"):
         columns = tuple(dict.fromkeys(name for row in rows if (name := getattr(row.key, field))))
         if len(columns) > 1:

@@ -1,4 +1,4 @@
-"""Comparison of published and reproduced values by cell, with the claims: computation of ``fg-orient reproduce``."""
+"""Compare published and reproduced values cell by cell and assess the claims, for ``fg-orient reproduce``."""
 
 from __future__ import annotations
 
@@ -47,8 +47,9 @@ class Row:
     printed, unit, note : str
         Printed digits, unit, and doubts about the number.
     chance : float
-        Share of the shuffles of printed values in which the cell gets this verdict or a stronger one. nan if the cell
-        has no verdict, or if no other cell can be exchanged with it (see :func:`baseline`).
+        Share of the shuffles of printed values in which the cell gets this verdict or a
+        stronger one. nan if the cell has no verdict, or if no other cell can be exchanged
+        with it (see :func:`baseline`).
     """
 
     key: CellKey
@@ -65,7 +66,7 @@ class Row:
 
     @property
     def informs(self) -> bool:
-        """True if the digits agree, and exchanged values of the same role would not always agree."""
+        """True if the digits agree and the agreement is not explained by the role of the cell."""
         return self.verdict in DIGITS and not self.chance == 1.0
 
     @property
@@ -150,8 +151,8 @@ def reproduce(
     Parameters
     ----------
     name : str
-        "terlemezoglu2019" or "topan2010"; "ipbuker1994" or "ayhan1996", which have no seeds, points or programs to
-        vary.
+        "terlemezoglu2019" or "topan2010"; "ipbuker1994" or "ayhan1996", which have no
+        seeds, points or programs to vary.
     tables : str
         Tables and ranges of tables ("4.3-4.9,4.28"); "" for all tables.
     n_seeds : int
@@ -235,7 +236,10 @@ def pair(
     *,
     as_run: bool = False,
 ) -> tuple[tuple[Row, ...], Baseline]:
-    """Compare each published cell of some tables with its runs, or by its function ``on_points``; then shuffle."""
+    """Compare each published cell of some tables with its runs, or by its judge ``on_points``.
+
+    Then shuffle.
+    """
     cells = [cell for cell in printed.cells if cell.key.table in tables]
     judges = {cell.key: (on_points or {}).get(cell.key) or _of_runs(cell.key, computed) for cell in cells}
     null, rows = baseline(cells, judges), []
@@ -269,8 +273,8 @@ def _of_runs(key: CellKey, computed: Mapping[CellKey, Array]) -> Judge:
 
 #: Number of shuffles; their seeds are 1 to N.
 SHUFFLES: Final = 20
-#: Verdicts that contain information on the value of a cell, strongest first. A value on the same side of a limit does
-#: not count.
+#: Verdicts that contain information on the value of a cell, strongest first. A value on
+#: the same side of a limit does not count.
 AGREEING: Final[tuple[Kind, ...]] = ("equal", "rounding", "unit", "sigma", "spread", "order")
 #: Verdicts on digits, the only ones counted by the headline.
 DIGITS: Final[tuple[Kind, ...]] = ("equal", "rounding")
@@ -283,11 +287,11 @@ class Baseline:
     Parameters
     ----------
     verdicts : dict
-        For each table, the mean number of cells with each verdict over the shuffles. Cells without verdict, and cells
-        that cannot be exchanged, are left out.
+        For each table, the mean number of cells with each verdict over the shuffles.
+        Cells without verdict, and cells that cannot be exchanged, are left out.
     chance : dict
-        Share of the shuffles in which a cell gets its own verdict or a stronger one. Cells that are left out have no
-        entry.
+        Share of the shuffles in which a cell gets its own verdict or a stronger one.
+        Cells that are left out have no entry.
     """
 
     verdicts: dict[str, dict[Kind, float]]
@@ -325,10 +329,11 @@ def shuffled(cells: Sequence[PublishedCell], seed: int) -> tuple[PublishedCell, 
 def baseline(cells: Sequence[PublishedCell], judges: Mapping[CellKey, Judge], n: int = SHUFFLES) -> Baseline:
     """Compare exchanged values: within a table, printed values are exchanged among cells of the same role.
 
-    If exchanged values get a verdict as often as the true values, the verdict only shows that the quantity has this
-    size in the table, not that the cell has this value (docs/reproduce.md). The role consists of table, quantity,
-    coefficient, axis, point set and type. EOP sets, images and solvers are exchanged; in tables without these, rows are
-    exchanged. Computed values are not exchanged.
+    If exchanged values get a verdict as often as the true values, the verdict only shows
+    that the quantity has this size in the table, not that the cell has this value
+    (docs/reproduce.md). The role consists of table, quantity, coefficient, axis, point
+    set and type. EOP sets, images and solvers are exchanged; in tables without these,
+    rows are exchanged. Computed values are not exchanged.
 
     Parameters
     ----------

@@ -1,13 +1,13 @@
 """Tables 4.35-4.55 of Terlemezoğlu (2019) with the real control points: data, verdicts, reasons.
 
-Unlike the synthetic blocks of other tables, these are the authors' own points: a number either agrees with the printed
-digits or is rounding noise. The verdicts (docs/rfm.md):
+Unlike the synthetic blocks of other tables, these are the authors' own points: a number
+either agrees with the printed digits or is rounding noise. The verdicts (docs/rfm.md):
 
 - ``equal``: the points in the order of their file give all printed digits, and each permutation gives a value within
   one unit of the last digit.
 - ``spread``: the interval of the published size, given by its printed digits, overlaps min/30 to 30 max of the
-  permutations. If the method itself loses digits (degree 3, inverses formed from N): in the order of the file, [vv]
-  agrees within 0.2 px^2.
+  permutations. If the method itself loses digits (degree 3, inverses formed from N): in
+  the order of the file, [vv] agrees within 0.2 px^2.
 - ``differs``: none of these holds. ``not_reproducible``: there are no points, or there is nothing to compare with.
 """
 
@@ -32,14 +32,15 @@ from fg_orient.studies.reproduce.verdict import CellComparison, Judges, Kind, de
 
 #: Environment variable for the folder of real data, used if ``--data`` is not given.
 VARIABLE: Final = "FG_ORIENT_REAL_DATA"
-#: Whole numbers that must agree exactly, as a printed zero must; elsewhere "13" means 13 +- 0.5.
+#: These whole numbers must agree exactly, like a printed zero. For other quantities, "13" means 13 +- 0.5.
 COUNTED: Final = ("n_observations", "n_unknowns", "matrix_order", "rank")
 #: Factor that extends the range of the permutations for rounding noise.
 MARGIN: Final = 30.0
-#: Relative spread of the permutations below which a number is not noise.
+#: A number is not noise if the relative spread of the permutations is below this.
 STEADY: Final = 0.01
-#: Inverses formed from the normalised N of degree 3 (condition 4e12) lose digits of [vv]. The result is 0 to 0.7 px^2
-#: above its minimum 2.94, for all methods and orders of the points (printed: 2.9 to 3.1).
+#: Inverses formed from the normalised N of degree 3 (condition 4e12) lose digits of [vv].
+#: The result is 0 to 0.7 px^2 above its minimum 2.94, for all methods and orders of the
+#: points (printed: 2.9 to 3.1).
 INVERSES: Final = ("pivot_inverse", "cholesky_inverse", "gauss_inverse", "moore_penrose_inverse")
 VV_TOLERANCE_PX2: Final = 0.2
 #: Effect of these 0.2 px^2 on m0, plus the rounding error of its print.
@@ -199,7 +200,10 @@ def _hadamard(cell: PublishedCell, runs: Array) -> str:
 
 
 def _more(cell: PublishedCell, computed: Mapping[CellKey, Array]) -> str:
-    """Return the numbers that the source does not give: m0 of true image residuals; m0 with the printed kappa."""
+    """Return the numbers that the source does not give: m0 of true image residuals.
+
+    M0 with the printed kappa.
+    """
     key = cell.key
     if key.quantity != "m0":
         return ""
