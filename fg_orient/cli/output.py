@@ -179,7 +179,8 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], 
     from rich.text import Text
 
     cells = [[printable(cell) for cell in row] for row in rows]
-    plain = os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"  # these terminals cannot print bold text either
+    # plain: not even bold text
+    plain = os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"
     console = Console(file=sys.stdout, highlight=False, color_system=None if plain else "auto")
     console.width = min(WIDTH, console.width)
     least = [_least(name, [row[k] for row in cells], text=k < left) for k, name in enumerate(columns)]

@@ -109,7 +109,10 @@ def _frame_heights(
     sensor: Any, points: Sequence[FramePoint], pixel: tuple[Array, Array], place: tuple[Array, Array],
     height_m: float | None,
 ) -> tuple[Array, list[str]]:  # fmt: skip
-    """Return the heights (n,), m, of the frame points, and the source of each. Missing heights are computed."""
+    """Return the heights (n,), m, of the frame points, and the source of each.
+
+    Missing heights are computed.
+    """
     stated = [p.height_m for p in points]
     if height_m is not None:
         return np.full(len(stated), height_m), ["given"] * len(stated)

@@ -150,7 +150,10 @@ def outcome(checks: dict[str, bool], **figures: float) -> Outcome:
 
 
 def or_inf(value: float) -> float:
-    """Return the value of a figure, or inf if there is no result. A missing result then exceeds every upper bound."""
+    """Return the value of a figure, or inf if there is no result.
+
+    A missing result then exceeds every upper bound.
+    """
     return float(value) if math.isfinite(value) else math.inf
 
 
@@ -291,7 +294,10 @@ def _spread(values: dict[str, Array], columns: Index) -> float:
 
 @claim("C8", "step 2 solves for rounding noise: sets 1, 15 alike by exact solvers but Cramer, velocities arbitrary")
 def _c8(study: Study) -> Outcome:
-    """Assess C8. Cramer's rule is only reported, because in raw units its minors lose the digits that set 15 needs."""
+    """Assess C8.
+
+    Cramer's rule is only reported, because in raw units its minors lose the digits that set 15 needs.
+    """
     step = study.pre_adjust(0, 1, PIVOT)
     _, observed = step.system.require_design("C8")
     w_rms, dp = float(np.sqrt(np.mean(observed**2))), float(np.abs(step.dP).max())

@@ -1,9 +1,10 @@
 """Backend that adjusts a block in parts: Helmert blocking of the reduced normal equations.
 
-Each part eliminates its ground points and returns its contribution to the reduced system of the images. The sum, with
-the priors, is solved in this process, or, for large systems, in fronts by the workers
-(:mod:`fg_orient.adjustment.parts.multifrontal`). Then each part moves its points according to the step of the images.
-The loop and its optimisers are the same as for all backends.
+Each part eliminates its ground points and returns its contribution to the reduced system
+of the images. The sum, with the priors, is solved in this process, or, for large systems,
+in fronts by the workers (:mod:`fg_orient.adjustment.parts.multifrontal`). Then each part
+moves its points according to the step of the images. The loop and its optimisers are the
+same as for all backends.
 """
 
 from __future__ import annotations
@@ -49,7 +50,8 @@ class PartedBackend:
     Raises
     ------
     InputError
-        There are more parts than ground points; the Schur backend refuses the block; the folder cannot be written.
+        There are more parts than ground points; the Schur backend refuses the block; the
+        folder cannot be written.
     """
 
     name: Final = "schur"

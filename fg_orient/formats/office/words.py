@@ -107,7 +107,10 @@ class Named:
 
 
 def plain(text: str) -> str:
-    """Return a text in lower case without accents and punctuation. Words are separated by one blank."""
+    """Return a text in lower case without accents and punctuation.
+
+    Words are separated by one blank.
+    """
     low = text.replace("İ", "i").replace("I", "i").lower().replace("ı", "i").replace("ß", "ss").replace("ø", "o")
     bare = "".join(c for c in unicodedata.normalize("NFKD", low) if not unicodedata.combining(c))
     return " ".join(
