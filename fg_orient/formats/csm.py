@@ -5,10 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
+from factors.arrays import Array
 from fg_orient.formats.json_files import JsonFile
 from fg_orient.formats.registry import read_bytes
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.focal_plane import Distortion
+from fg_orient.sensors.metadata import DirectionTable, LineTiming, SegmentTiming
 
 FRAME_MODEL: Final = "USGS_ASTRO_FRAME_SENSOR_MODEL"
 LINE_SCAN_MODEL: Final = "USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL"
@@ -17,6 +21,33 @@ DISTORTIONS: Final = {0: "radial", 1: "transverse", 7: "radtan"}
 RADTAN: Final = 7
 #: Maximum difference of the norm of a quaternion from 1.
 UNIT: Final = 1e-3
+
+
+def line_directions(x: Array, y: Array) -> tuple[DirectionTable, Array]:
+    """Directions of the samples of a detector line, and the rotation (3, 3) from our camera axes to those of the file.
+
+    ``x``, ``y`` (n,): lines of sight ``(x, y, 1)`` in the file's camera axes, z to the ground. Our axes are forward,
+    left of flight and away from the ground. A detector line along y becomes one across, too.
+    """
+    across_x = np.ptp(x) >= np.ptp(y)
+    forward, left = (y, x) if across_x else (x, -y)
+    table = DirectionTable(np.arange(len(x), dtype=float), np.ascontiguousarray(forward), np.ascontiguousarray(left))
+    along_x = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    return table, along_x if across_x else np.diag([1.0, -1.0, -1.0])
+
+
+def line_timing(
+    first_line: Array, start_s: Array, period_s: Array, *, file: Path, places: tuple[str, str]
+) -> LineTiming:
+    """Times of lines of segments; a segment begins half a line before the centre of its first line, 0.5 is line 0.
+
+    ``places``: names of the periods and of the lines in the file, for InputError if they are impossible.
+    """
+    if (period_s == 0.0).any():
+        raise InputError.of("earth.period", file=file, place=places[0], value="0")
+    if (np.diff(first_line) <= 0.0).any():
+        raise InputError.of("earth.order", file=file, place=places[1], value=f"{len(first_line)} values")
+    return SegmentTiming.of(first_line - 0.5, start_s + 0.5 * period_s, period_s)
 
 
 def distortion_fields(distortion: Distortion) -> dict[str, Any]:

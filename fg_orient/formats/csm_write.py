@@ -172,8 +172,13 @@ def _error_px(
     got = interpolation.centred(times, np.hstack([states[0], states[2]]), middle)
     turned = got[:, 3:] / np.linalg.norm(got[:, 3:], axis=1, keepdims=True)
     angle = 2.0 * np.minimum(np.linalg.norm(turned - q, axis=1), np.linalg.norm(turned + q, axis=1))
-    height = np.linalg.norm(p, axis=1) - ellipsoid.A_M
+    height = np.linalg.norm(p, axis=1) - _axes(sensor)[0]
     return float((angle + np.linalg.norm(got[:, :3] - p, axis=1) / height).max() * detector.focal_px)
+
+
+def _axes(sensor: PushbroomSensor) -> tuple[float, float]:
+    """Semi-axes of the body, m."""
+    return (ellipsoid.A_M, ellipsoid.B_M) if sensor.body is None else (sensor.body.radii_m[0], sensor.body.radii_m[2])
 
 
 def _lines(sensor: PushbroomSensor, zero_s: float) -> dict[str, list[float]]:
@@ -198,6 +203,7 @@ def _fields(
 ) -> dict[str, Any]:  # fmt: skip
     """Return all fields of a state as written to the JSON file."""
     image, _ = _span(sensor)
+    major, minor = _axes(sensor)
     first, n_samples = columns[0], columns[1] - columns[0]
     centre = sensor.locate(0.5 * (sensor.first_line + sensor.last_line), first + 0.5 * (n_samples - 1), height_m=0.0)[0]
     middle = p[len(p) // 2]
@@ -215,7 +221,7 @@ def _fields(
         "m_detectorSampleOrigin": detector.origin_sample + 0.5, "m_detectorLineOrigin": 0.0,
         "m_iTransS": [0.0, detector.sign, 0.0], "m_iTransL": [-detector.offset_px, -detector.slope, 1.0],
         **distortion_fields(detector.distortion),
-        "m_majorAxis": ellipsoid.A_M, "m_minorAxis": ellipsoid.B_M, "m_minElevation": -10_000.0,
+        "m_majorAxis": major, "m_minorAxis": minor, "m_minElevation": -10_000.0,
         "m_maxElevation": 10_000.0, "m_referencePointXyz": centre.tolist(), "m_gsd": distance / detector.focal_px,
         "m_flyingHeight": float(np.linalg.norm(middle) - np.linalg.norm(centre)),
         "m_halfSwath": 0.5 * n_samples * distance / detector.focal_px,

@@ -16,6 +16,7 @@ would change it by less than 1e-8 rad.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -67,10 +68,16 @@ class GeneralPushbroom(PushbroomSensor):
     def __init__(self, metadata: GeneralMetadata) -> None:
         super().__init__(metadata)
         self.bends_light = bool(metadata.effects)
+        self.body, self.georeferenced = metadata.body, metadata.body is None
 
     def _bind_attitude(self, seconds: float) -> tuple[Finding, ...]:
         self.states([0.0, self.n_lines - 1.0])
         return ()
+
+    @cached_property
+    def light_sizes(self) -> list[dict[str, Any]]:
+        """See :func:`fg_orient.sensors.light_sizes.light_sizes`."""
+        return light_sizes(self)
 
     def with_effects(self, effects: LightEffects) -> GeneralPushbroom:
         """Return a sensor of the same image with other effects on light."""
@@ -187,7 +194,7 @@ class GeneralPushbroom(PushbroomSensor):
         to_ground, ground = None, np.empty((0, 3))
         for _ in range(_ROUNDS if self.metadata.effects else 1):
             p, u = self.rays(line, sample, correction, to_ground)
-            ground = landed(p, u, height_m, dem, (line, sample), self.file)
+            ground = landed(p, u, height_m, dem, (line, sample), self.file, self.body)
             to_ground = ground - self.states(line).position_m
         return ground
 
@@ -199,4 +206,4 @@ class GeneralModel(PushbroomModel):
 
     def facts(self) -> dict[str, Any]:
         """Return the entries of a pushbroom and ``light``. See :func:`fg_orient.sensors.light_sizes.light_sizes`."""
-        return super().facts() | {"light": light_sizes(self.sensor)}
+        return super().facts() | {"light": [] if self.sensor.body else self.sensor.light_sizes}

@@ -77,8 +77,9 @@ def _ground(sensor: GeneralPushbroom, line: Array, sample: Array) -> Array:
 
 
 def noted(sensor: GeneralPushbroom) -> GeneralPushbroom:
-    """Return the sensor with a note on the sizes of the effects."""
-    sensor.notes = (*sensor.notes, light_note(light_sizes(sensor)))
+    """Return the sensor with a note on the sizes of the effects. Only images of the Earth get the note."""
+    if sensor.body is None:
+        sensor.notes = (*sensor.notes, light_note(sensor.light_sizes))
     return sensor
 
 

@@ -17,15 +17,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
 from factors.arrays import Array
 from factors.cameras import look
 from factors.geometry import interpolation, polynomials
+from factors.geometry.rotations import quaternion_matrices
 from fg_orient.model.errors import Finding
 from fg_orient.sensors.earth_rotation import EarthRotation
+
+if TYPE_CHECKING:
+    from fg_orient.geodesy.bodies import Body
 
 Frame = Literal["ITRF", "GCRS", "EME2000"]
 #: Target frame of attitudes: an orbital frame, an Earth-fixed frame or an inertial frame.
@@ -34,8 +38,9 @@ AttitudeFrame = Literal["orbital", "ITRF", "GCRS", "EME2000"]
 #: nearest samples for states, linear interpolation for quaternions. "lagrange": Lagrange
 #: polynomials for quaternions, too. "centred": Lagrange polynomials for both, with equal
 #: numbers of samples before and after the time, up to eight; near the ends of the list,
-#: there are fewer (CSM line-scan states).
-Scheme = Literal["usual", "lagrange", "centred"]
+#: there are fewer (CSM line-scan states). "shortest": cubic polynomials through positions
+#: and velocities, and the shortest rotation between two quaternions (image support data).
+Scheme = Literal["usual", "lagrange", "centred", "shortest"]
 #: Smaller differences between two line times, in lines, are rounding.
 SAME_LINE: Final = 1e-6
 #: Definition of the orbital frame: by position and Earth-fixed velocity, by position and
@@ -112,6 +117,11 @@ class Ephemeris:
 
     def at(self, time_s: Array) -> Array:
         """Interpolate position and velocity (N, 6) at N times."""
+        if self.scheme == "shortest":
+            from scipy.interpolate import CubicHermiteSpline  # loaded for these files only
+
+            spline = CubicHermiteSpline(self.time_s, self.position_m, self.velocity_m_s)
+            return np.hstack([spline(time_s), spline(time_s, 1)])
         samples = np.hstack([self.position_m, self.velocity_m_s])
         if self.scheme == "centred":
             return interpolation.centred(self.time_s, samples, time_s)
@@ -136,9 +146,9 @@ class AngleAttitude:
 class QuaternionList:
     """Sampled quaternions from body axes to ``frame``: ``time_s`` (n,), ``quaternion`` (n, 4), scalar part first.
 
-    Each component is interpolated, then the quaternion is normalised. Signs are chosen
-    such that neighbours have a positive product
-    (``factors.geometry.interpolation.sign_aligned``).
+    Each component is interpolated, then the quaternion is normalised; the scheme
+    "shortest" interpolates the rotation. Signs are chosen such that neighbours have a
+    positive product (``factors.geometry.interpolation.sign_aligned``).
     """
 
     time_s: Array
@@ -150,9 +160,37 @@ class QuaternionList:
         """Interpolate unit quaternions (N, 4) at N times."""
         if self.scheme == "usual":
             return interpolation.quaternion_linear(self.time_s, self.quaternion, time_s)
+        if self.scheme == "shortest":
+            from scipy.spatial.transform import Rotation, Slerp  # loaded for these files only
+
+            listed = Rotation.from_quat(np.roll(self.quaternion, -1, axis=1))
+            inside = np.clip(time_s, self.time_s[0], self.time_s[-1])  # half a line before and after the list
+            return np.asarray(np.roll(Slerp(self.time_s, listed)(inside).as_quat(), 1, axis=1))
         scheme = interpolation.centred if self.scheme == "centred" else interpolation.lagrange
         q = scheme(self.time_s, self.quaternion, time_s)
         return np.asarray(q / np.linalg.norm(q, axis=1, keepdims=True))
+
+
+@dataclass(frozen=True)
+class BodyRotation:
+    """Rotation of a body during an image: listed turns from inertial axes, and a constant rotation (3, 3) behind them.
+
+    It has the methods of :class:`fg_orient.sensors.earth_rotation.EarthRotation`.
+    """
+
+    turns: QuaternionList
+    constant: Array
+
+    def matrices(self, time_s: Array) -> Array:
+        """Rotations (N, 3, 3) to body-fixed axes from inertial axes at N times."""
+        return np.asarray(self.constant @ quaternion_matrices(np.ascontiguousarray(self.turns.at(time_s))))
+
+    def rate_rad_s(self, _: float) -> float:
+        """Angular velocity about the third axis, the mean over the list."""
+        ends = self.turns.time_s[[0, -1]]
+        first, last = self.matrices(ends)
+        turn = first @ last.T
+        return float(np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1]) / (ends[1] - ends[0]))
 
 
 @dataclass(frozen=True)
@@ -332,15 +370,18 @@ class GeneralMetadata(PushbroomMetadata):
         Rotation from camera axes to payload axes (R_KU).
     orbital_frame : str
         Definition of the orbital frame; it is used only if attitudes are angles.
-    earth : EarthRotation or None
-        Earth rotation. It is required if the orbit or the attitudes are inertial, or if
+    earth : EarthRotation, BodyRotation or None
+        Rotation of the Earth or of another body. It is required if the orbit or the attitudes are inertial, or if
         ``orbital_frame`` is "kepler" and the orbit is inertial.
     effects : LightEffects
+    body : Body or None
+        Body to which the ground points are fixed; None for the Earth.
     """
 
     format: str = "sensor description"
     offset_m: Array
     mounting: Array
     orbital_frame: OrbitalFrame = "earth-fixed velocity"
-    earth: EarthRotation | None = None
+    earth: EarthRotation | BodyRotation | None = None
     effects: LightEffects = LightEffects()
+    body: Body | None = None

@@ -279,7 +279,7 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"m_opticalDistCoeffs": [0.0]}, "isd.coefficients"),
     ({"m_currentParameterValue": [0.0, 1.0]}, "csm.parameters"),
     ({"m_platformFlag": 0}, "csm.aircraft"),
-    ({"m_majorAxis": 1_737_400.0}, "csm.body"),
+    ({"m_majorAxis": -1_737_400.0}, "body.radii"),
     ({"m_intTimes": [0.0] * 3}, "earth.period"),
     ({"m_intTimeLines": [5.0, 1.0, 9.0]}, "earth.order"),
     ({"m_intTimeStartTimes": [900.0, 901.0, 902.0]}, "earth.list_span"),

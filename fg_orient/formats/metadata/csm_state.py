@@ -18,12 +18,12 @@ import numpy as np
 
 from factors.arrays import Array
 from factors.geometry.interpolation import sign_aligned
-from fg_orient.formats.csm import LINE_SCAN_MODEL, UNIT, distortion_of, open_state
+from fg_orient.formats.csm import LINE_SCAN_MODEL, UNIT, distortion_of, line_directions, line_timing, open_state
 from fg_orient.formats.csm_write import write_state
 from fg_orient.formats.json_files import JsonFile
 from fg_orient.formats.metadata.csm_frame import write_state as write_frame
 from fg_orient.formats.registry import Format
-from fg_orient.geodesy.bodies import is_earth
+from fg_orient.geodesy.bodies import Body, is_earth, spheroid
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.focal_plane import Detector
 from fg_orient.sensors.framing import FramingSensor
@@ -36,7 +36,6 @@ from fg_orient.sensors.metadata import (
     LightEffects,
     LineTiming,
     QuaternionList,
-    SegmentTiming,
 )
 
 #: Heights, m, at which a written file is compared with its image; below: numbers of compared lines and samples.
@@ -44,12 +43,6 @@ HEIGHTS_M: Final = (0.0, 1000.0)
 SIDE: Final = 25
 #: Platform flag of satellites. Their polynomials use four samples on each side; those of aircraft use fewer.
 _SATELLITE: Final = 1
-#: Rotates our camera axes (forward, left, z away from the ground) to the camera axes of a
-#: state (z to the ground). One matrix is for a detector line along x, the other for a
-#: detector line along y.
-_THEIRS: Final = {
-    "x": np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), "y": np.diag([1.0, -1.0, -1.0]),
-}  # fmt: skip
 
 
 def read_state(path: str | Path, light: tuple[str, ...] = ()) -> GeneralMetadata:
@@ -59,20 +52,25 @@ def read_state(path: str | Path, light: tuple[str, ...] = ()) -> GeneralMetadata
     ------
     InputError
         A value is missing or impossible, or the state has a feature that is not
-        supported: parameters that are not zero, a distortion that is neither radial nor
-        transverse, the interpolation for aircraft, or another body than the Earth.
+        supported: parameters that are not zero, a distortion that ``formats.csm`` does
+        not have, or the interpolation for aircraft. Effects on light are chosen, and the
+        body is not the Earth.
     """
     path = Path(path)
     state = open_state(path, LINE_SCAN_MODEL)
     size = state.count("m_nLines"), state.count("m_nSamples")
     _require_plain(state)
-    look, along = _directions(state, size[1])
+    look, mounting = _directions(state, size[1])
+    body = _body(state)
+    effects = chosen(light, LightEffects())
+    if body is not None and effects:
+        raise InputError.of("body.light", file=path, option="light", value=body.name)
     sensor = state.text("m_sensorName", "") or state.text("m_sensorIdentifier", "")
     return GeneralMetadata(
         file=str(path), mission=state.text("m_platformIdentifier", ""), instrument=sensor, format="CSM state",
         epoch=np.datetime64("1970-01-01", "D"), n_lines=size[0], n_samples=size[1], timing=_timing(state),
         ephemeris=_ephemeris(state), attitude=_attitude(state), look=look, offset_m=np.zeros(3),
-        mounting=_THEIRS[along], effects=chosen(light, LightEffects()),
+        mounting=mounting, effects=effects, body=body,
     )  # fmt: skip
 
 
@@ -85,10 +83,14 @@ def _require_plain(state: JsonFile) -> None:
     flag = state.number("m_platformFlag", default=_SATELLITE)
     if flag != _SATELLITE:
         raise InputError.of("csm.aircraft", file=state.path, place="m_platformFlag", value=f"{flag:g}")
+
+
+def _body(state: JsonFile) -> Body | None:
+    """Body of the axes; None for the Earth."""
     axes = state.number("m_majorAxis"), state.number("m_minorAxis")
-    if not is_earth(*axes):
-        value = f"{axes[0]:g}, {axes[1]:g} m"
-        raise InputError.of("csm.body", file=state.path, place="m_majorAxis, m_minorAxis", value=value)
+    if is_earth(*axes):
+        return None
+    return spheroid("body", *axes, file=state.path, place="m_majorAxis, m_minorAxis")
 
 
 def _timing(state: JsonFile) -> LineTiming:
@@ -98,11 +100,7 @@ def _timing(state: JsonFile) -> LineTiming:
     """
     line = state.numbers("m_intTimeLines", -1)
     start, period = (state.numbers(name, len(line)) for name in ("m_intTimeStartTimes", "m_intTimes"))
-    if (period == 0.0).any():
-        raise InputError.of("earth.period", file=state.path, place="m_intTimes", value="0")
-    if (np.diff(line) <= 0.0).any():
-        raise InputError.of("earth.order", file=state.path, place="m_intTimeLines", value=f"{len(line)} values")
-    return SegmentTiming.of(line - 0.5, start + 0.5 * period, period)
+    return line_timing(line, start, period, file=state.path, places=("m_intTimes", "m_intTimeLines"))
 
 
 def _listed(state: JsonFile, name: str, width: int, place: str) -> tuple[Array, Array]:
@@ -131,8 +129,8 @@ def _attitude(state: JsonFile) -> QuaternionList:
     return QuaternionList(time_s, sign_aligned(np.roll(xyzw, 1, axis=1)), scheme="centred")
 
 
-def _directions(state: JsonFile, n_samples: int) -> tuple[DirectionTable, str]:
-    """Return the directions of all samples, and the camera axis along which the detector line lies.
+def _directions(state: JsonFile, n_samples: int) -> tuple[DirectionTable, Array]:
+    """Return the directions of all samples, and the rotation from our camera axes to those of the state.
 
     The detector has only one line. The line of the image determines the time.
     """
@@ -150,9 +148,7 @@ def _directions(state: JsonFile, n_samples: int) -> tuple[DirectionTable, str]:
         raise InputError.of("csm.camera", file=state.path, place=place, value=f"{focal:g}, {z:g}, {summing:g}")
     sample = np.arange(n_samples, dtype=float)
     x, y = (z * distortion.ideal(detector.millimetres(np.full(n_samples, -0.5), sample)) / focal).T
-    along = "x" if np.ptp(x) >= np.ptp(y) else "y"
-    forward, left = (y, x) if along == "x" else (x, -y)
-    return DirectionTable(sample, np.ascontiguousarray(forward), np.ascontiguousarray(left)), along
+    return line_directions(x, y)
 
 
 def write_compared(

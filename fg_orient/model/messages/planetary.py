@@ -15,6 +15,8 @@ body.differs: the image lies on a body with other radii than the body of the pro
     -> correct the entry body of the project, or leave it out
 body.mixed: the images lie on different bodies
     -> adjust the images of each body in a project of its own
+body.light: effects on light are for images of the Earth
+    -> give none
 body.earth: longitude and latitude of this output are those of WGS 84, but the points lie on another body
     -> use the table points of the result folder, which has body-fixed x, y, z
 body.dem: elevation models of other bodies than the Earth are not read
@@ -53,6 +55,12 @@ isd.coefficients: distortion {model} needs {expected} finite coefficients
     -> correct the list of coefficients
 isd.times: times must increase, and the centre time {time:.6f} must lie among them
     -> correct the times, or take all states of the image into the file
+isd.states: a line-scan image needs two or more states
+    -> write the file again with the states of all lines
+isd.body_span: the rotation of the body does not cover the lines of the image, {first:.6f} .. {last:.6f} s
+    -> write the file again with the rotation for all lines
+isd.focal: the focal length must not be zero
+    -> correct the value, mm
 isd.unit: the unit of the radii must be m or km
     -> correct the unit
 isd.detector: the detector has no pixels on the focal plane: its affine map cannot be inverted
@@ -67,8 +75,6 @@ csm.parameters: a state with parameters that are not zero is not read
     -> give a state in which the adjustment is applied to positions and quaternions
 csm.aircraft: the interpolation of aircraft is not read
     -> give the state of a satellite, m_platformFlag = 1
-csm.body: line-scan states of other bodies than the Earth are not read
-    -> give a state on WGS84
 csm.list: two or more records of {width} numbers in steps above zero are needed
     -> write the file again: it may be cut
 csm.camera: this camera is not possible: focal length and summing are above zero, m_zDirection is 1 or -1, and the
