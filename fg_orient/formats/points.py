@@ -32,7 +32,16 @@ from fg_orient.formats.heights import ZeroLevel, on_found_grid, without_vertical
 from fg_orient.formats.scenes import Scene, check_positions
 from fg_orient.formats.tables import Row, Table, read_table
 from fg_orient.formats.text_files import sha256_of
-from fg_orient.geodesy import BODY_FIXED, COORDINATE_COLUMNS, Kind, Operation, crs_kind, to_ecef_with_operation
+from fg_orient.geodesy import (
+    BODY_FIXED,
+    COORDINATE_COLUMNS,
+    Kind,
+    Operation,
+    crs_kind,
+    is_of_body,
+    to_ecef_with_operation,
+)
+from fg_orient.geodesy.bodies import points_on
 from fg_orient.model.arrays import having_role
 from fg_orient.model.block import Coordinates, GroundPoints, GroundSystem, ImagePoints, WithheldCoordinates
 from fg_orient.model.errors import Finding, InputError, finding
@@ -86,6 +95,8 @@ def parse_points(path: Path, crs: str, faults: Faults, *, incomplete: bool = Fal
     sigma, fixed = _sigmas(table, having_role(roles, Role.CHECK), measured & stated)
     table.report(faults)
     known_roles = tuple(role or Role.TIE for role in roles)
+    if is_of_body(crs):
+        crs, given = BODY_FIXED, points_on(crs, given)
     return Survey(crs, ids, known_roles, given, sigma, fixed, lines=table.lines, unit=table.unit)
 
 
@@ -230,7 +241,7 @@ def read_points(
     path : Path
         Table with the columns ``id, role``, three coordinates and three standard deviations.
     crs : str
-        EPSG code of the coordinates.
+        EPSG code of the coordinates, "body-fixed", or a code of the IAU, whose coordinates become body-fixed.
     faults : Faults
         Collects all faults of the file.
     scenes : sequence of Scene

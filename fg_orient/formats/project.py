@@ -6,12 +6,13 @@ Paths are relative to the project file.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from fg_orient.formats.assemble import assemble, geometry_remarks
+from fg_orient.formats.body_checks import require_body, require_crs
 from fg_orient.formats.faults import Faults
 from fg_orient.formats.foreign import Table, read_foreign_observations, read_foreign_points
 from fg_orient.formats.heights import ZeroLevel
@@ -35,7 +36,7 @@ from fg_orient.formats.schema import (
 )
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.formats.toml import parse_toml
-from fg_orient.geodesy import BODY_FIXED, crs_kind
+from fg_orient.geodesy import crs_kind
 from fg_orient.geodesy.crs import with_codes
 from fg_orient.model.block import Block, Image, Options, Source
 from fg_orient.model.constraint import foreign_members
@@ -44,9 +45,6 @@ from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role
 from fg_orient.model.options import Reading
 from fg_orient.model.parameters import chosen_datum, eop_set_number
-
-if TYPE_CHECKING:
-    from fg_orient.sensors.base import Sensor
 
 #: Name of the format of our own tables.
 OWN: Final = "csv"
@@ -97,12 +95,13 @@ def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Bl
     options, problems = _options(project, str(path), overrides)
     folder = path.parent
     images, image_problems = _images(project, folder, str(path))
+    require_crs(images.values(), project.points.crs or "", str(path))
     points, observations, table_problems = _tables(project, folder, str(path), images)
     constraints, constraint_problems = constraints_of(project.constraints, str(path), surplus=1)
     problems += [*image_problems, *table_problems, *constraint_problems]
     if problems or points is None or observations is None:
         raise InputError(*problems)
-    _require_crs(images.values(), points, str(path))
+    require_crs(images.values(), points.system.crs, str(path))
     known = tuple(image for image in images.values() if image is not None)
     drop = project.values_of(Reading)["points_seen_once"] == "drop"
     ids, control = [image.id for image in known], bool(points.points.where(Role.CONTROL).size)
@@ -323,36 +322,11 @@ def _images(project: ProjectFile, folder: Path, file: str) -> tuple[dict[str, Im
         try:
             sensor = sensor_reader.read_sensor(folder / entry.metadata, **how)
             pixels = "" if entry.pixels is None else str(folder / entry.pixels)
-            _require_body(project, sensor, file)
+            require_body(project.body, sensor, file)
             images[entry.id] = Image(entry.id, sensor, pixels, entry.pixels_origin, entry.held)
         except InputError as error:
             problems += error.problems
     return images, problems
-
-
-def _require_body(project: ProjectFile, sensor: Sensor, file: str) -> None:
-    """Refuse an image that shows another body than the project states."""
-    if project.body is None:
-        return
-    from fg_orient.geodesy.bodies import Body, body_named
-
-    try:
-        body = body_named(project.body) if isinstance(project.body, str) else Body("body", project.body)
-    except InputError as error:
-        raise InputError(*(replace(p, file=file) for p in error.problems)) from None
-    own = sensor.body
-    if own is None or not own.same(body):
-        value = "the Earth" if own is None else f"{own.name}, radii {' '.join(f'{r:.10g}' for r in own.radii_m)} m"
-        raise InputError.of("body.differs", file=sensor.file, place="radii", value=value)
-
-
-def _require_crs(images: Iterable[Image | None], points: PointFile, file: str) -> None:
-    """Refuse a CRS of the Earth for images of another body, and a CRS of another body for images of the Earth."""
-    body = next((image.sensor.body for image in images if image is not None and image.sensor.body is not None), None)
-    crs = points.system.crs
-    if crs and (body is None) == (crs == BODY_FIXED):
-        value = f"{crs}, images on {'the Earth' if body is None else body.name}"
-        raise InputError.of("body.crs", file=file, place="points.crs", value=value)
 
 
 def _tables(

@@ -46,6 +46,8 @@ COORDINATE_COLUMNS: Final[dict[Kind, tuple[str, str, str]]] = {
     "geocentric": ("x_m", "y_m", "z_m"),
 }
 _CODE = re.compile(r"EPSG:[0-9]{1,6}(\+[0-9]{1,6})?", re.IGNORECASE)
+#: Codes of the International Astronomical Union, for bodies other than the Earth.
+_IAU = re.compile(r"IAU_2015:[0-9]{3,10}", re.IGNORECASE)
 #: Margin of the area of interest around the points, degrees.
 _AREA_MARGIN_DEG: Final = 0.01
 
@@ -88,6 +90,8 @@ def crs_kind(crs: str) -> Kind:
     """
     if crs == BODY_FIXED:
         return "geocentric"
+    if is_of_body(crs):
+        return _kind_on_body(crs)
     source = spatial_crs(crs)
     tests: dict[Kind, bool] = {
         "geocentric": source.is_geocentric,
@@ -104,6 +108,25 @@ def crs_kind(crs: str) -> Kind:
         axes = ", ".join(f"{axis.direction} {axis.unit_name}" for axis in source.axis_info)
         raise InputError.of("geodesy.axes", place="crs", value=f"{crs}: {axes}", unit=horizontal)
     return kind
+
+
+def is_of_body(crs: str) -> bool:
+    """Return whether a CRS is a code of a body other than the Earth, such as ``IAU_2015:30100``."""
+    return _IAU.fullmatch(crs.strip()) is not None
+
+
+def _kind_on_body(crs: str) -> Kind:
+    """Kind of a code of the IAU: longitude and latitude, or a map of a sphere; InputError if it is another one."""
+    own = known_crs(crs.strip().upper())
+    if any(axis.direction not in ("north", "east") for axis in own.axis_info) or len(own.axis_info) != 2:
+        axes = ", ".join(f"{axis.direction} {axis.unit_name}" for axis in own.axis_info)
+        raise InputError.of("geodesy.body_axes", place="crs", value=f"{crs}: {axes}")
+    if not own.is_projected:
+        return "geographic"
+    shape = own.ellipsoid
+    if shape is None or shape.semi_minor_metre not in (0.0, shape.semi_major_metre):
+        raise InputError.of("geodesy.body_axes", place="crs", value=f"{crs}: {own.name}")
+    return "projected"
 
 
 def to_ecef(

@@ -16,7 +16,15 @@ import numpy as np
 
 from factors.arrays import Array
 from factors.geometry import ellipsoid
-from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef, offline_pyproj
+from fg_orient.geodesy import (
+    crs_kind,
+    ecef_to_geodetic,
+    enu_from_ecef,
+    geodetic_to_ecef,
+    known_crs,
+    longitude_latitude,
+    offline_pyproj,
+)
 from fg_orient.geodesy.crs import crs_names
 from fg_orient.model.errors import InputError
 
@@ -146,6 +154,28 @@ def known_bodies() -> dict[str, str]:
     found = [(_OCENTRIC.fullmatch(name), code) for name, code in crs_names("IAU_2015")]
     known = sorted(((m, code) for m, code in found if m), key=lambda one: one[0]["sphere"] is None)
     return {match["name"].lower(): f"IAU_2015:{code}" for match, code in known}
+
+
+def points_on(crs: str, coordinates: Array) -> Array:
+    """Return body-fixed points (n, 3), m, of coordinates (n, 3) in a CRS of the IAU, such as ``IAU_2015:30100``.
+
+    Coordinates are longitude, latitude (degrees) and height (m), or easting, northing and height of a map of a sphere.
+    Heights are above the ellipsoid of the CRS: along its normal for planetographic latitudes, along the radius for
+    planetocentric ones. nan stays nan.
+    """
+    kind, own = crs_kind(crs), known_crs(crs.strip().upper())
+    given = np.array(coordinates, float)
+    if kind == "projected":
+        given[:, :2] = longitude_latitude(crs, own, kind, given, None)
+    if own.is_projected or "Planetocentric" in own.axis_info[0].name:
+        return body_named(crs).body_fixed(given)
+    major, _, minor = body_named(crs).radii_m
+    axes = f"+proj=geocent +a={major} +b={minor} +type=crs"
+    to_axes = offline_pyproj().Transformer.from_crs(own.to_3d(), axes, always_xy=True)
+    ok = np.isfinite(given).all(axis=1)
+    given[ok] = np.stack(to_axes.transform(*given[ok].T), axis=1)
+    given[~ok] = np.nan
+    return given
 
 
 def body_named(name: str) -> Body:

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 import fg_orient as fg
 from fg_orient.cli.app import app
-from fg_orient.geodesy.bodies import Body, body_named, coordinates_on, ground_on
+from fg_orient.geodesy.bodies import Body, body_named, coordinates_on, ground_on, points_on
 from fg_orient.model.errors import InputError
 from fg_orient.report.geofiles import export
 from tests.support.planetary_files import RADIUS_KM, write_block
@@ -53,6 +53,70 @@ def test_rays_meet_the_ellipsoid(body: Body, rng: np.random.Generator) -> None:
 def test_bodies_by_name(name: str, radii: tuple[float, float, float]) -> None:
     """Archinal et al. 2018 (IAU 2015)."""
     np.testing.assert_allclose(body_named(name).radii_m, radii, rtol=1e-9)
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("code", ["IAU_2015:30100", "IAU_2015:49902", "iau_2015:49900", "IAU_2015:29900"])
+def test_longitude_and_latitude_of_the_iau(code: str, rng: np.random.Generator) -> None:
+    """Planetocentric coordinates by sine and cosine; heights along the radius above the sphere or the ellipsoid."""
+    lon, lat = rng.uniform(-180.0, 180.0, 30), rng.uniform(-89.0, 89.0, 30)
+    height = rng.uniform(-5e3, 9e3, 30)
+    a, b = {"30100": (1737400.0,) * 2, "49902": (3396190.0, 3376200.0), "49900": (3396190.0,) * 2,
+            "29900": (6051800.0,) * 2}[code[-5:]]  # fmt: skip
+    phi, lam = np.radians(lat), np.radians(lon)
+    radius = a * b / np.hypot(b * np.cos(phi), a * np.sin(phi)) + height
+    expected = radius[:, None] * np.stack([np.cos(phi) * np.cos(lam), np.cos(phi) * np.sin(lam), np.sin(phi)], axis=1)
+    got = points_on(code, np.stack([lon, lat, height], axis=1))
+    assert np.abs(got - expected).max() < 1e-6
+    assert np.isnan(points_on(code, np.full((1, 3), np.nan))).all()
+
+
+@pytest.mark.oracle
+def test_a_map_of_the_moon(rng: np.random.Generator) -> None:
+    """Equirectangular easting and northing are longitude and latitude times the radius."""
+    lon, lat, height = rng.uniform(-2.0, 2.0, 20), rng.uniform(-1.0, 1.0, 20), rng.uniform(-900.0, 900.0, 20)
+    got = points_on("IAU_2015:30110", np.stack([1737400.0 * lon, 1737400.0 * lat, height], axis=1))
+    expected = ground_on(Body("Moon", (1737400.0,) * 3), np.degrees(lon), np.degrees(lat), height)
+    assert np.abs(got - expected).max() < 1e-5
+
+
+@pytest.mark.behaviour
+@pytest.mark.parametrize("code", ["IAU_2015:49901", "IAU_2015:49912"])
+def test_refused_codes_of_the_iau(code: str) -> None:
+    """Longitude positive to the west; a map of an ellipsoid, which PROJ takes for planetographic."""
+    with pytest.raises(InputError) as caught:
+        points_on(code, np.zeros((1, 3)))
+    assert [p.code for p in caught.value.problems] == ["geodesy.body_axes"]
+
+
+@pytest.mark.behaviour
+def test_points_with_a_code_of_the_iau(tmp_path: Path) -> None:
+    """The same block by longitude, latitude and height as by body-fixed metres; codes of another body are refused."""
+    names = write_block(tmp_path, n_points=14)
+    block = fg.read_project(tmp_path / "project.toml")
+    body, ids = block.images[0].sensor.body, block.points.ids
+    known = [k for k, role in enumerate(block.points.roles) if role == "control"]
+    xyz = block.points.known.ecef_m[known]
+    head = "id,role,{},sigma_east_m,sigma_north_m,sigma_up_m\n"
+    tables = {"body-fixed": ("x_m,y_m,z_m", xyz), "IAU_2015:30100": ("lon_deg,lat_deg,height_m", body.coordinates(xyz))}
+    ground = []
+    for crs, (columns, values) in tables.items():
+        rows = [f"{ids[k]},control,{','.join(map(repr, row))},30.0,30.0,50.0"
+                for k, row in zip(known, values.tolist(), strict=True)]  # fmt: skip
+        rows += [f"{name},tie,,,,,," for k, name in enumerate(ids) if k not in known]
+        (tmp_path / "points.csv").write_text(head.format(columns) + "\n".join(rows) + "\n")
+        text = (tmp_path / "project.toml").read_text()
+        begin, end = text.index("[points]"), text.index("[observations]")
+        own = f'{text[:begin]}[points]\nfile = "points.csv"\ncrs = "{crs}"\n{text[end:]}'
+        (tmp_path / "own.toml").write_text(own)
+        read = fg.read_project(tmp_path / "own.toml")
+        ground.append(read.points.known.ecef_m[[read.points.ids.index(ids[k]) for k in known]])
+    assert names and np.abs(ground[0] - xyz).max() == 0.0 and np.abs(ground[1] - xyz).max() < 1e-6
+    for crs, code in (("IAU_2015:49900", "body.crs"), ("EPSG:4979", "body.crs"), ("IAU_2015:12345", "body.unknown")):
+        (tmp_path / "own.toml").write_text(own.replace("IAU_2015:30100", crs))
+        with pytest.raises(InputError) as caught:
+            fg.read_project(tmp_path / "own.toml")
+        assert code in {p.code for p in caught.value.problems}, crs
 
 
 @pytest.mark.behaviour

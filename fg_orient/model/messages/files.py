@@ -147,6 +147,8 @@ geodesy.not_spatial: the CRS does not have horizontal coordinates and a height
     -> give a geographic, projected or geocentric CRS
 geodesy.axes: the axes of the CRS are not {unit}s to the east and north and metres up
     -> convert the coordinates first, for instance to EPSG:4979
+geodesy.body_axes: coordinates of a body are longitude and latitude to the east and north, or a map of a sphere
+    -> give a planetocentric code such as IAU_2015:30100, or "body-fixed"
 geodesy.not_vertical: this is not a vertical CRS
     -> give one such as EPSG:5773 (EGM96) or EPSG:3855 (EGM2008)
 geodesy.vertical_name: EPSG has no vertical CRS of this name

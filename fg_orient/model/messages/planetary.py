@@ -22,7 +22,8 @@ body.earth: longitude and latitude of this output are those of WGS 84, but the p
 body.dem: elevation models of other bodies than the Earth are not read
     -> give heights above the radii of the body
 body.crs: points and images lie on different bodies
-    -> give crs = "body-fixed" for x, y, z in metres on the body of the images, a code for points on the Earth
+    -> give crs = "body-fixed" for x, y, z in metres, or a code of the IAU for the body of the images; an EPSG code for
+    points on the Earth
 pvl.missing: this value is missing
     -> add it
 pvl.numbers: {count} finite number(s) expected
