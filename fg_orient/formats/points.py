@@ -41,7 +41,6 @@ from fg_orient.geodesy import (
     is_of_body,
     to_ecef_with_operation,
 )
-from fg_orient.geodesy.bodies import points_on
 from fg_orient.model.arrays import having_role
 from fg_orient.model.block import Coordinates, GroundPoints, GroundSystem, ImagePoints, WithheldCoordinates
 from fg_orient.model.errors import Finding, InputError, finding
@@ -96,6 +95,8 @@ def parse_points(path: Path, crs: str, faults: Faults, *, incomplete: bool = Fal
     table.report(faults)
     known_roles = tuple(role or Role.TIE for role in roles)
     if is_of_body(crs):
+        from fg_orient.geodesy.bodies import points_on  # not above: it compiles kernels
+
         crs, given = BODY_FIXED, points_on(crs, given)
     return Survey(crs, ids, known_roles, given, sigma, fixed, lines=table.lines, unit=table.unit)
 
