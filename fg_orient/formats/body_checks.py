@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from fg_orient.geodesy import BODY_FIXED, is_of_body
-from fg_orient.model.block import Image
 from fg_orient.model.errors import InputError
-from fg_orient.sensors.base import Sensor
+
+if TYPE_CHECKING:
+    from fg_orient.model.block import Image
+    from fg_orient.sensors.base import Sensor
 
 #: Share by which the major axes of a body may differ in images and in the CRS of points: spheres and ellipsoids.
 SAME_BODY: Final = 0.01
