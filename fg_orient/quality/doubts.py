@@ -40,6 +40,8 @@ BUDGET: Final = {
 ALPHA: Final = 0.001
 #: Smallest factor by which the sigma of a group must be wrong: smaller factors change little.
 MATTERS: Final = 1.25
+#: Fewest suspicious image points that make their image suspicious, if they are half of its points.
+CROWD: Final = 3
 #: Number of points whose accuracy is computed together.
 _CHUNK: Final = 100_000
 _ACCEPTANCE: Final = re.compile(r"(verdict\.)?(?P<code>[a-z0-9_]+)(:(?P<place>.*?))?(<=(?P<limit>[0-9.eE+-]+))?")
@@ -143,11 +145,23 @@ def gross_errors(tests: OutlierTests, accept: Sequence[str] = ()) -> list[Findin
                 also=list(also),
                 level=100.0 * level,
                 more=len(first) - rank - 1 or None,
+                crowd=_crowd(tests, above),
             )
         )
         if not _accepts(out[-1], accept):
             break
     return out
+
+
+def _crowd(tests: OutlierTests, above: Array) -> str | None:
+    """Image most of whose points are above their limits, in words; None if there is none."""
+    problem, rows = tests.problem, np.unique(tests.row[above])
+    images = problem.observations.image
+    count = np.bincount(images[rows[rows >= 0]], minlength=problem.n_images)
+    worst, total = int(np.argmax(count)), np.bincount(images, minlength=problem.n_images)
+    if count[worst] < CROWD or 2 * count[worst] < total[worst]:
+        return None
+    return f"{count[worst]} of the {total[worst]} image points of image {problem.block.images[worst].id}"
 
 
 def exceeded_priors(problem: Problem, state: State, cofactors: Cofactors) -> list[Finding]:

@@ -220,6 +220,40 @@ def test_points_and_residuals_equal_those_of_jigsaw(adjusted: Solution, real_dat
 
 @pytest.mark.oracle
 @pytest.mark.real_data
+def test_verdict_names_the_image_with_wrong_measures(adjusted: Solution) -> None:
+    """Image 1537: RMS of 12 px of the scan, eight residuals of 9 to 29 px; seven measures are above their limits."""
+    o, names = adjusted.problem.observations, [image.id for image in adjusted.block.images]
+    v = twin.SCALE * adjusted.residuals_px[o.image == names.index("1537")]
+    assert np.sqrt(np.mean(v**2)) == pytest.approx(12.3, abs=0.05)
+    assert len(v) == 10 and (np.hypot(*v.T) > 9.0).sum() == 8 and (np.hypot(*v.T) < 2.0).sum() == 2
+    assert adjusted.status == "not_trustworthy"
+    sigma0, gross = [f for f in adjusted.findings if f.severity == "doubt"][:2]
+    assert sigma0.code == "verdict.sigma0" and gross.code == "verdict.gross_error"
+    assert gross.data["crowd"] == "7 of the 10 image points of image 1537" and gross.data["crowd"] in gross.text()
+
+
+@pytest.mark.oracle
+@pytest.mark.real_data
+@pytest.mark.slow
+def test_measures_left_out_of_the_image(apollo: Path, adjusted: Solution) -> None:
+    """Without six measures the other four fit within 1.3 px of the scan; the six are off by 18 to 102 px."""
+    solution = fg.adjust(fg.read_project(apollo / "project.toml"), snoop=True)
+    k, image, old = 6, solution.block.images[6], adjusted.problem.observations
+    rows = np.flatnonzero(old.image == k)
+    kept = {
+        solution.block.points.ids[p]
+        for p in solution.problem.observations.point[solution.problem.observations.image == k]
+    }
+    names = [adjusted.block.points.ids[p] for p in old.point[rows]]
+    ground = solution.ground_m[[solution.block.points.ids.index(name) for name in names]]
+    seen = np.stack(image.sensor.project(ground, solution.correction(image.id)), axis=1)
+    apart = twin.SCALE * np.hypot(*(seen - np.stack([old.line[rows], old.sample[rows]], axis=1)).T)
+    left = np.array([name not in kept for name in names])
+    assert left.sum() == 6 and apart[left].min() > 17.0 and apart[~left].max() < 1.3
+
+
+@pytest.mark.oracle
+@pytest.mark.real_data
 def test_whole_network_equals_independent_bundle(adjusted: Solution, apollo: Path) -> None:
     frames, points = _twin_of(apollo)
     assert len(points) == 395

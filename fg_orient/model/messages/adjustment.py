@@ -245,6 +245,7 @@ verdict.gross_error (doubt): gross error suspected
     + ; {symbol} = {size:.1f}, which fewer than {level:g} % of blocks without gross errors exceed
     + ; the error may also be in {also:5}, which cannot be separated from it
     + ; {more} more observation(s) are above their limits, perhaps because of this error
+    + ; among them are {crowd}: its measurements are wrong, or its orientation
     -> correct the measurement or the coordinates, search with <snoop>, or <accept> "gross_error:{place}"
 verdict.sigmas (doubt): the stated standard deviations are too small: {words}; if they were right, fewer than {level:g}
     % of blocks would have residuals as large. Standard deviations and coordinates must not be trusted
