@@ -1,4 +1,4 @@
-"""Contents of a folder without what differs from run to run: times, measured memory and their drawings."""
+"""Contents of a folder without what differs from run to run: times, measured memory, their drawings, resumption."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import Any
 #: Keys and columns of such values.
 TIMES = re.compile(
     r"seconds|processor_s|peak_bytes|allowed_bytes|us_per_observation_iteration|date_time_utc|elapsed_s|began|ended"
-    r"|last_change|update_time|timestamp"
+    r"|last_change|update_time|timestamp|resumed_at_iteration"
 )
 #: Drawings of them.
 DRAWN = ("seconds.svg", "seconds.pdf")

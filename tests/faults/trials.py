@@ -164,7 +164,9 @@ class Faults:
         words = (*self.scenario.words(self.root), *self.scenario.resume)
         ended, end = run(command(*words), self.root, count=False), "next run writes the output"
         if ended.code == 2 and ("--overwrite" in ended.stderr or "exists already" in ended.stderr):
-            end = "output was whole"  # the killed run had already written it
+            there = {name: digest for name, digest in contents(self.root).items() if not name.startswith(".")}
+            whole = there.items() >= {(n, d) for n, d in self.after.items() if not n.startswith(".")}
+            end = "output was whole" if whole else "some files of the output were whole: --overwrite"
             ended = run(command(*words, *self.scenario.again), self.root, count=False)
         elif "to resume" not in ended.stderr and self.scenario.resume:
             end = "next run resumes"

@@ -1,7 +1,8 @@
 """Worker processes killed at random times: ``python -m tests.faults.workers --kills 200``.
 
 Blocks are adjusted on four processes while another thread kills one of them after random pauses, also those that only
-start. Each adjustment ends with the bits of one process, or with NoSolutionError (exit code 3).
+start. Each adjustment ends with the bits of one process, or with NoSolutionError (exit code 3). Then the process that
+started them is killed: they end, and the next run continues with the same bits.
 """
 
 from __future__ import annotations
@@ -11,8 +12,11 @@ import contextlib
 import json
 import os
 import random
+import shutil
 import signal
+import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections import Counter
@@ -29,6 +33,8 @@ from fg_orient.adjustment.parts.execution import Execution, opened, work_folder
 from fg_orient.adjustment.parts.pool import Pool
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.model.errors import NoSolutionError
+from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
+from tests.faults.same import contents
 from tests.support.parallel_block import block
 
 PARTS = 8
@@ -118,14 +124,69 @@ def while_starting(runs: int, longest_s: float, seed: int) -> Counter[str]:
     return ends
 
 
+# --- the run itself is killed ---------------------------------------------------------------------------
+
+
+def run_killed(kills: int, seed: int) -> Counter[str]:
+    """Ends of ``adjust --workers 4`` after a kill of its own process: its workers end, and the next run resumes."""
+    rng, ends = random.Random(seed), Counter[str]()
+    with tempfile.TemporaryDirectory(prefix="faults-") as name:
+        folder = Path(name)
+        project = simulate_zonguldak(folder / "twin", ZonguldakOptions(seed=1))
+        words = ["adjust", project, "--out", folder / "out", "--work-dir", folder, "--parts", "6", "--workers", "4"]
+        line = [sys.executable, "-m", "fg_orient", *map(str, words), "--checkpoint-every", "0", "--quiet", "--resume"]
+        begin = time.monotonic()
+        subprocess.run(line, check=True)
+        duration, expected = time.monotonic() - begin, contents(folder)
+        while ends["kills"] < kills:
+            shutil.rmtree(folder / "out")
+            process = subprocess.Popen(line, start_new_session=True, stderr=subprocess.DEVNULL)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(rng.uniform(0.0, duration))
+            killed = process.poll() is None
+            process.kill()
+            process.wait()
+            if not _empty(process.pid, 60.0):
+                ends["wrong: processes are left"] += 1
+                os.killpg(process.pid, signal.SIGKILL)
+            if killed:
+                ends["kills"] += 1
+                again = [] if not (folder / "out").exists() else ["--overwrite"]
+                done = subprocess.run(line + again, capture_output=True, text=True)
+                resumed = "no checkpoint" not in done.stderr and not again
+                differ = sorted({path for path, _ in contents(folder).items() ^ expected.items()})
+                same = done.returncode == 0 and not differ
+                wrong = f"wrong: {done.returncode}, {differ[:5]}, {done.stderr[-300:]}"
+                ends[("resumed: " if resumed else "") + "same bits" if same else wrong] += 1
+            print(dict(ends), file=sys.stderr, flush=True)
+    return ends
+
+
+def _empty(group: int, longest_s: float) -> bool:
+    """Wait until a group has no processes."""
+    end = time.monotonic() + longest_s
+    while time.monotonic() < end:
+        states = []
+        for folder in Path("/proc").glob("[0-9]*"):
+            with contextlib.suppress(OSError, ValueError, IndexError):
+                status = (folder / "stat").read_text().rsplit(")", 1)[1].split()
+                states += [status[0]] if int(status[2]) == group else []
+        if all(state == "Z" for state in states):
+            return True
+        time.sleep(0.1)
+    return False
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--kills", type=int, default=200)
     parser.add_argument("--starts", type=int, default=5)
+    parser.add_argument("--runs", type=int, default=5, help="kills of the process that started the workers")
     parser.add_argument("--longest", type=float, default=3.0, help="longest pause between two kills, s")
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     begin, report = time.monotonic(), dict[str, Any]()
+    report["run killed"] = run_killed(given.runs, given.seed)
     report["while starting"] = while_starting(given.starts, given.longest, given.seed)
     print(json.dumps(report), file=sys.stderr, flush=True)
     report["while working"] = while_working(given.kills, given.longest, given.seed)
