@@ -25,6 +25,7 @@ def main() -> int:
     parser.add_argument("--command", choices=sorted(SCENARIOS), action="append")
     parser.add_argument("--errors", default=",".join(ERRORS))
     parser.add_argument("--sticky", action="store_true", help="all later calls fail, too")
+    parser.add_argument("--in-turn", action="store_true", help="one of the errors for each call")
     parser.add_argument("--most", type=int, help="largest number of calls, at random")
     parser.add_argument("--alike", type=int, help="of calls of one kind for a file: this number, then each fifth")
     parser.add_argument("--kills", type=int, default=0)
@@ -44,8 +45,9 @@ def main() -> int:
                 faults.two_writers(chosen, overwrite=False)
                 faults.two_writers(chosen, overwrite=True)
             else:
-                for error in given.errors.split(","):
-                    for nth in chosen:
+                errors = given.errors.split(",")
+                for k, error in enumerate(errors):
+                    for nth in chosen[k :: len(errors)] if given.in_turn else chosen:
                         faults.fail(nth, error, sticky=given.sticky)
             reports.append(asdict(faults.report) | {"seconds": time.monotonic() - begin})
             print(json.dumps(reports[-1]), file=sys.stderr, flush=True)
