@@ -7,10 +7,12 @@
 
     R_3 = 3 u^3 - 2 u,  R_5 = 10 u^5 - 12 u^3 + 3 u,  R_7 = 35 u^7 - 60 u^5 + 30 u^3 - 4 u
 
-(Ayhan 1996, eqs. 44 to 46 and 49 to 52, without a name for the family of orthogonal polynomials; Born, Wolf 1999,
-section 9.2.) The displacements of R_3, R_5, R_7 and of a change of scale (R_1 = u) are orthogonal over the disk of
-radius R. Because R_n(1) = 1, ``orthogonal_i`` is the displacement at the rim. ``radial_1`` is a change of scale, like a
-change of the principal distance. ``image_corrections`` has dx = affinity_a y and dy = affinity_b y.
+Sources: Ayhan 1996, eqs. 44 to 46 and 49 to 52, who does not name the family of orthogonal
+polynomials; Born, Wolf 1999, section 9.2. The displacements of R_3, R_5, R_7 and of a change
+of scale (R_1 = u) are orthogonal over the disk of radius R. Because R_n(1) = 1,
+``orthogonal_i`` is the displacement at the rim. ``radial_1`` is a change of scale, like a
+change of the principal distance. ``image_corrections`` has dx = affinity_a y and dy =
+affinity_b y.
 
 x, y are relative to the principal point and r^2 = x^2 + y^2; R is constant. radial_j has the unit of the coordinates to
 the power 1 - j; orthogonal_i has the unit of the coordinates; film_xx and film_yx have no unit.

@@ -12,7 +12,7 @@ from fg_orient.closerange.bundle_block import Built
 from fg_orient.closerange.fitting import UNDETERMINED
 from fg_orient.model.errors import FgOrientError, Finding, InputError, finding
 
-#: Share of the largest deviation above which unknowns are named.
+#: Unknowns are named if their deviation is above this share of the largest deviation.
 NAMED: Final = 0.3
 _CODES: Final = {
     "statistics.motions": "closerange.datum", "adjust.rank_deficient": "closerange.unobservable",

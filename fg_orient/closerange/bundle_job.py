@@ -136,7 +136,7 @@ def _control(path: Path | None, sigma_m: float) -> dict[str, tuple[Array, Array]
     if path is None:
         return {}
     table = files.read_ground_points(path, sigma_m)
-    assert table.sigma is not None  # otherwise there is no default
+    assert table.sigma is not None  # there is a default only if the table has sigmas
     return {name: (at, sigma) for name, at, sigma in zip(table.ids, table.ground, table.sigma, strict=True)}
 
 

@@ -29,7 +29,7 @@ Known = Mapping[str, tuple[Array, Array]]
 #: Smallest correlation that is listed; maximum number of listed correlations and of weak directions.
 HIGH: Final = 0.9
 LISTED: Final = 40
-#: Fields of an iteration.
+#: Recorded fields of an iteration.
 HISTORY: Final = ("iteration", "chi2", "chi2_after", "ratio", "step", "accepted")
 _WEAK: Final = 5
 #: Maximum number of unknowns of a direction that are named.
@@ -175,7 +175,7 @@ def _points(result: BundleResult, known: Known, of: Index, check: Mapping[str, A
     n, kept = len(result.ids), ~result.rejected
     of = of[kept]
     rays = np.bincount(of, minlength=n)
-    with np.errstate(invalid="ignore"):  # points without rays have no misfit
+    with np.errstate(invalid="ignore"):  # points without rays have no residual; the result is then nan
         misfit = np.sqrt(np.bincount(of, np.sum(result.residuals[kept] ** 2, axis=1), n) / rays)
     given = np.array([known[i][0] if i in known else check.get(i, np.full(3, np.nan)) for i in result.ids])
     role = ["control" if i in known else "check" if i in check else "new" for i in result.ids]

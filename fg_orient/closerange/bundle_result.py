@@ -181,7 +181,7 @@ def _image_points(given: Built, solution: Solution) -> dict[str, Array]:
 def result_of(given: Built, solution: Solution) -> BundleResult:
     """Return the result of a bundle from the solution of its block."""
     problem, state, built = solution.problem, solution.state, without_rejected(given, solution)
-    freedom = int(solution.redundancy)  # photos have no penalty
+    freedom = int(solution.redundancy)  # a whole number, because photos have no penalty
     m0 = unit_weight(solution.chi2, freedom)
     if m0 is not None and solution.weights is not None:
         m0 = solution.weights.scale[0]
@@ -216,7 +216,7 @@ def result_of(given: Built, solution: Solution) -> BundleResult:
             of_angles[k] = by @ orientation[np.ix_(rows, rows)] @ by.T
     points, of_points = solution.ground_m.copy(), np.zeros((len(built.ids), 3, 3))
     active = np.flatnonzero(problem.active)
-    assert solution.cofactors is not None  # required earlier
+    assert solution.cofactors is not None  # an earlier check has raised an error otherwise
     of_points[active] = solution.cofactors.points(active)
     spread = np.maximum(np.einsum("nii->ni", of_points), 0.0)
     found = np.concatenate([np.maximum(orientation.diagonal(), 0.0), spread[active].ravel()])

@@ -38,11 +38,13 @@ from fg_orient.rectification.transformation import Scaling
 DISTORTION: Final = NAMES[:N_DISTORTION]
 PARAMETERS: Final = tuple(f"L{k}" for k in range(1, 12))
 RECOVERED: Final = ("x0", "y0", "cx", "cy", "skew", "X0", "Y0", "Z0", "turn_x", "turn_y", "turn_z")
-#: Ratio of the smallest to the largest singular value of the scaled design, below which the points are coplanar.
+#: The points are coplanar if the ratio of the smallest to the largest singular value of the
+#: scaled design is below this.
 PLANE_LIMIT: Final = 1e-7
-#: Ratio of the third to the first singular value of the centred points, up to which a refusal names a plane.
+#: A refusal calls the points "close to a plane" if the ratio of the third to the first
+#: singular value of the centred points is at most this.
 CLOSE_TO_PLANE: Final = 0.1
-#: Movement of the centre of the distortion that ends its search, relative to the extent of the image.
+#: The search for the centre of the distortion ends if it moves by less than this, relative to the extent of the image.
 SETTLED: Final = 1e-9
 _STEP: Final = 1e-30
 #: Probability that the error of a projection centre exceeds ``ALLOWED`` standard deviations.
@@ -204,7 +206,7 @@ def fit_dlt(
         ground, state[:11], np.asarray(assessed.cofactors), facts["m0"], facts["redundancy"], known=sigma is not None
     )
     values, residuals = to_physical @ state, white.reshape(-1, 2) * size
-    values[[3, 7]] += target.offset  # times the 1 of the last element
+    values[[3, 7]] += target.offset  # the last element of the matrix is 1
     recovered = _scaled(recover(values[:11], source.offset, facts["cofactors"][:11, :11]), facts["m0"], ground, size)
     origin = target.physical(records[0, RECORD.centre]) if distortion else recovered.principal
     photo = Photo(
@@ -296,12 +298,13 @@ def require_depth(
     ratio, away = determinant / deviation, ground - ground.mean(axis=0)
     heights = np.linalg.svd(away, full_matrices=False)[2][2]
     pick = np.zeros((3, 3, 4))
-    pick[np.arange(3), np.arange(3), :3] = heights  # the matrix times their direction: its third column
+    # with the heights as third axis, this gives the third column of the matrix
+    pick[np.arange(3), np.arange(3), :3] = heights
     rows = pick.reshape(3, 12)[:, :11]
     both, own = cofactors[:11, 11:], cofactors[11:, 11:]
     given_distortion = cofactors[:11, :11] - both @ np.linalg.solve(own, both.T)
     column = rows @ parameters
-    # effect of the heights in the image in sigmas, with known distortion: root of a chi-square of three
+    # effect of the heights in the image, in sigmas, if the distortion is known; its square has three degrees of freedom
     shown = float(np.sqrt(column @ np.linalg.solve(rows @ given_distortion @ rows.T, column))) / unit
     if shown < honest:
         rms = float(np.sqrt(np.mean((away @ heights) ** 2)))
@@ -339,7 +342,7 @@ def _denormalisation(source: Scaling, target: Scaling, distortion: Sequence[str]
     image = np.diag([size, size, 1.0])
     image[:2, 2] = target.offset
     ground = np.diag(np.append(1.0 / source.scale, 1.0))
-    out[:11, :11] = np.kron(image, ground)[:11, :11]  # of the matrix (3, 4) row by row, without its last element
+    out[:11, :11] = np.kron(image, ground)[:11, :11]  # for the matrix (3, 4) row by row, without its last element
     for j, coefficient in enumerate(distortion, start=11):
         out[j, j] = size ** -({"k1": 2, "k2": 4, "k3": 6}.get(coefficient, 1))
     return out

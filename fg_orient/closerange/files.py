@@ -31,7 +31,7 @@ SIGMA_IMAGE: Final = ("sigma_x", "sigma_y")
 SIGMA_GROUND: Final = ("sigma_x_m", "sigma_y_m", "sigma_z_m")
 ANGLES: Final = ("omega_deg", "phi_deg", "kappa_deg")
 SIGMA_TURNS: Final = ("sigma_x_deg", "sigma_y_deg", "sigma_z_deg")
-#: Standard deviation of a rotation above which it counts as not observed.
+#: A rotation with a larger standard deviation counts as not observed.
 _LARGEST_TURN_DEG: Final = 180.0
 
 

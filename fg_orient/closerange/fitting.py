@@ -29,13 +29,14 @@ from fg_orient.model.names import LARGEST, SMALLEST
 Rows = DenseRows
 
 MAX_ITERATIONS: Final = 100
-#: Smallest ratio of the smallest to the largest singular value (columns of unit length) for which there is a
-#: covariance.
+#: There is a covariance only if the ratio of the smallest to the largest singular value
+#: (columns of unit length) is above this.
 RANK_LIMIT: Final = 1e-12
-#: Ratio of a parameter's standard deviation to that of a point, above which the points do not determine the parameter.
+#: The points do not determine a parameter if its standard deviation exceeds this multiple of
+#: a point's standard deviation.
 UNDETERMINED: Final = 1e3
 _STEPS: Final = 200
-#: Remainder of a condition, relative to its largest term, that is rounding.
+#: A remainder of a condition below this, relative to its largest term, is a rounding error.
 _ROUNDING: Final = 1e-15
 
 
@@ -142,7 +143,7 @@ def adjust(rows: Rows, start: Array, what: str, *, moved: Callable[[Array, Array
 
 @dataclass(frozen=True)
 class Determination:
-    """Information of rows about their unknowns.
+    """Result of :func:`determination`: how well rows determine their unknowns.
 
     ``condition``: condition number of the design with columns of unit length, inf if singular; ``cofactors`` (u, u):
     None if the unknowns are not determined; ``weakest`` (u,): change of the unknowns with the smallest effect on the

@@ -15,9 +15,9 @@ from fg_orient.closerange.photo import Photo
 from fg_orient.model.errors import InputError, NoSolutionError
 
 _ITERATIONS: Final = 50
-#: Largest step, relative to the coordinates, that ends the iteration.
+#: The iteration ends if the largest step, relative to the coordinates, is below this.
 _TOLERANCE: Final = 1e-13
-#: Ratio of the angle between rays to its noise, below which the angle may be noise.
+#: The angle between rays may be noise if it is less than this multiple of its standard deviation.
 SURELY: Final = 5.0
 
 
@@ -161,7 +161,7 @@ def _iterated(
     """Run Gauss-Newton for each point, until all steps are at rounding level or the largest no longer decreases."""
     before, length = np.inf, np.full(len(points), np.inf)
     for iteration in range(1, _ITERATIONS + 1):
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # divergence of a point ends the loop
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # the loop ends if a point diverges
             residuals, slopes, _ = _rows(matrices, ideal, points[of], reweighted)
             step = _solved(*_normals(slopes / size[:, :, None], residuals / size, of, len(points)))
             points = points + step
@@ -214,7 +214,8 @@ def _require_depth(
     cofactors: Array, depth: Array, matrices: Array, size: Array, of: Index, names: Sequence[str]
 ) -> None:
     """Refuse points with a standard deviation above 1000 times the standard deviation of their image points."""
-    focal = np.linalg.norm(matrices[:, 0, :3], axis=1)  # norm of the depth row times the principal distance
+    # the norm of the first row is the norm of the depth row times the principal distance
+    focal = np.linalg.norm(matrices[:, 0, :3], axis=1)
     unit = np.zeros(len(cofactors))
     np.maximum.at(unit, of, np.sqrt(np.mean(size**2, axis=1)) * depth / focal)
     sd = np.sqrt(np.einsum("nii->ni", cofactors).max(axis=1))

@@ -30,18 +30,18 @@ RIVAL_LEVEL: Final = 0.05
 #: Two minima are equal if directions differ by less than this (rad), and centres by less than this share of the
 #: object's distance.
 SAME: Final = 1e-5
-#: Limit of the bend: two standard deviations, which one error in 20 exceeds, move another combination by one standard
-#: deviation.
+#: Limit of the bend. At this limit an error of two standard deviations (exceeded by one error
+#: in 20) moves another combination by one standard deviation.
 BENT: Final = 0.25
-#: Error probability of an interval. If the squares grow as a parabola, the decision does not depend on it.
+#: Error probability of an interval. The decision does not depend on it if the squares grow as a parabola.
 LEVEL: Final = 1e-3
 #: Factor by which the sigmas of points may be too small without a change of the decision: a real surface is not a
 #: spheroid. A larger m0 replaces the factor; with a redundancy of one or two, m0 alone is too uncertain. If points do
 #: not determine a semi-axis, noise of f sigmas reduces the squares by at most f^2 times a chi-square of one.
 OPTIMISTIC: Final = 5.0
-#: Fractions of the distance at which the fit is repeated.
+#: The fit is repeated at these fractions of the distance.
 _WAY: Final = (1 / 64, 1 / 8, 1.0)
-#: Change of normalised unknowns at a state without derivatives.
+#: Normalised unknowns are changed by this at a state without derivatives.
 ASIDE: Final = 1e-5
 #: Number of iterations of a distant fit, and of repetitions while it still decreases towards the limit.
 _ROUND: Final = 50
@@ -125,7 +125,7 @@ def bend(rows: Rows, state: Array, m0: float | None) -> float:
     length = np.linalg.norm(design, axis=0)
     left, values, right = np.linalg.svd(design / length, full_matrices=False)
     unit, u = m0 or 1.0, len(state)
-    steps = unit * (right.T / values / length[:, None]).T  # rows: steps of one standard deviation
+    steps = unit * (right.T / values / length[:, None]).T  # each row is a step of one standard deviation
 
     def moved(step: Array) -> Array:
         return np.asarray(left.T @ (rows(state + step, False)[0] - residual))
@@ -217,7 +217,7 @@ def held(rows: Rows, state: Array, k: int, value: float, limit: float = np.inf) 
 
     start, far = state[free], np.isfinite(limit)
     if not np.isfinite(some(start, True)[1]).all():
-        # no unique nearest point, as on the axis of a long spheroid: the squares decrease to both sides
+        # the nearest point is not unique, as on the axis of a long spheroid; the squares decrease to both sides
         start = start + ASIDE * np.cos(np.arange(len(start)))  # a different step for each unknown
     backend = RowsBackend(finite_rows(some))
     for _ in range(_ROUNDS if far else 1):

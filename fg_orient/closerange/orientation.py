@@ -26,7 +26,7 @@ from fg_orient.rectification.transformation import Scaling
 from fg_orient.sensors.initial import nearest_points
 
 LEAST_RELATIVE: Final = 6
-#: Level of the test that a rotation alone fits two photos.
+#: Level of the test whether a rotation alone fits two photos.
 NO_BASE: Final = 1e-3
 LEAST_ABSOLUTE: Final = 3
 #: Code and place of the error for points on a line, which do not determine the rotation about it.
@@ -190,7 +190,8 @@ def _adjusted_pair(points: Array, sigma: Array, rotation: Array, base: Array) ->
     in_front = bool(
         np.isfinite(model).all() and (model[:, 2] > 0.0).all() and ((model - base) @ rotation[2] > 0.0).all()
     )
-    record, axes = _record(rotation, base)  # unknowns are rotations of the second camera at the solution
+    # repeated at the solution, so that the unknowns are rotations about the axes of the second camera
+    record, axes = _record(rotation, base)
     distances, design = _pair_rows(record, points, sigma, np.zeros(5), True)
     assessed, squares = fitting.determination(design, sigma), float(distances @ distances)
     if assessed.cofactors is None:
@@ -336,7 +337,8 @@ def absolute_orientation(model: npt.ArrayLike, ground_m: npt.ArrayLike, *, sigma
     assessed = fitting.determined(rows(np.zeros(7), True)[1], sigma / size, *ON_A_LINE)
     physical = scale * size / float(from_.scale[0])
     offset = physical * rotation @ from_.offset
-    # shift = centre on the ground - scale R (middle of the model), so rotations and scale about that middle change it
+    # shift = centre on the ground - scale R (middle of the model), so the shift changes with
+    # rotations and scale about this middle
     away = np.eye(7)
     away[4:, 4:] *= size
     away[4:, :3], away[4:, 3] = np.cross(np.eye(3), offset), -offset

@@ -32,7 +32,7 @@ from fg_orient.sensors.frame import FrameCamera, opk_of_rotation
 YAxis = Literal["up", "down"]
 
 Y_AXES: Final[tuple[YAxis, ...]] = ("up", "down")
-#: (X, Z, Y) from (X, Y, Z).
+#: Matrix that exchanges Y and Z: (X, Z, Y) from (X, Y, Z).
 _ORDER: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 #: Camera axes from image axes x right, z up, c along the view.
 _DOWN: Final = np.diag([1.0, -1.0, 1.0])
@@ -139,7 +139,7 @@ class Photo:
             Not a rotation matrix, or values that are not finite.
         """
         camera = FrameCamera(np.asarray(rotation, float), np.asarray(centre_m, float), interior.focal)
-        matrix = np.zeros((3, 4))  # about the projection centre nothing cancels
+        matrix = np.zeros((3, 4))  # relative to the projection centre, no digits are lost by cancellation
         matrix[:, :3] = interior.matrix @ camera.rotation
         return cls(name, matrix, camera.centre_m, interior.principal, interior.corrections)
 
@@ -245,7 +245,7 @@ RADII: Final = 33
 DIRECTIONS: Final = 24
 #: First correction in a camera vector, after principal distance and principal point.
 _FIRST: Final = 3
-#: Part of corrections across the radius, relative to the radius, that is rounding.
+#: Corrections across the radius below this share of the radius are rounding errors.
 _ROUNDING: Final = 1e-13
 #: Camera parameters of a form, by its name. dr is radial, along r; equation numbers refer to Ayhan 1996.
 SETS: Final[dict[str, tuple[str, ...]]] = {

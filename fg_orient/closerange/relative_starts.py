@@ -23,7 +23,7 @@ MAX_SETS: Final = 21
 #: Maximum number of essential matrices that give starts, and cosine above which two matrices count as equal.
 MAX_MATRICES: Final = 12
 SIMILAR: Final = 0.999
-#: Difference of the largest and smallest singular values below which a homography has no base.
+#: A homography has no base if its largest and smallest singular values differ by less than this.
 FLAT: Final = 1e-12
 #: Monomials of degree 3 in the four factors of the null space; those without the last factor come first.
 _MONOMIALS: Final = sorted(combinations_with_replacement(range(4), 3), key=lambda m: m.count(3))
@@ -134,7 +134,7 @@ def essential_matrices(products: Array) -> Array:
     np.add.at(rows, _PRODUCT, np.column_stack([cubic.reshape(64, 9), determinant.ravel()]))
     try:
         reduced = -np.linalg.solve(rows[:10].T, rows[10:].T)
-    except np.linalg.LinAlgError:  # points of a special position, such as a line
+    except np.linalg.LinAlgError:  # the matrix is singular for special positions of points, such as a line
         return np.zeros((0, 3, 3))
     times = [_PLACE[tuple(sorted((0, *monomial[:2])))] for monomial in _MONOMIALS[10:]]
     vectors = np.linalg.eig(np.vstack([reduced, np.eye(10)])[times])[1]

@@ -42,7 +42,7 @@ MAX_PHOTOS: Final = 16
 FEW_PHOTOS: Final = 6
 #: Maximum number of vectors of one photo.
 MAX_VECTORS: Final = 400
-#: Singular value below which a direction is refused as not determined, in units of one image point.
+#: A direction with a smaller singular value, in units of one image point, is refused as not determined.
 REFUSED: Final = 1e-3
 
 
@@ -277,7 +277,7 @@ def render(record: dict[str, Any]) -> str:
     lists = ("photos", "cameras", "points", "figures", "residuals", "observations", "distortion", "history")
     photo: dict[str, Any] = {"parameters": [], "interior": None, "observed": None}
     photos = [photo | one for one in record.get("photos", [])]
-    # records of all kinds have the parts of the other kinds, empty
+    # parts of other kinds of records are empty
     record = {name: [] for name in lists} | {"check": None, "significance": None} | record | {"photos": photos}
     shell = environment(PACKAGE)
     shell.filters |= {"significant": significant}
@@ -340,7 +340,10 @@ def _used(record: dict[str, Any]) -> dict[str, Any]:
 
 
 def _worst(record: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the image points with the largest residuals, over their own standard deviations where these are known."""
+    """Return the image points with the largest residuals.
+
+    Residuals are divided by their standard deviations if these are known.
+    """
     rows = record["residuals"] or photo_rows(record)
 
     def size(row: dict[str, Any]) -> float:

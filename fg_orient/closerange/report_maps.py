@@ -20,14 +20,15 @@ TALLEST: Final = 480.0
 MARGIN: Final = 40.0
 #: Length of a large ellipse or vector (90 % quantile) as a share of the width.
 SHARE: Final = 0.035
-#: Largest such length as a share of the distance between neighbours; least as a share of the width.
+#: Largest length of an ellipse or vector as a share of the distance between neighbours, and
+#: smallest length as a share of the width.
 _APART: Final = 0.6
 SHORTEST: Final = 0.007
 #: Maximum number of drawn points; new points are thinned first.
 MAX_POINTS: Final = 800
 #: Maximum number of stations and points whose names are written.
 MAX_NAMES: Final = 24
-#: Views: words, and the axes across and up.
+#: Views: name, horizontal axis and vertical axis.
 VIEWS: Final = (("Plan, X and Y", 0, 1), ("Elevation, X and Z", 0, 2), ("Elevation, Y and Z", 1, 2))
 AXES: Final = "XYZ"
 _MIXED: Final = {(0, 1): "cov_xy_m2", (0, 2): "cov_xz_m2", (1, 2): "cov_yz_m2"}
@@ -39,7 +40,7 @@ _LOOK: Final = 0.04
 SMALLEST: Final = 1.5
 LARGEST: Final = 11.0
 _STEPS: Final = 5
-#: Share of the largest curvature below which an axis of a quadric counts as open.
+#: An axis of a quadric counts as open if its curvature is below this share of the largest curvature.
 _FLAT: Final = 1e-6
 
 
@@ -249,7 +250,7 @@ def _deviations(record: dict[str, Any], words: str, across: int, up: int) -> Cha
     largest = float(np.abs(distance).max()) or 1.0
     share = np.abs(distance) / largest
     step = np.maximum(1, np.ceil(share * _STEPS)).astype(int)
-    for k in range(_STEPS, 0, -1):  # small ones stay visible above large ones
+    for k in range(_STEPS, 0, -1):  # small disks are drawn last, so that they stay visible
         for sign, word in (("p", "+"), ("m", "−")):
             mine = np.flatnonzero((step == k) & ((distance >= 0.0) == (sign == "p")))
             tips = [_deviation_tip(points[n]) for n in mine.tolist()]

@@ -11,7 +11,8 @@ from fg_orient.model.distributions import chi_square_interval, chi_square_limit,
 from fg_orient.model.errors import sentences
 from fg_orient.report.words import check_point_words, number
 
-#: Size; size divided by its given standard deviation (or the size again without one); redundancy; words.
+#: A residual: its size; its size divided by the given standard deviation (without one, the
+#: size again); redundancy; description.
 Residual = tuple[float, float, int, str]
 
 #: Level of the test of m0, and of the search for the worst of all residuals.
@@ -20,7 +21,8 @@ LEVEL: Final = 0.001
 ROUNDING: Final = 1e-9
 #: Maximum number of suspicious observations that the first page names.
 SUSPECTS: Final = 3
-#: Standard deviation in units of one image point above which a direction is reported; above 1000 it is refused.
+#: A direction is reported if its standard deviation, in units of one image point, is above
+#: this. Above 1000 it is refused.
 WEAK: Final = 100.0
 #: Units of length and their factors from m.
 LENGTHS: Final = (("km", 1e-3), ("m", 1.0), ("mm", 1e3), ("µm", 1e6))
@@ -187,7 +189,7 @@ def _groups(record: dict[str, Any]) -> list[tuple[int, list[Residual]]]:
             own = sum((r[f"residual_{a}"] / r.get(f"sigma_{a}", 1.0)) ** 2 for a in "xy")
             squares[r["id"]] = squares.get(r["id"], 0.0) + own
         free = {p["id"]: 2 * p["rays"] - 3 for p in record["points"]}
-        # the misfit of the rays of a point, divided by the root of their redundancy
+        # the length of the residuals of a point's rays, divided by the root of their redundancy
         rows = [
             (
                 p["misfit"],

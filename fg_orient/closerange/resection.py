@@ -23,9 +23,9 @@ from fg_orient.rectification.transformation import Scaling
 Pose = tuple[Array, Array]
 
 LEAST: Final = 4
-#: Number of distant image points whose triples start the iteration.
+#: Number of image points, chosen far apart, whose triples give start values.
 SPREAD: Final = 6
-#: Number of best starts that are iterated.
+#: The iteration begins at this number of best start values.
 TRIED: Final = 4
 #: Code and place of the error for points that do not determine a photo.
 REFUSED: Final = ("closerange.pose", "resection")

@@ -270,7 +270,7 @@ def models_of(kind: Kind, points: Array, axis: str) -> list[SurfaceModel]:
         return [SurfaceModel(kind, surfaces.SPHERE, *plain, (*_CENTRE, "a"), ball, np.ones(4, bool))]
     if kind == "spheroid" and axis in AXES:
         return [_spheroid(AXES.index(axis), ball[:3], np.eye(3), np.full(3, ball[3]), free=False)]
-    # rotations have no effect on a sphere, so the start is oblate without a quadric
+    # rotations have no effect on a sphere, so a start without a quadric is flattened
     oblate = [(ball[:3], np.eye(3), ball[3] * (1.0 - OBLATE * np.eye(3)[k])) for k in range(3)]
     starts = _from_quadric(points)
     if kind == "ellipsoid":

@@ -24,12 +24,12 @@ from fg_orient.model.errors import FgOrientError, InputError, NoSolutionError
 from fg_orient.model.names import LARGEST, SMALLEST
 
 Method = Literal["geometric", "algebraic"]
-#: Names with prior values and sigmas, m.
+#: Prior value and sigma, m, by the name of the parameter.
 Priors = Mapping[str, tuple[float, float]]
 
 SEMI_AXES: Final = ("a", "b", "c")
 METHODS: Final = ("geometric", "algebraic")
-#: Share of the largest part of a direction below which other parts are not named.
+#: A part of a direction is named if it is above this share of the largest part.
 NAMED: Final = 0.1
 
 
@@ -221,7 +221,7 @@ def _minimum(task: _Task, method: str) -> fitting.Minimum:
         # only ratios of coefficients are unknowns: a step along the coefficients is constrained to 0
         return np.append(value, 0.0), np.vstack([design, x]) if with_jacobian else design
 
-    if model.kind == "quadric" and method == "algebraic":  # its start is the solution, by SVD
+    if model.kind == "quadric" and method == "algebraic":  # in this case SVD has already given the solution as start
         return fitting.Minimum(model.start, *rows(model.start, True), ())
     try:
         return fitting.adjust(rows, model.start, model.kind, moved=model.moved)

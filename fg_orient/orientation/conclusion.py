@@ -181,7 +181,7 @@ def _differences(
             own = replace(located, index=index[after])
             q[after] = own.cofactors(cofactors.blocks)
     sigma = measured.sigma_enu_m[rows].reshape(-1, 3)
-    # axes at the adjusted point: no estimated sigma may depend on a check coordinate
+    # axes at the adjusted point, because no estimated sigma may depend on a check coordinate
     axes = compiled.axes(ground[index].reshape(-1, 3))
     found = differences(ids, index, ground[index], measured_m, sigma, q, axes)
     if cofactors is None or not compiled.active[index].all():

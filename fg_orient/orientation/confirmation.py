@@ -36,7 +36,8 @@ def confirmed(solution: Solution, run: Callable[[Block], Solution]) -> Solution:
     """
     supposed, solution = solution.supposed, replace(solution, supposed=None)
     doubted = any(f.severity in DECISIVE and f.code not in CAUSES for f in solution.findings)
-    if solution.status is Status.CONVERGED and not doubted:  # for instance, estimated sigmas have removed the doubt
+    # the doubt has disappeared, for instance by estimated sigmas
+    if solution.status is Status.CONVERGED and not doubted:
         return _without_causes(solution)
     if supposed is None:
         return solution

@@ -210,8 +210,10 @@ def _with_prior(
     seen = np.bincount(block.observations.point[participates(block)], minlength=len(points.ids))
     column = {name: n for n, name in enumerate(joint.names)}
     names: list[str] = []  # names of the vectors of the observation
-    at, unit, reference = list[int](), list[float](), list[float]()  # earlier unknown, its unit here, its origin here
-    places: list[Index] = []  # rows of ``at`` of the unknowns of each vector; -1: a shared unknown counted before
+    # for each unknown: its place in the earlier result, its unit and its origin in this block
+    at, unit, reference = list[int](), list[float](), list[float]()
+    # for each vector, the rows of ``at`` of its unknowns; -1 for a shared unknown that occurred before
+    places: list[Index] = []
     taken: dict[int, int] = {}
     for image, own in zip(block.images, parameters, strict=True):
         known = [column.get(name, -1) for name in unknown_names(image.id, own.names, own.shared)]
@@ -323,5 +325,5 @@ def _observation(
 
     arguments = tuple(_ARGUMENTS[name.partition(":")[0]] for name in names)
     equation = Equation(label, kernel, residual, arguments, "Helmert 1880: blocks")
-    record = np.concatenate([rows.ravel(), value, right])  # identifies the observation in a checkpoint
+    record = np.concatenate([rows.ravel(), value, right])  # the record identifies the observation in a checkpoint
     return ExtraObservation(equation, tuple(names), record, np.zeros((0, 0)), len(rows), label)

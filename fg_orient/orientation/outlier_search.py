@@ -36,7 +36,7 @@ Run = Callable[[Block, State, Problem], AdjustmentResult]
 
 #: Maximum number of observations that a round excludes or includes again.
 ROUND: Final[int] = 1000
-#: Place of the finding that ended a search.
+#: ``place`` of the finding that states why a search ended.
 GIVEN_UP: Final = "snooping was given up"
 
 
@@ -114,9 +114,9 @@ class _Rounds:
 
     def __init__(self, block: Block, first: AdjustmentResult) -> None:
         self._block, self._full = block, first.problem
-        self._place = np.cumsum(participates(block)) - 1  # rows of the block among those of the full problem
+        self._place = np.cumsum(participates(block)) - 1  # for each row of the block, its row in the full problem
         point = block.observations.point
-        self._order = np.argsort(point, kind="stable")  # rows of each point together, ascending
+        self._order = np.argsort(point, kind="stable")  # rows sorted by point, ascending within a point
         self._first = np.concatenate([[0], np.cumsum(np.bincount(point, minlength=len(block.points.ids)))])
         self._rounds: list[Round] = []
 
@@ -140,7 +140,7 @@ class _Rounds:
         # a rival returns only if no other rival fits
         fitting = [r for r in may if r.probability and not any(rival.probability for rival in r.rivals)]
         fitting.sort(key=lambda r: -r.probability)
-        fitting = list({r.point: r for r in reversed(fitting)}.values())[::-1]  # one of each point
+        fitting = list({r.point: r for r in reversed(fitting)}.values())[::-1]  # keep one observation per point
         fitting = fitting[: 1 if solution.components is not None else ROUND]
         if len(fitting) < 2:
             return fitting

@@ -336,7 +336,7 @@ class _Runs:
         self._block, self._options, self._count = block, options, folds
         self._folds: Parts = () if folds is None else folds_of(block, folds)
         self._report, self._done, self.most = progress or (lambda done, most, text: None), 0, 1
-        #: Unknowns of all models.
+        #: Unknowns that all models contain.
         self.kept: tuple[str, ...] = ()
 
     def adjust(self, unknowns: tuple[str, ...]) -> Solution:
@@ -386,7 +386,7 @@ def _backward(run: _Runs, full: Solution, every: tuple[str, ...], level: float) 
         rest = tuple(name for name in last.unknowns if name != worst.group)
         try:
             solution = run.adjust(rest)
-        except InputError:  # otherwise an image would have no unknown
+        except InputError:  # raised if an image would have no unknown left
             break
         steps.append((run.step(solution, rest, worst.group, worst), solution))
     return steps
@@ -403,7 +403,8 @@ def _forward(run: _Runs, every: tuple[str, ...], level: float) -> list[tuple[Ste
         trials: list[tuple[GroupTest, tuple[str, ...], Solution]] = []
         for name in (n for n in every if n not in chosen):
             trial = tuple(n for n in every if n in (*chosen, name))
-            with suppress(InputError, RankDeficientError):  # an image without unknowns, or with an unobservable unknown
+            # models in which an image has no unknown, or an unobservable one, are skipped
+            with suppress(InputError, RankDeficientError):
                 solution = run.adjust(trial)
                 trials.append((coefficient_test(solution, name), trial, solution))
         if not trials:

@@ -152,7 +152,7 @@ def run_project(
         if not any(p.code.startswith("parallel.") for p in error.problems):
             checkpoint.remove()
             raise
-        done = checkpoint.write()  # the workers failed, not the equations
+        done = checkpoint.write()  # keep the checkpoint, because the workers failed and not the equations
         if done is None:
             raise
         kept = f"{done} iterations are kept"

@@ -350,7 +350,7 @@ class Solution(AdjustmentResult):
             from fg_orient.quality.resolution import record_of
 
             return record_of(self.weighted, self.state, self.cofactors)
-        if not self.solver:  # another backend: do not load the kappa rules
+        if not self.solver:  # other backends do not need the kappa rules, which are slow to load
             return None
         from fg_orient.quality.conditioning import regularisation
 

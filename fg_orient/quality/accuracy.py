@@ -51,9 +51,10 @@ AXES = ("east", "north", "up", "ecef_x", "ecef_y", "ecef_z")
 BEYOND: Final = math.erfc(RATIO_LIMIT / math.sqrt(2.0))
 #: Probability that the number or the largest of correct check coordinates exceeds its limit by chance.
 CHANCE: Final = 0.001
-#: Maximum number of check points in tests with the joint covariance; from more points an even selection is made.
+#: Maximum number of check points in tests with the joint covariance. If there are more, an even selection is used.
 MAX_JOINT: Final = 60
-#: Smallest eigenvalue of the correlations of check coordinates for tests with their joint covariance.
+#: Tests with the joint covariance require that the smallest eigenvalue of the correlations of
+#: check coordinates is above this.
 POSITIVE: Final = 1e-12
 #: Minimum number of check points of ASPRS edition 2 (2023).
 ASPRS_MINIMUM = 30

@@ -2,9 +2,11 @@
 
 Mistakes that move points by thousands of pixels are found from the start values (``fg_orient.quality.mix_ups``).
 
-Other mistakes are tested at the solution (:func:`of_solution`). With e = W E theta the whitened error
-of measured coordinates (control c, check k), the residuals v_c, the innovations k (adjusted minus measured at check
-points, which are no observations), ``H = W Q W^T``, ``R = I - H_cc`` and ``S = I + H_kk``::
+Other mistakes are tested at the solution (:func:`of_solution`). Notation: e = W E theta is
+the whitened error of measured coordinates (c: control points, k: check points). v_c are the
+residuals of control points. k are the innovations of check points: adjusted minus measured
+coordinates, which are not observations. With
+``H = W Q W^T``, ``R = I - H_cc`` and ``S = I + H_kk``::
 
     v_c ~ -R e_c,   k ~ H_kc e_c - e_k = G theta,   cov(v_c) = R,  cov(k) = S,  cov(v_c, k) = 0
     M = e_c^T R e_c + G^T S^-1 G,   g = G^T S^-1 k - e_c^T v_c,   T = g^T M^+ g ~ chi2(p)
@@ -45,12 +47,14 @@ from fg_orient.quality.stated_sigmas import StatedSigma
 
 #: Probability that a cause is named although there is no mistake, if causes are tested.
 ALPHA: Final = 0.001
-#: Twice the logarithm of a likelihood ratio of 100: below it two causes cannot be distinguished.
+#: Two causes cannot be distinguished if their scores differ by less than this: twice the
+#: logarithm of a likelihood ratio of 100.
 APART: Final = 2.0 * np.log(100.0)
-#: Number of control points above which causes are not tested; number of causes named together.
+#: Causes are not tested if there are more control points than this. The second number is the
+#: maximum number of causes named together.
 MOST: Final = 300
 NAMED: Final = 3
-#: Factor of sigmas above which large residuals have another reason than wrong sigmas.
+#: If sigmas would be wrong by more than this factor, the large residuals have another reason.
 LARGEST: Final = 100.0
 
 
@@ -126,7 +130,7 @@ def of_solution(
     first = next(iter(best.values()), None)
     if first is None:
         return (), None
-    # an error of the same point includes the mistake: it is more general, not an alternative
+    # a free error of the same point always fits at least as well, so it is not an alternative cause
     rival = max((c.score + APART * (c.point != first.point) for c in singles), default=-np.inf)
     if first.score <= rival:
         return (), None

@@ -15,11 +15,11 @@ import numpy.typing as npt
 
 from factors.arrays import Array
 
-#: Limit in standard deviations of the difference; check coordinates beyond it are listed.
+#: Check coordinates are listed if their difference exceeds this number of its standard deviations.
 RATIO_LIMIT: Final = 3.0
 #: Number of random draws of the number of coordinates beyond the limit.
 DRAWS: Final = 20_000
-#: Relative singular value below which check points do not determine a trend.
+#: Check points do not determine a trend if its relative singular value is below this.
 RANK: Final = 1e-8
 #: Columns of the trend parameters: 3 k + axis. k = 0 is the constant, k = 1 the slope to East, k = 2 the
 #: slope to North.

@@ -246,7 +246,8 @@ class StarCofactors(CommonCofactors):
         places, images = border.places, border.images
         m, width = problem.columns.shape
         own = images.followed(np.eye(len(border)))
-        # movements (M, k, b) of all unknowns of each image, and the inverse of its normal matrix at the same positions
+        # for each image: movement of its unknowns (k, b) with the border, and inverse of its
+        # normal matrix, both padded with zeros
         self._follow, self._own = np.zeros((m, width + 1, len(border))), np.zeros((m, width + 1, width + 1))
         image, at = np.arange(m)[:, None], np.where(places.exists, places.own, width)
         self._follow[image, at] = own

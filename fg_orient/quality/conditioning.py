@@ -89,7 +89,7 @@ def regularisation(weighted: Problem, name: str, log: Sequence[IterationRecord])
         sigmas of images, metres of ground points) at the start values; ``rules``: kappa of each rule; ``steps``:
         iteration and kappa of each step.
     """
-    if not name:  # the kappa rules need not be loaded
+    if not name:  # returns early, so that the kappa rules are not loaded
         return None
     from fg_orient.adjustment.dense import DenseBackend
     from fg_orient.adjustment.linear.l_curve import l_curve_of

@@ -83,7 +83,8 @@ def cofactors_of(problem: Problem, estimate: Estimate) -> Cofactors:
     except RuntimeError as error:
         reduced = isinstance(linear, SchurSystem | SummedSystem | BorderMatrix)
         if not reduced and has_constraints(problem.block) and small_enough(problem):
-            with one_blas_thread(), contextlib.suppress(Singular):  # its scaled Cholesky factor exists for more systems
+            # the scaled Cholesky factor exists for more systems than GTSAM's
+            with one_blas_thread(), contextlib.suppress(Singular):
                 return BorderCofactors(problem, Border(problem, estimate.state))
         raise Indeterminate(str(error) if reduced else "GTSAM finds the normal equations indeterminate") from error
 

@@ -33,7 +33,7 @@ from fg_orient.model.errors import InputError
 
 #: Largest singular value, in prior sigmas, of a direction that counts as unobservable.
 UNOBSERVABLE: Final = 1e-5
-#: Number of elements of arrays of many points in memory at the same time.
+#: Maximum number of elements of an array of many points; more points are processed in parts.
 CHUNK: Final = 2**21
 
 

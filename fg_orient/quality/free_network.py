@@ -64,7 +64,7 @@ from fg_orient.quality.weakest import weakest
 
 #: Maximum number of unknowns for which all cofactors of a free network are formed from those of GTSAM.
 MAX_UNKNOWNS: Final = 3000
-#: Step in prior sigmas and metres below which a datum is reached.
+#: A datum is reached if the step is below this, in prior sigmas and metres.
 REACHED: Final = 1e-9
 #: Maximum number of steps to the datum. A linearised motion changes the residuals to second order, so a
 #: Gauss-Newton step across the motions follows each step. In a well-determined network both converge

@@ -26,7 +26,7 @@ from fg_orient.quality.cause import PAIRED, Cause, Mend, penalty_of, without_par
 from fg_orient.quality.cofactors import PointCofactors
 from fg_orient.quality.image_causes import ImageErrors
 
-#: Number of check points used.
+#: Maximum number of check points used.
 MOST: Final = 300
 #: Maximum length in metres of a height offset that can be a geoid undulation, and of a constant vector that can be a
 #: datum shift.

@@ -37,7 +37,7 @@ from fg_orient.model.options import MultipleTesting, OutlierTest
 
 #: Names of the statistic for one degree of freedom, and for more.
 SYMBOLS: Final[dict[str, tuple[str, str]]] = {"baarda": ("w", "T"), "pope": ("tau", "T/m0^2"), "t": ("t", "F")}
-#: Smallest share of a free observation in a direction that the other observations check.
+#: A direction is checked by the other observations if its eigenvalue of the cofactors is above this.
 CHECKED: Final = 1e-6
 _TINY: Final = float(np.finfo(float).tiny)
 #: Relative rounding error of the remaining v^T v. It is the least value used, even if one suspect explains
@@ -152,7 +152,7 @@ def _limits(level: npt.ArrayLike, d: Index, redundancy: float | Array, test: str
         value: Array = chi_square_limit(d, level)
     else:
         share = beta_limit(0.5 * d, 0.5 * (redundancy - d), level)
-        rest = beta_quantile(0.5 * (redundancy - d), 0.5 * d, level)  # 1 - share, without loss of digits
+        rest = beta_quantile(0.5 * (redundancy - d), 0.5 * d, level)  # computed as 1 - share, without loss of digits
         ratio = redundancy * share if test == "pope" else share / rest * (redundancy - d) / d
         value = np.asarray(ratio, dtype=np.float64)
     return np.where(np.asarray(d) == 1, np.sqrt(value), value)

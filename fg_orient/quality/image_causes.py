@@ -136,7 +136,8 @@ def _groups(n: int, is_control: bool) -> Iterator[tuple[int, ...]]:
         return
     for size in range(2, n - (1 if is_control else 2) + 1):
         for group in combinations(range(n), size):
-            if is_control or 0 not in group:  # the other group of a tie point gives the same partition
+            # for a tie point, both groups of a partition would give the same result, so only one is used
+            if is_control or 0 not in group:
                 yield group
 
 

@@ -40,7 +40,8 @@ def large_regularisation(problem: Problem) -> Regularisation:
     choice = _choice(problem) if options.kappa is None else KappaChoice(options.kappa, "")
     probes = signs(z, PROBES, SEED)
     solve = NormalEquations.of(problem, problem.start).factor(choice.kappa + float(options.priors))
-    determined = choice.kappa * float(np.mean(np.sum(probes * solve(probes), axis=0)))  # trace of R Q R^T
+    # estimate of the trace of R Q R^T
+    determined = choice.kappa * float(np.mean(np.sum(probes * solve(probes), axis=0)))
     return Regularisation(
         "tikhonov",
         choice.kappa,

@@ -248,7 +248,7 @@ def id_mix_ups(block: Block) -> tuple[IdMixUp, ...]:
         away[o.image[row] == k] = np.linalg.norm(pixels[:, None] - projected, axis=2)
     distance = np.full((len(control),) * 2, np.inf)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # no image shows both points
+        warnings.simplefilter("ignore", RuntimeWarning)  # numpy warns of pairs of points that no image shows together
         for a in np.flatnonzero(seen).tolist():
             distance[a] = np.nanmedian(away[place[o.point[row]] == a], axis=0)
     distance = np.where(np.isnan(distance), np.inf, distance)
@@ -327,7 +327,7 @@ def _readings(block: Block, k: int, row: Index, projected: Array) -> dict[tuple[
     for name, reading in READINGS.items():
         try:
             out[name, -1] = _away(projected, np.stack(reading(o.line[row], o.sample[row], sensor), axis=1))
-        except AttributeError:  # the size of the image is unknown
+        except AttributeError:  # sensors without an image size have no mirrored readings
             continue
     for name in GROUND_READINGS if block.georeferenced else LOCAL_READINGS:
         other = _read(name, block.points.known.ecef_m[o.point[row]])

@@ -28,16 +28,16 @@ from fg_orient.sensors.latitudinal import observed_by_angles
 
 Effect = Callable[[Array, Array], Array]
 
-#: Largest share of the effect of a motion on the image coordinates that remains when the images follow it.
+#: The images follow a motion if at most this share of its effect on the image coordinates remains.
 FOLLOWED: Final = 0.1
 #: A named motion is free if at least this share of its length lies in the space of free motions.
 MATCH: Final = 0.9
-#: Smallest share of a named motion that is independent of the motions named before it.
+#: A motion is named only if at least this share of it is independent of the motions named before.
 NEW: Final = 0.1
 #: Size of a motion, m, that sentences describe: half of the points move by this distance or more.
 SHIFT_M: Final = 10.0
 _TINY: Final = 1e-10
-#: Largest ratio of the second to the first singular value of the directions of parallel features.
+#: Features are parallel if the ratio of the second to the first singular value of their directions is at most this.
 PARALLEL: Final = 0.05
 
 
@@ -124,7 +124,7 @@ class _Part:
                 # the parameters of a camera that several images share stay unchanged
                 a = np.where(p.own, rows.image[own, :, : len(p)], 0.0).reshape(2 * len(own), len(p))
                 b = np.einsum("nij,njd->nid", rows.ground[own], shift[point[own]]).reshape(-1, 7)
-                # compressed to few rows instead of two per image point
+                # QR compresses the two rows per image point to a few rows
                 r = np.asarray(np.linalg.qr(np.hstack([a, b]), mode="r"))
                 a, b = r[:, : len(p)], r[:, len(p) :]
                 x = -np.linalg.lstsq(a, b, rcond=None)[0]

@@ -121,7 +121,7 @@ _PRIOR_KIND: Final = _prior_kinds()
 
 def scaled(block: Block, groups: Groups, factor: Array) -> Block:
     """Return the block with the sigmas of its groups multiplied by their factors (g,)."""
-    by_group = np.append(factor, 1.0)  # -1 selects the last element
+    by_group = np.append(factor, 1.0)  # the index -1 (no group) selects the last element
     o, known, options = block.observations, block.points.known, block.options
     image = by_group[groups.image]
     observations = replace(o, sigma_line_px=o.sigma_line_px * image, sigma_sample_px=o.sigma_sample_px * image)

@@ -13,7 +13,7 @@ from factors.arrays import Array
 from fg_orient.adjustment.problem import Problem
 from fg_orient.quality import hypotheses
 
-# positions and small numbers of all suspects, in half of the memory
+# 32 bits are sufficient for positions and small numbers, and need half the memory
 Small = npt.NDArray[np.int32]
 
 

@@ -85,7 +85,7 @@ def assess_suspects(
             error[end - len(own) : end, : own.shape[1]] = own
     part, point, row = np.repeat(np.arange(len(families)), sizes), _column(families, "point"), _column(families, "row")
     parts, units = tuple(s.part for s in families), tuple(s.unit for s in families)
-    del families, results  # halves the memory of the tests
+    del families, results  # freed now, which halves the memory of the tests
     f: Array = np.asarray(float(problem.redundancy) if freedom is None else freedom)
     squares: Array = np.asarray(chi2 if freedom is None else freedom)
     tested = hypotheses.can_be_tested(d, f, test)

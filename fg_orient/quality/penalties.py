@@ -18,7 +18,7 @@ from factors.geometry import polynomials
 from fg_orient.adjustment.problem import Problem
 from fg_orient.model.parameters import ImageParameters, term_of
 
-#: Number of times at which the derivatives of a function are formed.
+#: Number of values of t at which the derivatives of a function are computed.
 TIMES: Final = 11
 #: Derivatives smaller than this multiple of the rounding error of the function are set to zero.
 ROUNDINGS: Final = 100.0

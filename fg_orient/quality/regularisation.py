@@ -85,7 +85,8 @@ def with_regularisation(problem: Problem) -> Problem:
     problem = without_penalties(problem)
     with one_blas_thread():
         if problem.n_free_unknowns > MAX_UNKNOWNS:
-            from fg_orient.quality.large_regularisation import large_regularisation  # loads scipy.optimize
+            # imported here because it loads scipy.optimize
+            from fg_orient.quality.large_regularisation import large_regularisation
 
             chosen = large_regularisation(problem)
         else:
@@ -119,7 +120,7 @@ def _chosen(problem: Problem, system: LinearSystem) -> Regularisation:
     if options.regularisation in ("tikhonov", "truncated"):
         choice = None if options.kappa is not None else _by_rule(problem, standard)
         kappa = options.kappa if choice is None else choice.kappa
-    held, weights = np.arange(z) >= rank, np.zeros(z)  # of the directions
+    held, weights = np.arange(z) >= rank, np.zeros(z)  # one element per direction
     if options.regularisation == "tikhonov":
         assert kappa is not None
         weights[:], rows = kappa, np.sqrt(kappa) * (np.diag(units) if penalty is None else penalty)
@@ -134,7 +135,8 @@ def _chosen(problem: Problem, system: LinearSystem) -> Regularisation:
         weights[held] = (min(max(stiff, 1.0), STIFFEST) * s[0]) ** 2
         own = np.flatnonzero(weights)
         rows = np.sqrt(weights[own])[:, None] * vt[own] * units
-    if penalty is None and options.regularised_units == "prior_sigmas":  # rows share the singular vectors
+    # in this case the rows of the penalty have the same singular vectors as A
+    if penalty is None and options.regularised_units == "prior_sigmas":
         squares = s**2 + weights + float(options.priors)
         condition, determined = _ratio(np.sqrt(squares)), float(np.sum(weights / squares))
     else:

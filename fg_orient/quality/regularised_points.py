@@ -73,7 +73,7 @@ def _of_point(problem: Problem, rows: Rows, point: int) -> tuple[Array, Array]:
     columns = image_columns(problem, problem.observations.image[own])
     design = np.zeros((len(own), 2, problem.n_free_unknowns))
     for k, row in enumerate(own.tolist()):
-        np.add.at(design[k].T, columns[k], rows.image[row].T)  # filled-up columns have zeros
+        np.add.at(design[k].T, columns[k], rows.image[row].T)  # columns that only fill up the array contain zeros
     ground = rows.ground[own].reshape(-1, 3)
     inverse = np.linalg.inv(ground.T @ ground)
     return -inverse @ ground.T @ design.reshape(len(ground), -1), np.asarray(inverse, np.float64)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 F = TypeVar("F")
 T = TypeVar("T")
 
-#: Maximum share of gross errors among the observations; with more of them the model must be wrong.
+#: Maximum share of gross errors among the observations. If there are more, the model must be wrong.
 MOST: Final = 0.25
 
 

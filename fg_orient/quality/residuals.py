@@ -245,7 +245,7 @@ class GroupCofactors:
             label, is_full = self._labels[part.rows.ravel()], FULL * c >= len(self._q)
             for j in np.unique(label):
                 mine = design[label == j]
-                if is_full:  # BLAS is faster
+                if is_full:  # full matrices are multiplied by BLAS, which is faster
                     rows = mine.toarray()
                     normal[j] += rows.T @ rows
                 else:

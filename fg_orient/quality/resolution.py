@@ -94,7 +94,7 @@ def of_rows(design: Array, prior: Array, chosen: Regularisation, x: Array) -> Re
     """Compute the statistics of an estimate x (z,) with rows A (r, z), of the priors (p, z) and of the penalty."""
     z = len(x)
     root = triangle(np.vstack([design, prior, chosen.rows]))
-    inverse = solve_triangular(root, np.eye(z))  # Q = inverse inverse^T
+    inverse = solve_triangular(root, np.eye(z))  # the cofactors are Q = inverse inverse^T
     observed, of_prior, held = design @ inverse, prior @ inverse, chosen.rows @ inverse
     gain = inverse @ observed.T  # Q A^T
     pull = inverse @ held.T @ chosen.rows  # Q R^T R

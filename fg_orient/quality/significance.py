@@ -208,7 +208,7 @@ def under_priors(x: Array, q: Array, m0: float, f: float, estimated: bool) -> tu
     x and the cofactors q (d, d) are in prior sigmas. If ``estimated`` is True, m0 is computed from all
     residuals except those of the priors of x.
     """
-    share, axes = np.linalg.eigh(q)  # share of the priors in each direction
+    share, axes = np.linalg.eigh(q)  # eigenvalues: share of the priors in each direction
     tested = 1.0 - share > CHECKED
     d = int(tested.sum())
     left = f - d if estimated else f

@@ -1,9 +1,10 @@
 """Stated standard deviations of groups of observations, and estimates from the residuals of one solution.
 
-The estimate comes from one round of variance components (``fg_orient.quality.variance_components``). The test decides
-whether the residuals of a group are larger than its sigmas allow. With whitened residuals v of the group, redundancy
-``r = tr(R_gg)`` and ``S = tr(R_gg R_gg)``, the sum of squares ``q = v^T v`` has mean r and variance 2 S if all sigmas
-are right, and
+The estimate comes from one round of variance components
+(``fg_orient.quality.variance_components``). The test decides whether the residuals of a group
+are larger than its sigmas allow. Let v be the whitened residuals of the group,
+``r = tr(R_gg)`` their redundancy, and ``S = tr(R_gg R_gg)``. If all sigmas are right, the sum of squares ``q = v^T v``
+has mean r and variance 2 S, and
 
     q r / S ~ chi2(r^2 / S)                                              (Satterthwaite 1946)
 
@@ -27,8 +28,8 @@ from fg_orient.quality.outlier_records import OutlierTests
 from fg_orient.quality.residuals import ResidualCofactors
 from fg_orient.quality.variance_components import components_of, one_round
 
-#: Maximum number of elements of the matrices of all groups for which S is computed in every adjustment: a small part of
-#: its time.
+#: S is computed in every adjustment if the matrices of all groups have at most this number of
+#: elements, because this takes little time.
 QUICK: Final = 2**18
 #: Names of the groups in sentences, and their units.
 WORDS: Final = {

@@ -157,7 +157,7 @@ def _joined(m: int, links: list[tuple[int, int]]) -> list[int]:
 
     def least(node: int) -> int:
         while (up := above.get(node, node)) != node:
-            above[node] = above.get(up, up)  # path halving
+            above[node] = above.get(up, up)  # shorten the path to the root by half
             node = up
         return node
 

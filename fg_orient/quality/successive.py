@@ -43,7 +43,7 @@ MOST: Final = 4096
 LINEAR: Final = 50.0
 #: Number of changes of the cofactors for which memory is allocated at first.
 FIRST: Final = 64
-#: Controls of multiple tests whose level of a single test does not depend on the other tests.
+#: Controls of multiple tests in which the level of a single test does not depend on the results of other tests.
 FIXED_LEVEL: Final = ("none", "bonferroni", "sidak")
 
 

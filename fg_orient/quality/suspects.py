@@ -69,7 +69,7 @@ class Suspects:
 
     def quadratic(self) -> tuple[Array, Index, Array]:
         """Return T (n,), its degrees of freedom d (n,) and the estimated error (n, k), zero in unchecked directions."""
-        if self.v.ndim > 2:  # many draws of the residuals
+        if self.v.ndim > 2:  # v has an additional axis for many draws of the residuals
             return self._quadratic(slice(None))
         t, d, error = by_parts(len(self.v), self._quadratic)
         return t, d, error

@@ -108,7 +108,7 @@ def _hold(s: Array, r: Array, held: list[str], keep: Sequence[bool], judge: bool
     kept = np.array(keep or [False] * len(r), bool)
     while True:
         free = np.array([not text for text in held], bool)
-        scale = np.sqrt(np.outer(r[free], r[free]))  # redundancies may differ by orders of magnitude
+        scale = np.sqrt(np.outer(r[free], r[free]))  # scaled, because redundancies may differ by orders of magnitude
         inverse = np.linalg.pinv(s[np.ix_(free, free)] / scale, rcond=1e-10, hermitian=True) / scale
         sd = np.zeros(len(r))
         # 1 / r is the least possible variance; it replaces the diagonal of a singular S
@@ -117,7 +117,7 @@ def _hold(s: Array, r: Array, held: list[str], keep: Sequence[bool], judge: bool
         if not (kept & free).any() and (sd[worst] < 1.0 or not judge):
             return free, inverse
         held[worst] = f"a redundancy of {r[worst]:.1f} leaves its variance uncertain by {100.0 * sd[worst]:.0f} %"
-        if kept[worst]:  # redundancy and uncertainty refer to the given sigma
+        if kept[worst]:  # here redundancy and uncertainty refer to the given sigma
             held[worst] = (
                 f"estimated it would leave itself too little redundancy; at the given sigma it is {r[worst]:.1f}"
             )
@@ -278,7 +278,7 @@ def _satterthwaite(share: Array, covariance: Array) -> Array:
 
 def _own(residuals: GroupedResiduals, s: Suspects) -> Array:
     """Return shares (n, g) of the groups in the suspects' rows, for use without the contributions of all groups."""
-    select = np.eye(len(residuals.groups.names) + 1)[residuals.labels]  # -1 selects the last row
+    select = np.eye(len(residuals.groups.names) + 1)[residuals.labels]  # the label -1 (no group) selects the last row
     share = np.einsum("nm,nmg->ng", np.sum(s.columns**2, axis=2), select[s.rows])
     return np.asarray(share / share.sum(axis=1, keepdims=True))
 

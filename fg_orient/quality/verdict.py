@@ -94,7 +94,7 @@ def _doubt(problem: Problem, estimate: Estimate, unavailable: tuple[Finding, ...
     if f > 0 and weights is not None:
         return _doubt_of_weights(problem, weights)
     sigma0 = float(np.sqrt(estimate.chi2 / f)) if f > 0 else 0.0
-    if not sigma0 > limit:  # without redundancy the limit is nan
+    if not sigma0 > limit:  # written with not, because the limit is nan without redundancy
         return None
     share = regularisation.share_of_penalty(problem, estimate.state, estimate.chi2)
     if share is None:
@@ -225,7 +225,8 @@ def _moved(problem: Problem, estimate: Estimate) -> tuple[float, float, float]:
     """Return the mean movement of the unknown points from their start East, North, Up (or local axes), to 0.1 m."""
     j = problem.active
     mean = (estimate.state.ground[j] - problem.start.ground[j]).mean(axis=0)
-    east, north, up = np.round(problem.axes(problem.origin_m[None])[0] @ mean, 1) + 0.0  # no negative zero
+    # adding zero avoids a negative zero
+    east, north, up = np.round(problem.axes(problem.origin_m[None])[0] @ mean, 1) + 0.0
     return float(east), float(north), float(up)
 
 

@@ -1,4 +1,4 @@
-"""The authors' program: its differences from the published equations as switches, and its own equations.
+"""Differences between the authors' program and the published equations, as switches, and the program's own equations.
 
 The program (public, 2013) differs from the equations of Topan & Maktav (2010) and Terlemezoğlu (2019) in the points
 below. D8 is inferred from its numbers. Each difference has its own switch, so that its effect can be shown separately;

@@ -31,7 +31,7 @@ BACKWARD_PX: Final = 0.5
 #: width is twice as large in the second window. Then the difference of both results equals the error in the
 #: first window.
 WIDER: Final = 2.0**0.5
-#: Relief between neighbours along the curve, px.
+#: Expected difference between neighbours along the curve, caused by relief, px.
 RELIEF_PX: Final = 2.0
 #: Number of features of image a that are compared, per feature that can be matched by least squares.
 SPARE: Final = 3

@@ -21,18 +21,18 @@ from fg_orient.orientation.match.options import MatchOptions
 
 #: Maximum number of lines or samples of a reduced image.
 SIZE: Final = 1000
-#: Relief between neighbours, reduced pixels.
+#: Expected difference between neighbours along the curve, caused by relief, reduced pixels.
 RELIEF_PX: Final = 3.0
 #: Largest ratio of the pixel sizes of two images, because least-squares matching needs nearly the same resolution.
 SCALE: Final = 2.5
-#: Limit of the ratio test without a narrow band.
+#: Limit of the ratio test on this level, where the band is not narrow.
 RATIO: Final = 0.8
 #: Smallest half width of the band at full resolution, px.
 WIDTH_PX: Final = 6.0
-#: Margin about the parallaxes of the coarse level, reduced pixels, and least margin, px.
+#: Margin added to the range of the coarse level, reduced pixels, and smallest margin, px.
 MARGIN: Final = 6.0
 MARGIN_PX: Final = 20.0
-#: Number of nearest coarse matches from which the heights of a block follow.
+#: Number of nearest coarse matches that give the heights of a block.
 NEAREST: Final = 12
 
 

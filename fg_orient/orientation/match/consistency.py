@@ -19,7 +19,7 @@ from fg_orient.model.distributions import MAD
 #: Number of neighbours of a match; limit of its deviation in standard deviations of the neighbours.
 NEIGHBOURS: Final = 10
 LOCAL_LIMIT: Final = 4.0
-#: Number of rounds, and limit, of the robust fit of the y-parallax polynomial.
+#: Number of rounds of the robust fit of the y-parallax polynomial, and its limit in standard deviations.
 ROUNDS: Final = 8
 LIMIT: Final = 4.0
 
@@ -102,7 +102,7 @@ def trend_of(pixel: Array, parallax_px: Array, half_width_px: float) -> Trend | 
         return None
     origin = 0.5 * (pixel.min(axis=0) + pixel.max(axis=0))
     scale = np.maximum(0.5 * np.ptp(pixel, axis=0), 1.0)
-    # mode: the window of width w with the most values
+    # the mode is the middle of the window with the most values
     width = max(half_width_px / 50.0, 1.0)
     ordered = np.sort(parallax_px)
     ends = np.searchsorted(ordered, ordered + 2.0 * width, side="right")
@@ -158,7 +158,7 @@ def calibrate(residual_px: Array, formal: Array) -> Calibration:
     n = len(residual_px)
     scale = float(np.median(residual_px**2) * MAD**2)
     fixed = max(float(np.median(formal)), 1e-12)
-    x = np.array([0.5 * scale / fixed, 0.5 * scale])  # factor^2, floor^2
+    x = np.array([0.5 * scale / fixed, 0.5 * scale])  # start values of the squares of factor and floor
     square = residual_px**2
     for _ in range(100):  # Fisher scoring: each step is a weighted least-squares fit of the squares
         variance = x[0] * formal + x[1]

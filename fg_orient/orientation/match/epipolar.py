@@ -58,7 +58,7 @@ class Curves(NamedTuple):
     def coordinates(self, points: Array) -> tuple[Array, Array]:
         """Return t and y-parallax (px) of points (n, 2), one for each curve."""
         t = np.einsum("ni,ni->n", points - self.c0, self.along) / self.half_px
-        for _ in range(2):  # the curve is almost straight
+        for _ in range(2):  # two steps are sufficient, because the curve is almost straight
             t = t - np.einsum("ni,ni->n", self.at(t) - points, self.along) / self.half_px
         return t, np.einsum("ni,ni->n", points - self.at(t), self.across)
 

@@ -19,7 +19,7 @@ from fg_orient.orientation.match.epipolar import Curves
 
 #: Contrast of features: a quarter of OpenCV's default, for shadows and snow.
 CONTRAST: Final = 0.01
-#: Percentiles of the grey values of a window that are stretched to the 8 bits of the detector.
+#: Grey values between these percentiles of a window are stretched to the 8 bits of the detector.
 STRETCH: Final = (0.5, 99.5)
 #: Features closer than this, px, count as one. A second best candidate must be farther away from the best one.
 SAME_PX: Final = 0.5

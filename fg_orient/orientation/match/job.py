@@ -36,7 +36,7 @@ from fg_orient.sensors.dem import RasterDem, range_below
 CONTENTS: Final = Contents("match.json", ("match.json", "report.html"))
 #: Smallest share of the first image of a pair that the second image must show.
 OVERLAP: Final = 0.01
-#: Number of points along each side of an image that are searched in another image.
+#: Number of points along each side of an image that are projected into another image to find the overlap.
 SIDE: Final = 9
 
 

@@ -26,7 +26,7 @@ from fg_orient.result.plain import dumps
 PICTURE_PX: Final = 640
 QUALITY: Final = 70
 PICTURES: Final = 12
-#: Shares of rejected y-parallaxes, of wrong matches and of empty cells above which the report warns.
+#: The report warns if the share of rejected y-parallaxes, of wrong matches or of empty cells is above these.
 REJECTED: Final = 0.05
 WRONG: Final = 0.002
 EMPTY: Final = 0.2

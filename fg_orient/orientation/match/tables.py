@@ -85,7 +85,8 @@ def write_tables(path: Path, project: ProjectImages, ties: TiePoints, control: C
         pixel, sigma = np.vstack([pixel, control.pixel]), np.vstack([sigma, control.sigma_px])
     written, entries_ = [observations], list[str]()
     if project.points.file is not None or added:
-        # a project without a table of points has only tie points: its control points need a table with all ids
+        # a project without a table of points has only tie points. If control points are
+        # added, the new table must contain all ids
         others = _ids(observations) if project.points.file is None else []
         points = folder / (project.points.file or NEW_POINTS["file"])
         _write_points(points, project.points.crs or NEW_POINTS["crs"], [*others, *names], added, control)

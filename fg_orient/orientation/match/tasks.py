@@ -25,7 +25,8 @@ from fg_orient.orientation.match.options import MatchOptions
 #: Largest edge of a window at full resolution, and least edge of a task, px.
 LARGEST: Final = 400
 LEAST: Final = 256
-#: Ratio of matches of a cell to requested points: some matches fail the tests of the whole pair.
+#: A cell is matched until it has this multiple of the requested points, because some matches
+#: fail the tests of the whole pair.
 SURPLUS: Final = 1.3
 #: Number of prior standard deviations within which the y-parallax is searched.
 PRIOR_SIGMAS: Final = 3.0

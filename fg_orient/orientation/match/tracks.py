@@ -18,7 +18,7 @@ from fg_orient.orientation.match.options import MatchOptions
 LIMIT: Final = 4.0
 #: Smallest standard deviation of an image coordinate, px, because no measurement in images is more accurate.
 LEAST_SIGMA_PX: Final = 0.01
-#: Relief between neighbours after least-squares matching, px along the curve.
+#: Expected difference between neighbours along the curve after least-squares matching, px.
 RELIEF_PX: Final = 1.0
 #: Minimum number of matches of a pair.
 FEWEST: Final = 20
