@@ -21,7 +21,8 @@ from factors._sources import LIBRARIES, names_of
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-#: Largest number of elements for which a loop runs in Python, and of rows for which arrays are passed to a scalar map.
+#: A loop runs in Python if an array has at most this number of elements. Arrays are passed to
+#: a scalar map if they have at most this number of rows.
 FEW: Final = 256
 FEW_ARRAYS: Final = 1024
 #: Number of calls after which the compiled loop is used even for few numbers, because frequent calls repay compilation.
@@ -47,7 +48,7 @@ def plain(function: Any) -> Any:
         return replaced
     space, bound = inner.__globals__, dict[str, Any]({"__builtins__": builtins})
     out = FunctionType(inner.__code__, bound, inner.__name__, inner.__defaults__, inner.__closure__)
-    for name in names_of(inner.__code__):  # includes names of attributes, which may be kernels
+    for name in names_of(inner.__code__):  # the names include attributes of modules, which may be kernels
         if name in space:
             bound[name] = out if space[name] is function else _plain_member(space[name])
     return out
@@ -61,7 +62,7 @@ def few_in_python(kernel: F) -> F:
     def choose(*arguments: Any) -> Any:
         if max(a.size for a in arguments if isinstance(a, np.ndarray)) > FEW or next(calls) > OFTEN:
             return kernel(*arguments)
-        with np.errstate(all="ignore"):  # compiled code does not warn either
+        with np.errstate(all="ignore"):  # without warnings of numpy, as in compiled code
             return plain(kernel)(*arguments)
 
     return cast(F, choose)

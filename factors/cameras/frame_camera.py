@@ -30,7 +30,7 @@ CAMERA: Final = Record(
     rotation="r11 r12 r13 r21 r22 r23 r31 r32 r33", centre="x y z", focal=1, principal="sample line",
     distortion="k1 k2 k3 p1 p2", aspect=1, unit=1, jacobian="j11 j12 j13 j21 j22 j23 j31 j32 j33",
 )  # fmt: skip
-#: Rotation vectors shorter than the root of this (rad^2) use series, without cancellation or division by zero.
+#: Rotation vectors with a smaller squared length (rad^2) use series, which avoid cancellation and division by zero.
 SMALL_ANGLE_SQUARED: Final = 1e-4
 
 

@@ -42,7 +42,7 @@ CAMERA: Final = Record(**frame_camera.CAMERA.fields, **FURTHER.fields, **CONSTAN
 #: Largest number of Newton steps for an inverse; the last step must be below the tolerance.
 STEPS: Final = 30
 TOLERANCE: Final = 1e-13
-#: Value of r^2 below which arctan(r)/r and its derivative are computed by series.
+#: arctan(r)/r and its derivative are computed by series if r^2 is below this.
 _SMALL: Final = 0.01
 _SERIES: Final = 9
 

@@ -66,7 +66,7 @@ def slopes(c: Array, x: float, y: float, radius: float) -> tuple[float, float, f
     for j in range(7):
         own += c[j] * radial[j]
     own += c[AT.radial_9] * rr**4
-    # (d own/dr)/r; r has no derivative at 0, where it is multiplied by x and y
+    # derivative by r, divided by r. r has no derivative at 0, but there the result is multiplied by x and y
     slope = (c[AT.radial_2] / r if r > 0.0 else 0.0) + 3.0 * c[AT.radial_4] * r + 5.0 * c[AT.radial_6] * r * rr
     by_v = 3.0 * c[AT.orthogonal_1] + (20.0 * v - 12.0) * c[AT.orthogonal_2]
     by_v = by_v + ((105.0 * v - 120.0) * v + 30.0) * c[AT.orthogonal_3]

@@ -24,9 +24,9 @@ from factors.cameras.rfm_project import COMPENSATION as COMPENSATION
 from factors.cameras.rfm_project import compensated
 from factors.records import Record
 
-#: Observed pixel; A row-major, 1/px; offsets and scales of line and sample, px. Of the reference point: normalised
-#: longitude, latitude, height, their scales rad and m, position relative to the local origin m, ``FRAME``. Coefficients
-#: (4, 20).
+#: Observed pixel; A row-major, 1/px; offsets and scales of line and sample, px. Then data of
+#: the reference point: normalised longitude, latitude, height, their scales rad and m,
+#: position relative to the local origin m, ``FRAME``. Then the coefficients (4, 20).
 RECORD: Final = Record(
     line=1, sample=1, whitening="a11 a12 a21 a22", line_offset=1, sample_offset=1, line_scale=1, sample_scale=1,
     normalised="lon lat height", scales="lon_scale lat_scale height_scale", reference="x y z", frame=FRAME.size,
@@ -81,7 +81,7 @@ def derivatives(record: Array, setup: Array, b: Array, maps: Any, out: Array) ->
     d_geodetic = rfm_ground.derivatives(record[RECORD.frame], d[0], d[1], d[2])
     by_l, by_s = rfm.ground_derivatives(record[RECORD.coefficients].reshape(4, 20), x, y, z, l, s)
     scales = record[RECORD.scales]
-    for c in range(3):  # derivatives by a coordinate of the ground point, from map 1 to map 4
+    for c in range(3):  # chain rule from map 1 to map 4, for one coordinate of the ground point
         d_l, d_s = 0.0, 0.0
         for a in range(3):
             g = d_geodetic[a][c] / scales[a]

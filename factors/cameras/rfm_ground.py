@@ -38,7 +38,8 @@ def differences(frame: Any, dx: Any, dy: Any, dz: Any) -> Any:
         return np.nan + 0.0 * q, np.nan + 0.0 * q, np.nan + 0.0 * q
     tangent = east / q
     real = tangent.real
-    d_lon = np.arctan(real) + (tangent - real) / (1.0 + real * real)  # complex arctan would lose tiny parts
+    # the complex arctan would lose tiny imaginary parts
+    d_lon = np.arctan(real) + (tangent - real) / (1.0 + real * real)
     d_p = along + east * east / (np.sqrt(q * q + east * east) + q)
     d_lat, d_h = 0.0 * d_p, 0.0 * d_p
     for _ in range(STEPS):

@@ -26,7 +26,8 @@ from factors.records import Record
 
 #: Reference direction a, and the standard deviations s_1 and s_2, m.
 RECORD: Final = Record(axis=3, sigma=2)
-#: Number of parts of a segment; the search for the nearest point begins at their ends. Largest number of its steps.
+#: A segment is divided into this number of parts; the search for the nearest point begins at
+#: their ends. The second number is the largest number of steps of the search.
 _PARTS: Final = 4
 _STEPS: Final = 30
 #: Change of t at which the search ends. :func:`residual` makes one more step, whose error is the square of this.
@@ -48,7 +49,7 @@ def foot(setup: Array, ground: Array) -> tuple[int, float]:
     for _ in range(_STEPS):
         c, first, second = curve(setup[k], t)
         speed, bend = float(first @ first), float(second @ (c - ground))
-        # far from a strongly curved segment Newton's step moves away from the foot point
+        # if the point is far from a strongly curved segment, Newton's step would move away from the foot point
         step = float(first @ (ground - c)) / (speed + bend if speed + bend > 0.1 * speed else speed)
         t += step if last == 0 else min(max(step, -0.5), 0.5)
         if t > 1.0 and k < last:

@@ -28,11 +28,11 @@ from fg_orient.geodesy import (
 from fg_orient.geodesy.crs import crs_names
 from fg_orient.model.errors import InputError
 
-#: Largest difference of an axis of the Earth's ellipsoid, m.
+#: A body is the Earth if its semi-axes differ from those of the Earth's ellipsoid by at most this, m.
 SAME_AXIS_M: Final = 1.0
 #: Radii that differ by this share are equal.
 EQUAL: Final = 1e-9
-#: Ocentric CRS of the International Astronomical Union in PROJ.
+#: Pattern of the names of ocentric CRS of the International Astronomical Union in PROJ.
 _OCENTRIC: Final = re.compile(r"(?P<name>.+) \(2015\)(?P<sphere> - Sphere)? / Ocentric")
 _STEPS: Final = 20
 
@@ -110,7 +110,7 @@ class Body:
             a, b, c = np.sum(u * u, axis=1), np.sum(p * u, axis=1), np.sum(p * p, axis=1) - 1.0
             with np.errstate(invalid="ignore"):
                 root = np.sqrt(b * b - a * c)
-                way = np.where(b < 0.0, c / (root - b), np.nan)  # the nearest root without cancellation
+                way = np.where(b < 0.0, c / (root - b), np.nan)  # the nearest root, computed without cancellation
             way[c < 0.0] = np.nan
             out = position_m + way[:, None] * direction
             error = height_m - (np.linalg.norm(out, axis=1) - self.radius_m(out))

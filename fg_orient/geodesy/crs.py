@@ -137,7 +137,7 @@ def _without_null_shift(crs: CRS) -> CRS:
     """Return a CRS without a shift of zero to WGS84 (``TOWGS84[0,0,0,0,0,0,0]``); other CRS are unchanged."""
     if not crs.is_bound or crs.source_crs is None or crs.coordinate_operation is None:
         return crs
-    shift = crs.coordinate_operation.towgs84  # empty for a grid of shifts
+    shift = crs.coordinate_operation.towgs84  # the list is empty if the shift is a grid
     return crs.source_crs if shift and not any(shift) else crs
 
 

@@ -122,7 +122,8 @@ class GeoidFile:
                 source = rasterio.open(self.path)
             with source:
                 yield source
-        except (rasterio.errors.RasterioError, no_place, ValueError) as error:  # ValueError: damaged text
+        # GDAL's reader raises ValueError for damaged text
+        except (rasterio.errors.RasterioError, no_place, ValueError) as error:
             raise InputError.of("geoid.unreadable", file=self.path, value=error) from error
 
     def undulation_m(self, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> Array:
@@ -141,7 +142,8 @@ class GeoidFile:
         turn = 360.0 * abs(t.a) if known_crs(self._crs).is_geographic else np.inf  # number of columns around the Earth
         if np.isfinite(turn):
             column = np.mod(column + _EDGE, turn) - _EDGE
-        closed = self._columns >= turn - _EDGE  # no gap between the last column and the first one
+        # a grid around the Earth has no gap between the last column and the first one
+        closed = self._columns >= turn - _EDGE
         outside = ~((row >= -_EDGE) & (row <= self._rows - 1 + _EDGE))
         outside |= ~((column >= -_EDGE) & (closed | (column <= self._columns - 1 + _EDGE)))
         self._refuse("geoid.outside", outside, lon, lat)

@@ -67,7 +67,7 @@ def places(setup: Array) -> tuple[Index, Index]:
     slot, column = np.empty(setup.shape[1], np.int64), np.empty(setup.shape[1], np.int64)
     for k in range(setup.shape[1]):
         code = int(setup[0, k])
-        look = code - 3 * CORRECTION.psi_x  # each EOP has three codes
+        look = code - 3 * CORRECTION.psi_x  # the first codes are three per EOP component
         slot[k] = code // 3 if look < 0 else CORRECTION.psi_x + look
         column[k] = slot[k] if look < 0 else ROW.psi_x + look
     return slot, column
@@ -89,11 +89,11 @@ def any_small(first: int, size: int, members: Index, records: Array, row: Index)
     flags = 0.0
     for i in range(size):
         r = row[members[first + i]]
-        touched = 0.0  # separate sum: the next record is requested before this one arrives
+        touched = 0.0  # a separate sum, so that the processor requests the next record before this one arrives
         for k in range(0, RECORD.size, SIDE):
             touched += records[r, k]
         flags += records[r, RECORD.small_angle] + 0.0 * touched
-    return flags != 0.0  # also true if a number is nan
+    return flags != 0.0  # this is also true if a number is nan
 
 
 @exact
@@ -289,16 +289,16 @@ def rows_of_form(
         _evaluate(constants, d, place, size, small, want, out)
         found = scatter(first, size, members, column, out, value, d_image, d_ground, want, nine, own)
         if other and small is None and found < 0:
-            found = first  # value is nan
+            found = first  # without the small-angle form only a nan causes this
         bad = found if bad < 0 else bad
     return bad
 
 
-#: Rows for images with only the full rotation, and for blocks with images in the small-angle form.
+#: Row kernels for images with only the full rotation, and for blocks that contain images in the small-angle form.
 pushbroom_rows, small_angle_rows = partial(rows_of_form, None), partial(rows_of_form, True)
 
 
-#: Number of a basis value: degree of the look polynomial plus _LOOK, or number of the curve plus _CURVE.
+#: A basis value has a number: the degree of the look polynomial plus _LOOK, or the number of the curve plus _CURVE.
 _LOOK: Final = 10
 _CURVE: Final = 100
 

@@ -114,7 +114,7 @@ def ray_cofactors(
             for c in range(3):
                 out[p, r, c] = inverse[p, r, c]
         _add_product(half, inverse[p], out[p])
-        if effect is None:  # symmetric to the last bit
+        if effect is None:  # copied, so that the matrix is symmetric to the last bit
             for r in range(3):
                 for c in range(r):
                     out[p, c, r] = out[p, r, c]

@@ -105,7 +105,8 @@ def fill_lower(
                 lo = p if r == c else 0
                 _fill_row(b, p, lo, size[j], blocks, r, c + p, scale, banded, out, sums)
                 if r == c:
-                    sums[c + p] -= abs(blocks[b, p, p]) * scale[c + p] * scale[c + p]  # this element was added twice
+                    # the diagonal element was added twice above
+                    sums[c + p] -= abs(blocks[b, p, p]) * scale[c + p] * scale[c + p]
         else:
             for q in range(size[j]):
                 _fill_column(b, q, size[i], blocks, c, r + q, scale, banded, out, sums)

@@ -133,7 +133,7 @@ def add_rows(n: int, weight: Array, m: int, sums: int, t: Array, end: int, out: 
         _add(n, weight, first, min(TOGETHER, m + sums - first), t, end, out, s)
 
 
-#: Number of points whose pairs are formed before they are added, so that their data remain in the cache.
+#: Pairs are formed for this number of points before they are added, so that the data of the points remain in the cache.
 BATCH = 24
 
 

@@ -20,7 +20,7 @@ from factors.records import Record
 from fg_orient.kernels.batch_rows import Flags, Index, Small
 from fg_orient.kernels.vectors import row_along
 
-Block = tuple[float, float, float, float, float, float]  # order of the lower triangle: 00 10 11 20 21 22
+Block = tuple[float, float, float, float, float, float]  # elements of the lower triangle in the order 00 10 11 20 21 22
 Gradient = tuple[float, float, float]
 
 #: Names of fields: the lower triangle R of a ground point; for each ray, both rows of Z = G R^T and the

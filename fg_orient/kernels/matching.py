@@ -176,7 +176,7 @@ def fit_window(
                     right[s] -= p * row[s] * e
                     for t in range(s + 1):
                         normal[s, t] += p * row[s] * row[t]
-        if iteration == 0:  # set the radiometric unknowns
+        if iteration == 0:  # the first iteration sets the radiometric unknowns
             sum_g /= total
             covariance, variance = sum_fg / total - mean * sum_g, sum_gg / total - sum_g * sum_g
             if not (covariance > 0.0 and variance > 0.0):

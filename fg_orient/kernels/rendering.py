@@ -70,7 +70,7 @@ def _at(k: Any, t: float) -> Any:
 @compiled
 def _meet(k: Array, heights: Array, scaling: Array, out: Array) -> None:
     """Return DEM row and column where a ray first meets the surface; nan if it leaves the range of heights before."""
-    rows, columns = 2.0 * k[RAY.row_1], 2.0 * k[RAY.column_1]  # cells along the ray
+    rows, columns = 2.0 * k[RAY.row_1], 2.0 * k[RAY.column_1]  # length of the ray in the DEM, cells
     n = int(2.0 * np.sqrt(rows * rows + columns * columns)) + 2
     above, below = 1.0, np.nan
     for m in range(n + 1):

@@ -91,7 +91,8 @@ def pixel_positions(
                     b[m] = knots[i, j + 1, m] * (1.0 - u) + knots[i + 1, j + 1, m] * u
             for m in range(KNOT.size):
                 k[m] = a[m] * (1.0 - v) + b[m] * v
-            row, column = k[KNOT.row] - part[PART.row], k[KNOT.column] - part[PART.column]  # exact: whole numbers
+            # part is a whole number, so the difference is exact
+            row, column = k[KNOT.row] - part[PART.row], k[KNOT.column] - part[PART.column]
             h = surface_height(heights, row, column)
             t = 0.0 if np.isnan(h) else (h - scaling[SCALING.offset]) / scaling[SCALING.scale]
             x = k[KNOT.line_0] + t * (k[KNOT.line_1] + t * k[KNOT.line_2])

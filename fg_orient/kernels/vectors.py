@@ -32,7 +32,7 @@ def _has(feature: str) -> bool:
 
 #: Number of elements of one vector; the bits of a sum do not depend on it.
 LANES: Final = 8 if _has("avx512f") else 4
-#: Number of elements read beyond nine, because whole vectors are read.
+#: Number of elements read after the nine used ones, because whole vectors are read.
 SLACK: Final = -9 % LANES
 _INT: Final = ir.IntType(64)
 

@@ -60,7 +60,7 @@ def array(
     accepted, words = _ACCEPTED[kind]
     try:
         given = np.asarray(values)
-    except ValueError:  # rows of different lengths
+    except ValueError:  # numpy raises this for rows of different lengths
         raise wrong(place, "rows of unequal length", f"an array of {words}") from None
     if given.size and given.dtype.kind not in accepted:
         seen = type(values).__name__ if given.dtype == object and not given.ndim else given.dtype

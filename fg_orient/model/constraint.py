@@ -24,7 +24,7 @@ OF_PHOTOS: Final = ("base", "equal attitude")
 #: Kinds that need a value in metres, and kinds with a fixed number of members.
 MEASURED: Final = ("distance", "base")
 EXACT: Final = ("distance", "parallel", "perpendicular", "equal", *OF_PHOTOS)
-#: Observable parameters of figures.
+#: Parameters of figures that can be observed.
 OBSERVABLE: Final = {
     "circle": ("radius",), "horizontal circle": ("radius",), "sphere": ("radius",), "spheroid": ("a", "b"),
 }  # fmt: skip

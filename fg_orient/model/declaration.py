@@ -166,7 +166,7 @@ class Option:
         return self._in_range(value)
 
     def _in_range(self, value: Any) -> bool:
-        import numpy as np  # imported here as in allows
+        import numpy as np  # imported here for the same reason as in ``allows``
 
         whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
         if not whole and (self.kind is int or not isinstance(value, float | np.floating)):

@@ -145,7 +145,7 @@ def _owner(file: Path) -> metadata.Distribution | None:
         if tree.get("dir_info", {}).get("editable") and place.is_relative_to(_local(tree).resolve()):
             return distribution
         if "factors" not in (distribution.read_text("RECORD") or "factors"):
-            continue  # parsing the requirement is slow
+            continue  # skipped now, because parsing the list of files is slow
         listed = (f for f in distribution.files or () if f.name == file.name and "factors" in (f.parent.name, f.stem))
         if any(Path(str(distribution.locate_file(f))).resolve() == place for f in listed):
             return distribution
@@ -168,7 +168,7 @@ def _source() -> str | None:
     if not Path(str(own.locate_file("fg_orient"))).exists() or not os.path.samefile(
         str(own.locate_file("fg_orient")), _HOME / "fg_orient"
     ):
-        return None  # editable, or installed in another way
+        return None  # an editable installation, or another kind without a known source
     origin = _direct_url(own)
     if not origin:
         return "fg-orient"

@@ -131,7 +131,8 @@ def _group_files() -> Iterator[tuple[str, str, str, Path]]:
 #: Parameters of glibc's ``mallopt`` (malloc.h).
 M_TRIM_THRESHOLD: Final = -1
 M_MMAP_THRESHOLD: Final = -3
-#: Free bytes kept at the top of the heap. The limit of glibc is 64 MiB for a process with large arrays.
+#: Free bytes that glibc keeps at the end of its heap. Without this setting the limit is 64
+#: MiB for a process with large arrays.
 KEPT_BYTES: Final = 256 << 20
 #: Memory is returned to the system only after work on more rows than this; for fewer rows it takes too much time.
 MANY_ROWS: Final = 100_000

@@ -10,7 +10,7 @@ from typing import Final, Literal, NamedTuple
 LARGEST: Final = 1e12
 #: No measurement has a standard deviation or focal length below this, in any unit.
 SMALLEST: Final = 1e-12
-#: File extensions of the tables of a result or a simulated block, and the usual one.
+#: Forms (file extensions) of the tables of a result or a simulated block, and the default form.
 TableForm = Literal["csv", "parquet", "arrow"]
 TABLE_FORM: Final = "csv"
 #: Callback of long work: steps done, total number of steps, name of the current step.

@@ -32,7 +32,7 @@ CURVE, CURVES = 64, 32
 #: Names of the degrees in tau.
 DEGREES = ("constant", "linear in time", "quadratic in time")
 
-#: Short names of terms, and the description of their degree.
+#: For each kind of term: its short name, and the description of its degree.
 _TERMS: Final = (
     (re.compile(rf"(?P<component>{'|'.join(COMPONENTS)})_(?P<degree>[012])"), "degree {} in time"),
     (re.compile(rf"(?P<component>{'|'.join(COMPONENTS)})_c[0-9]+(?P<degree>)"), "the curves"),

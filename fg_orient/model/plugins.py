@@ -41,11 +41,11 @@ def load_plugin(path: str | Path) -> ModuleType:
 
 def _imported(path: Path) -> ModuleType:
     spec = spec_from_file_location(path.stem, path)
-    assert spec is not None and spec.loader is not None  # true for a file that ends in .py
+    assert spec is not None and spec.loader is not None  # this is always true for a file that ends in .py
     module = sys.modules[path.stem] = module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
-    # else a script that calls exit would end the command
+    # SystemExit too, because a script that calls exit would otherwise end the command
     except (Exception, SystemExit) as error:
         del sys.modules[path.stem]
         value = error if isinstance(error, FgOrientError) else told(error)

@@ -30,19 +30,20 @@ from fg_orient.rectification.arguments import finite, numbers
 from fg_orient.rectification.transformation import Scaling, Transformation, TransformationModel
 
 MAX_ITERATIONS: Final = 100
-#: Smallest ratio of the smallest to the largest singular value of the design (columns of unit length) for which points
-#: determine a transformation. A straight line of 10 km, with coordinates
-#: rounded to 1 mm, has a ratio of 1e-7.
+#: Points determine a transformation if the ratio of the smallest to the largest singular
+#: value of the design (columns of unit length) is above this. A straight line of 10 km, with
+#: coordinates rounded to 1 mm, has a ratio of 1e-7.
 RANK_LIMIT: Final = 1e-6
-#: Largest ratio of sigmas; larger ratios of weights exceed the precision of a double in an adjustment.
+#: Largest ratio of sigmas. The ratio of weights is its square; larger ratios exceed the
+#: precision of a double in an adjustment.
 SIGMA_SPAN: Final = 1e8
-#: Ratio of standard deviations above which a direction is weak: a strip 20 times longer than wide.
+#: A direction is weak if its ratio of standard deviations is above this. Example: a strip 20 times longer than wide.
 WEAK_RATIO: Final = 20.0
-#: Ratio of noise to the root mean square width of the points above which a weak direction is not determined at all. For
-#: points on a line it is 0.7 on average for any number of points, if all noise is in the source; the limit is half of
-#: this.
+#: A weak direction is not determined at all if the ratio of the noise to the root mean square
+#: width of the points is above this. For points on a line this ratio is 0.7 on average for
+#: any number of points, if all noise is in the source. The limit is half of this.
 NOISE_SHARE: Final = 1.0 / 3.0
-#: Component of a direction below which its coordinate is not named: 3 degrees.
+#: A coordinate is named if its component of the direction is above this (3 degrees).
 LEAST_SHARE: Final = 0.05
 #: Half the step of difference quotients, relative to the extent of the points.
 STEP: Final = 1e-3

@@ -26,7 +26,7 @@ from fg_orient.sensors.dem import RasterDem, range_below
 
 Bounds = tuple[float, float, float, float]
 
-#: Maximum number of pixels along an axis; above it the resolution must have the wrong unit.
+#: Maximum number of pixels along an axis. With more pixels the resolution probably has the wrong unit.
 LARGEST: Final = 1_000_000
 #: Edge of the tiles inside a file.
 TILE: Final = 512
@@ -117,7 +117,7 @@ class MapGrid:
         }
 
 
-#: Points along a side of a map that bound its part of a DEM.
+#: Number of points along a side of a map; they give the part of the DEM that the map needs.
 SIDE: Final = 9
 #: Largest allowed difference from the model, pixels of the image and cells of the DEM.
 ERROR_PX: Final = 0.01
@@ -125,7 +125,8 @@ FIRST_STEP: Final = 64
 LEAST_STEP: Final = 4
 #: Smallest range of heights at which the model is evaluated, m.
 LEAST_RANGE_M: Final = 1.0
-#: Heights at which cubic terms cause the largest errors of a quadratic through three equidistant heights.
+#: Scaled heights between the knots. There a cubic term causes the largest errors of a
+#: quadratic through three equidistant heights.
 BETWEEN: Final = (-0.57735, 0.57735)
 
 

@@ -114,7 +114,7 @@ def orthorectify(
             return model.outline(size, (height_m, height_m))
 
         if bounds is not None and resolution is not None:
-            MapGrid.over(bounds, resolution, crs)  # its errors first
+            MapGrid.over(bounds, resolution, crs)  # called here so that its errors come first
         heights = height_range(surface, crs, bounds, outline, model.mean_height_m)
         if not math.isfinite(heights[0]):
             raise InputError.of("ortho.no_overlap", file=image, what=surface.path)
@@ -232,7 +232,7 @@ def _pixel_size(x: Array, y: Array, size: tuple[int, int]) -> float:
 
 # --- windows ----------------------------------------------------------------------------------------
 
-#: Cells of the DEM, and pixels of the image, for a window of the map.
+#: Maximum numbers of DEM cells and of image pixels for a window of the map.
 WINDOW_CELLS: Final = 6_000_000
 #: Kernel and its slope a, by name.
 RESAMPLING: Final = {
@@ -320,7 +320,8 @@ def _needed(positions: Array, n: int) -> tuple[int, int]:
 def _read(rasterio: Any, source: Any, band: int, part: Any) -> Array:
     try:
         grey = source.read(band, window=part).astype(float)
-    except rasterio.RasterioIOError as error:  # as an OSError it would be reported as an error of the output
+    # rasterio's error is an OSError, which would otherwise be reported as an error of the output
+    except rasterio.RasterioIOError as error:
         raise InputError.of("ortho.image", file=source.name, place=f"band {band}, from line {part.row_off}",
                             value=error.__cause__ or error) from error  # fmt: skip
     nodata = source.nodatavals[band - 1]

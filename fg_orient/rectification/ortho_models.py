@@ -121,7 +121,7 @@ def _chosen(files: dict[str, tuple[str, str]], folder: Path, metadata: Path, ima
 #: Number of pixels along each side of an image that give its outline on the map.
 BORDER: Final = 9
 NEWTON_STEPS: Final = 30
-#: Length of a step that ends the iteration, relative to the coordinates (at least 1 pixel or metre).
+#: The iteration ends if a step is shorter than this, relative to the coordinates (at least 1 pixel or metre).
 LAST_STEP: Final = 1e-9
 
 

@@ -109,10 +109,12 @@ def count_pixels(vertices: npt.ArrayLike, pixel_m: float, offset_m: npt.ArrayLik
     size, offset = positive("pixel size", pixel_m, "m"), finite("offset", offset_m)
     if offset.shape != (2,):
         raise InputError.of("rectify.numbers", place="offset", value=f"shape {offset.shape}")
-    p = (outline(vertices) - offset) / size  # centres are whole numbers
+    p = (outline(vertices) - offset) / size  # in these units the pixel centres are whole numbers
     q = np.roll(p, -1, axis=0)
-    q, p = np.where(q[:, 1:] < p[:, 1:], p, q), np.where(q[:, 1:] < p[:, 1:], q, p)  # every edge upwards
-    first, last = np.ceil(p[:, 1]).astype(int), np.ceil(q[:, 1]).astype(int)  # rows crossed: first <= row < last
+    # exchange end points, so that every edge leads upwards
+    q, p = np.where(q[:, 1:] < p[:, 1:], p, q), np.where(q[:, 1:] < p[:, 1:], q, p)
+    # an edge crosses the rows first <= row < last
+    first, last = np.ceil(p[:, 1]).astype(int), np.ceil(q[:, 1]).astype(int)
     edge = np.repeat(np.arange(len(p)), last - first)
     row = np.arange(len(edge)) - np.repeat(np.cumsum(last - first) - (last - first), last - first) + first[edge]
     slope = (q[edge, 0] - p[edge, 0]) / (q[edge, 1] - p[edge, 1])

@@ -27,19 +27,19 @@ from fg_orient.report.words import printable, scientific
 from fg_orient.result.plain import dumps, write_records
 
 SCHEMA: Final = 1
-#: Condition number of the scaled design above which the points hardly determine a transformation. It is 50 times the
-#: median of random layouts with three points more than terms, by degree of a polynomial; one limit for all other
-#: models.
+#: Typical condition number of the scaled design by degree of a polynomial: median of random
+#: layouts with three points more than terms. The points hardly determine a transformation
+#: above 50 times this value. All other models have one common limit.
 TYPICAL_CONDITION: Final = {1: 1.5, 2: 8.0, 3: 25.0, 4: 125.0, 5: 500.0}
 WEAK_FACTOR: Final = 50.0
 WEAK_CONDITION: Final = 1e4
-#: Redundancy number below which an error of a point hardly changes its own residual.
+#: If the redundancy number is below this, an error of a point hardly changes its own residual.
 HARDLY_CHECKED: Final = 0.1
 #: Probability below which check points are worse than the control points predict.
 WORSE: Final = 0.001
-#: Range of m0 of weighted points; outside it m0 contradicts the sigmas.
+#: m0 of weighted points contradicts the sigmas if it is above this factor or below its inverse.
 SIGMA_FACTOR: Final = 100.0
-#: Ratio of sigmas above which points with the larger sigmas carry negligible weight.
+#: If the ratio of sigmas is above this, points with the larger sigmas have negligible weight.
 NEGLIGIBLE: Final = 1e4
 #: Largest distance from the area of use of a map projection, divided by its width: half a zone of UTM.
 FAR: Final = 0.5
@@ -51,7 +51,7 @@ def record_of(fitted: PointFit, distances: PairDistances | None = None) -> dict[
     checks = None if check is None else check_tests(fit, check, fitted.check_residuals)
     t, axes = fit.transformation, fit.transformation.target_names
     rows = _rows(fitted, "control", fit.points, fit.residuals, fit.redundancy_numbers.mean(axis=1).tolist(), tests)
-    if check is not None and checks is not None:  # check points have no redundancy
+    if check is not None and checks is not None:  # redundancy numbers exist only for control points
         rows += _rows(fitted, "check", check, fitted.check_residuals, [None] * len(check), checks)
     return {
         "schema": SCHEMA,
@@ -217,9 +217,9 @@ def _far_from_zone(fitted: PointFit) -> list[Finding]:
     west, south, east, north = area
     lon, lat = to_geographic(t.crs, *plane.T)
     width = (east - west) % 360.0 or 360.0
-    off = (lon - (west + 0.5 * width) + 180.0) % 360.0 - 180.0  # from the middle of the area
+    off = (lon - (west + 0.5 * width) + 180.0) % 360.0 - 180.0  # longitude relative to the middle of the area
     beyond = np.maximum(np.abs(off) / width - 0.5, np.maximum(south - lat, lat - north) / max(north - south, width))
-    far = ~(beyond <= FAR)  # nan: outside the domain of the projection
+    far = ~(beyond <= FAR)  # written with not, because points outside the domain of the projection are nan
     if not far.any():
         return []
     k = int(np.argmax(np.where(np.isnan(beyond), np.inf, beyond)))
@@ -260,7 +260,7 @@ CONTENTS: Final = Contents(
 #: Length of a large residual (90 % quantile), and maximum length of a residual, as shares of the width.
 SHARE: Final = 0.07
 MOST: Final = 0.3
-#: Number of points above which they are thinned.
+#: If there are more points than this, only some are drawn.
 MAX_POINTS: Final = 3000
 
 

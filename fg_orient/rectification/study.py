@@ -126,7 +126,7 @@ def _cell(control: Observations, test: Observations, chosen: Sequence[Index], de
     for rows in chosen:
         try:
             t = fit(control.take(rows), model).transformation
-        except InputError as error:  # too few points, or points on a line
+        except InputError as error:  # raised for too few points, or for points on a line
             reason = error.problems[0].message
             continue
         rmse.append(plain_rmse(t.apply(test.source[:, :2]) - test.target)[2])
@@ -152,7 +152,7 @@ def growing_degrees(m0_by_degree: Mapping[int, float], n_points: int) -> tuple[i
     for degree, m0 in m0_by_degree.items():
         positive(f"m0 of degree {degree}", m0, "the target's unit")
     degrees = sorted(m0_by_degree)
-    lacking = [q for q in degrees if n_points <= terms(q)]  # 2n <= (q + 1)(q + 2)
+    lacking = [q for q in degrees if n_points <= terms(q)]  # a degree lacks redundancy if 2n <= (q + 1)(q + 2)
     if lacking:
         raise InputError.of(
             "rectify.few_points",

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 SIDECARS: Final = ("_RPC.TXT", "_rpc.txt", ".RPB", ".rpb")
 #: Formats that are a raster with RPC, and their suffixes.
 IMAGES: Final = {"geotiff-tags": ".tif", "vrt": ".vrt"}
-#: Values per axis of the cube of normalised coordinates in which two models are compared.
+#: Two models are compared on a cube of normalised coordinates with this number of values per axis.
 CUBE: Final = 7
 
 
@@ -68,7 +68,7 @@ def open_rpc(path: str | os.PathLike[str], *, order: str = USUAL_ORDER, first_pi
     model = read_rpc(path, order=order, first_pixel=first_pixel)
     if first_pixel is not None:
         return RpcFile(model, first_pixel)
-    # with 0 as the coordinate of the first pixel, the offsets are those of the file
+    # with first_pixel = 0 the offsets of the model equal the offsets in the file
     raw = read_rpc(path, order=order, first_pixel=0.0)
     return RpcFile(model, round(float(raw.offsets[RANGE.line] - model.offsets[RANGE.line]), 6))
 
@@ -189,7 +189,7 @@ def describe(file: RpcFile) -> dict[str, Any]:
     }
 
 
-#: Chebyshev nodes per axis of normalised coordinates for the fit of a product.
+#: Number of Chebyshev nodes per axis of normalised coordinates for the fit of a product.
 NODES: Final = 9
 #: Independent points at which the written model is compared with the compensated one.
 N_CHECK: Final = 2000
@@ -276,7 +276,7 @@ def _direct(model: RpcModel, values: Array) -> Array:
         [scale_l + values[COMPENSATION.line_l], values[COMPENSATION.line_s]],
         [values[COMPENSATION.sample_l], scale_s + values[COMPENSATION.sample_s]],
     ])  # fmt: skip
-    new = _nodes(4)  # sample, line, height in the new normalised coordinates
+    new = _nodes(4)  # nodes: sample, line and height in the new normalised coordinates
     l, s = np.linalg.solve(matrix, np.stack([new[:, 1] * scale_l, new[:, 0] * scale_s]))  # noqa: E741
     old = terms(np.column_stack([s, l, new[:, 2]]))
     rows = np.linalg.lstsq(terms(new), old @ model.direct.T, rcond=None)[0].T

@@ -22,7 +22,8 @@ from fg_orient.rpc.form import RfmForm
 from fg_orient.rpc.points import ControlPoints, Scaling
 from fg_orient.sensors.rpc import RpcModel, RpcValidity
 
-#: Maximum number of segments between points on which denominators are computed; from more a seeded selection is made.
+#: Maximum number of segments between points on which denominators are computed. If there are
+#: more, a random selection with a fixed seed is used.
 MAX_SEGMENTS: Final = 20_000
 
 

@@ -36,7 +36,7 @@ from fg_orient.sensors.rpc_sensor import RpcSensor
 
 #: Largest difference between a movement of the camera and a compensation, px.
 SAME_PX: Final = 0.01
-#: Number of points per axis of the image and the heights at which they are compared.
+#: Both are compared at this number of lines, samples and heights.
 NODES: Final = (9, 9, 5)
 
 

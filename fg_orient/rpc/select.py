@@ -114,7 +114,7 @@ class Reduced:
 
 #: Level of the two-sided test of a coefficient.
 SIGNIFICANCE: Final = 0.05
-#: Correlation above which columns are duplicates of each other (USS).
+#: Columns are duplicates of each other if their correlation is above this (USS).
 CORRELATION: Final = 0.9
 #: LASSO path: number of lambdas, and ratio of the smallest to the largest.
 LAMBDAS: Final = 40
@@ -125,7 +125,7 @@ CONVERGED: Final = 1e-8
 KAPPAS: Final = np.geomspace(1e-6, 1e4, 61)
 #: Smallest redundancy that must remain.
 LEAST_FREEDOM: Final = 10
-#: Smallest length of the orthogonal part of a column of length 1 that stepwise regression may use.
+#: Stepwise regression uses a column of length 1 only if its part orthogonal to the chosen columns is longer than this.
 INDEPENDENT: Final = 1e-4
 
 
@@ -409,7 +409,8 @@ def scatter(reduced: Reduced) -> Selection:
     coefficients that are no longer significant are removed.
     """
     chosen = np.zeros(0, dtype=np.intp)
-    for _ in range(4 * reduced.design.shape[1]):  # Efroymson's rule cannot cycle, but rounding could
+    # a limit of steps: Efroymson's rule cannot repeat a state, but rounding errors could cause this
+    for _ in range(4 * reduced.design.shape[1]):
         freedom = reduced.freedom - len(chosen) - 1
         gain = _explained(reduced, chosen, INDEPENDENT)
         j = int(gain.argmax())

@@ -37,11 +37,11 @@ from fg_orient.simulate.zonguldak import at_centre
 #: First day of the images; each image has its own pass on its own day.
 FIRST_DAY = np.datetime64("2004-07-05")
 HALF_MINUTES = 1041
-#: Distance from the image border, px, within which points are not measured: with noise they could leave the image.
+#: Points closer to the image border than this, px, are not measured, because noise could move them out of the image.
 MARGIN_PX = 200.0
 #: For points closer to that limit than this, the exact projection decides.
 DOUBT_PX = 1.0
-#: Distance of the border of the box of points from the outer ground centres.
+#: The box of the points extends beyond the outer ground centres by this distance.
 BORDER_M = 25e3
 
 

@@ -70,7 +70,7 @@ FRAME_SIGMA: Final = {
     "focal": 2.0, "principal_sample": 1.0, "principal_line": 1.0,
 }  # fmt: skip
 CAMERA: Final = "camera"
-#: Distance from the image border, px, within which points are not measured: with noise they could leave the image.
+#: Points closer to the image border than this, px, are not measured, because noise could move them out of the image.
 MARGIN_PX: Final = 50.0
 #: Options of the adjustment for the unknowns of RPC images.
 OPTIONS: Final = Options(

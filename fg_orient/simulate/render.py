@@ -31,7 +31,7 @@ from fg_orient.simulate.options import require
 from fg_orient.simulate.scene import as_read
 from fg_orient.simulate.simulation import Simulation
 
-#: UTM zone 36 north, the zone of the twin.
+#: UTM zone 36 north, which contains the synthetic block.
 CRS: Final = "EPSG:32636"
 STEP_M: Final = 30.0
 #: Distance from the summit at which the height of a hill is 1/e.
@@ -126,7 +126,8 @@ def write_terrain(path: Path, terrain: Terrain) -> None:
 
 
 DEM_FILE: Final = "dem.tif"
-#: Intervals between knots along an image axis: 75 pixels of 12000; bilinear errors of 0.003 px.
+#: Number of intervals between knots along an image axis. An interval has 75 of 12000 pixels,
+#: and bilinear interpolation has errors of 0.003 px.
 INTERVALS: Final = 160
 #: Edge of the blocks and tiles, pixels.
 BLOCK: Final = 512

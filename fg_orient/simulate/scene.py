@@ -48,7 +48,7 @@ from fg_orient.sensors.pushbroom import PushbroomSensor
 GM_M3_S2 = 3.986004418e14
 EARTH_RATE_RAD_S = 7.2921151467e-5
 MEAN_EARTH_RADIUS_M = 6371e3
-#: SPOT 5 (Terlemezoğlu 2019, chapter 4.2).
+#: Orbit and camera of SPOT 5 (Terlemezoğlu 2019, chapter 4.2).
 HEIGHT_M = 832e3
 INCLINATION_RAD = math.radians(98.7)
 
@@ -184,7 +184,7 @@ def _pointing(
 N_LINES = 12000
 N_SAMPLES = 12000
 LINE_PERIOD_S = 0.7521e-3
-#: SCENE_CENTER_LINE 6001 of the real file, 0-based.
+#: Line of the scene centre, 0-based; SCENE_CENTER_LINE of the real file is 6001.
 REFERENCE_LINE = 6000.0
 DETECTOR_M = 6.5e-6
 FOCAL_LENGTH_M = 1.082
@@ -193,7 +193,7 @@ EPHEMERIS_STEP_S = 30.0
 N_EPHEMERIS = 9
 ATTITUDE_STEP_S = 0.125
 N_ATTITUDES = 233
-#: Interval from a full half minute to SCENE_CENTER_TIME, so that all lines are between the same two epochs.
+#: Time from a full half minute to SCENE_CENTER_TIME. With this value all lines are between the same two epochs.
 AFTER_HALF_MINUTE_S = 7.332158
 
 

@@ -46,7 +46,7 @@ NODES = 9
 HEIGHTS = 3
 DEGREE = 5
 MAX_STEPS = 10
-#: Distance from the rectangle of the nodes beyond which points are outside the image.
+#: Points farther than this from the rectangle of the nodes are outside the image.
 BORDER_M = 500.0
 
 

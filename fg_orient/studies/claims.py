@@ -357,7 +357,7 @@ def _c10(study: Study) -> Outcome:
         checks[f"set {eop_set}"] = abs(count - expected) <= 1
         figures[f"living_{eop_set}"] = float(count)
     at = study.two_stage.pre_adjusted.take(np.flatnonzero(study.two_stage.pre_adjusted.image == 0))
-    codes = eop_codes(6)  # derivatives by V itself
+    codes = eop_codes(6)  # set 6 contains V alone, so these are the derivatives by V itself
     slopes = at.linearise(codes, np.zeros((len(study.two_stage.block.images), len(codes)))).eop
     along = 0.0
     for vector in (at.records[:, RECORD.velocity], at.records[:, RECORD.position]):

@@ -67,7 +67,7 @@ def empty_map(place: Array, title: str) -> Chart:
     half = 0.5 * 1.15 * float(max((high - low).max(), 1e-3))
     east, north = (0.5 * (low + high)).tolist()
     x = Axis("east, km", (east - half, east + half), about=4)
-    y = Axis("north, km", (north - half, north + 1.3 * half), about=4)  # with room for the legend
+    y = Axis("north, km", (north - half, north + 1.3 * half), about=4)  # the upper limit leaves space for the legend
     return Chart(title, x, y, title=title, aspect=1.0)
 
 

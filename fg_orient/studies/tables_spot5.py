@@ -125,7 +125,7 @@ SOLVER_OF = {
 TIKHONOV_TABLES = frozenset(table for table, name in SOLVER_OF.items() if name.startswith("tikhonov"))
 #: Tables whose type 1, as run, has no bundle: inferred from the printed check points.
 WITHOUT_BUNDLE = frozenset(SOLVER_OF) - {"4.24"}
-#: Method of tables whose method is not their solver: table 4.24 repeats the bundles of Topan 2009, who had no set 20.
+#: Tables whose ``method`` is not their solver. Table 4.24 repeats the bundles of Topan 2009, which have no set 20.
 _METHOD_OF = {"4.24": "least_squares_topan2009"}
 PRE_STAGES = ("pre-left", "pre-right")
 TYPES: tuple[Kind, ...] = (1, 2)

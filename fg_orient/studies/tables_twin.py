@@ -25,7 +25,7 @@ Cells = dict[CellKey, float | list[float]]
 #: Function called after each run with runs done and number of runs.
 Progress = Callable[[int, int], None]
 
-#: Smallest squares of both sources: an inverse is formed with pivoting, then multiplied with b.
+#: Solver of "least squares" in both sources: an inverse is formed with pivoting, then multiplied with b.
 LEAST_SQUARES = "pivot_inverse"
 AXES = ("x", "y", "z")
 #: The nine EOPs as named in the tables; ar, ap, ay are roll, pitch, yaw.

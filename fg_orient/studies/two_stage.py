@@ -120,7 +120,8 @@ class TwoStage:
     def _built(self, *, line_exact: bool) -> Conditions:
         block = self.block
         ground = block.points.known.ecef_m.copy()
-        ground[np.setdiff1d(np.arange(len(ground)), block.observations.point)] = 0.0  # points without rays
+        # points without rays are not used; zero prevents nan
+        ground[np.setdiff1d(np.arange(len(ground)), block.observations.point)] = 0.0
         ground = initial.ground_points(block.images, block.observations, block.points.ids, ground)
         return conditions.build(block.images, block.observations, ground, switches=self.switches, line_exact=line_exact)
 
@@ -139,7 +140,8 @@ class TwoStage:
         limit, cycles, previous = CLOSED_AS_RUN if coarse else CLOSED, 0, np.inf
         lin = at.linearise((), none)
         while cycles < MAX_CYCLES:
-            v = -(lin.value / lin.look)[:, ::-1]  # rows: psi_y, psi_x; columns of the record: psi_x, psi_y
+            # the order is reversed: rows are psi_y, psi_x, columns of the record are psi_x, psi_y
+            v = -(lin.value / lin.look)[:, ::-1]
             at, cycles, before = at.with_look(at.look_rad + v), cycles + 1, lin
             lin = at.linearise((), none)
             largest = float(np.abs((lin if after else before).value).max())
@@ -354,7 +356,7 @@ class TwoStage:
             return at.with_look(at.look_rad + v[:, ::-1]), eop, v[:, ::-1], None, LinearSolution(np.zeros(0))
         solution = attempt(solver, system, as_run=self.switches.complex_roots)
         design, observed = system.require_design("bundle")
-        residual = (design @ solution.x - observed).reshape(-1, 2)  # B^-1 (A dP + w); B is square
+        residual = (design @ solution.x - observed).reshape(-1, 2)  # residuals are B^-1 (A dP + w), because B is square
         v = -np.sign(lin.look) * residual
         n_images, k = eop.shape
         eop = eop + solution.x[: n_images * k].reshape(n_images, k)
@@ -376,7 +378,7 @@ class TwoStage:
         first = n_images * k + 3 * np.searchsorted(self._check, at.point[rows])
         for axis in range(3):
             design[rows, :, first + axis] = lin.ground[rows, :, axis]
-        weight = 1.0 / np.abs(lin.look)  # M = B B^T is diagonal
+        weight = 1.0 / np.abs(lin.look)  # weights follow from M = B B^T, which is diagonal
         whitened = (design * weight[:, :, None]).reshape(2 * n, u)
         return LinearSystem.from_design(whitened, -(lin.value * weight).ravel())
 

@@ -132,7 +132,8 @@ def rms(values_m: Array) -> Array:
     if not len(values_m):
         return np.full(values_m.shape[1], np.nan)
     largest = np.abs(values_m).max(axis=0)
-    scale = np.where(np.isfinite(largest) & (largest > 0.0), largest, 1.0)  # squares of large values would overflow
+    # scaled first, because squares of large values would overflow
+    scale = np.where(np.isfinite(largest) & (largest > 0.0), largest, 1.0)
     return np.asarray(np.sqrt(np.mean((values_m / scale) ** 2, axis=0)) * scale)
 
 

@@ -112,7 +112,7 @@ def load(source: str, folder: Path | None = None) -> PublishedTables:
         counts = {entry["table"]: int(entry["cells"]) for entry in index if entry["file"] == name}
         of_file, sha256[name] = _read(where / name, counts, places)
         cells += of_file
-    if folder is not None:  # a copy may change values but not addresses
+    if folder is not None:  # a copy of the tables may change values, but not addresses
         own = {cell.key for cell in load(source).cells}
         for key, (file, place) in ((key, at) for key, at in places.items() if key not in own):
             raise InputError.of("published.unknown_cell", file=file, place=place, value=f"table {key.table} {key}")

@@ -151,7 +151,8 @@ def text_cells(values: Values) -> Cells:
     base = float(np.linalg.norm(stations[1] - stations[0]))
     out = {row_key("text", "camera", "computed_base"): Recomputed(base)}
     totals = np.sum(points_of(values, "ek1.points", photos.DIFFERENCE) ** 2, axis=0)
-    half = 3.0 * 2.0 * np.sqrt(totals / 12.0) * 1e-4  # three sigmas, for terms rounded to four decimals
+    # three standard deviations of a sum whose terms are rounded to four decimals
+    half = 3.0 * 2.0 * np.sqrt(totals / 12.0) * 1e-4
     out |= cells_of("text", ("fxfx", "fyfy", "fzfz"), ["sums"], totals, half)
     fields: tuple[tuple[Kind, Array], ...] = (
         ("spheroid", points_of(values, "ek1.points", GEODETIC)),

@@ -304,7 +304,7 @@ def roles(cells: Sequence[PublishedCell]) -> list[list[int]]:
     for place, cell in enumerate(cells):
         if cell.text:
             key = cell.key._replace(eop_set="", stage="", method="")
-            row_is_name = key == cell.key  # neither set, image nor solver: the parameter names the row
+            row_is_name = key == cell.key  # without set, image and solver, the parameter is the name of the row
             groups.setdefault(key._replace(parameter="") if row_is_name else key, []).append(place)
     return [places for places in groups.values() if len(places) > 1]
 

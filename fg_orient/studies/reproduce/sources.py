@@ -98,7 +98,8 @@ def recomputed(
     out: Judges = {}
     for done, table in enumerate(tables, start=1):
         cells, unknown = Cells(), why.get(table, why["*"])
-        with one_blas_thread(), np.errstate(all="ignore"):  # a copy may contain any number; nan then gives "differs"
+        # a copy of the tables may contain any number; nan then gives the verdict "differs"
+        with one_blas_thread(), np.errstate(all="ignore"):
             try:
                 if table in computers:
                     cells = computers[table](values)

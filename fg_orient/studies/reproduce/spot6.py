@@ -34,7 +34,7 @@ from fg_orient.studies.reproduce.verdict import CellComparison, Judges, Kind, de
 VARIABLE: Final = "FG_ORIENT_REAL_DATA"
 #: These whole numbers must agree exactly, like a printed zero. For other quantities, "13" means 13 +- 0.5.
 COUNTED: Final = ("n_observations", "n_unknowns", "matrix_order", "rank")
-#: Factor that extends the range of the permutations for rounding noise.
+#: For rounding noise, the range of the permutations is extended by this factor.
 MARGIN: Final = 30.0
 #: A number is not noise if the relative spread of the permutations is below this.
 STEADY: Final = 0.01
@@ -43,7 +43,7 @@ STEADY: Final = 0.01
 #: points (printed: 2.9 to 3.1).
 INVERSES: Final = ("pivot_inverse", "cholesky_inverse", "gauss_inverse", "moore_penrose_inverse")
 VV_TOLERANCE_PX2: Final = 0.2
-#: Effect of these 0.2 px^2 on m0, plus the rounding error of its print.
+#: Effect of the tolerance of 0.2 px^2 on m0, plus the rounding error of the printed m0.
 M0_TOLERANCE_PX: Final = 0.0044 + 0.005
 NO_POINTS: Final = f"the 99 control points are not here: give them as data, or a folder of real data in {VARIABLE}"
 
@@ -171,7 +171,7 @@ def _equal(cell: PublishedCell, runs: Array) -> str:
     off = np.abs(runs - cell.value)
     exact = cell.key.quantity in COUNTED or (cell.value == 0.0 and cell.key.quantity != "rpc")
     unit = 0.0 if exact else last_digit(cell.text)
-    slack = 1e-9 * abs(cell.value)  # rounding of the decimal print of a double
+    slack = 1e-9 * abs(cell.value)  # tolerance for the rounding of a double to its decimal print
     stays = np.isfinite(runs).all() and float(off.max()) <= 1.5 * unit + slack
     return "all printed digits" if off[0] <= 0.5 * unit + slack and stays else ""
 

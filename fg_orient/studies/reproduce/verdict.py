@@ -170,7 +170,7 @@ def assess_runs(cell: PublishedCell, runs: Array | None, order: float | None = N
         fact = "a fact about the real data or a convention: nothing to compute"
         return _without_number(cell) or CellComparison("not_reproducible", fact)
     finite = np.sort(runs[np.isfinite(runs)])
-    # the value of one run, not a mean of two, so that counts and ranks are whole numbers
+    # the median is the value of one run, not a mean of two, so that counts and ranks stay whole numbers
     median = float(finite[(len(finite) - 1) // 2]) if 2 * len(finite) > len(runs) else math.nan
     low, high = (float(finite[0]), float(finite[-1])) if len(finite) else (math.nan, math.nan)
     return replace(_without_number(cell) or _tested(cell, runs, median, order), reproduced=median, low=low, high=high)
@@ -180,7 +180,7 @@ def _without_number(cell: PublishedCell) -> CellComparison | None:
     """Return the comparison for a cell without a number; None for other cells."""
     if cell.text:
         return None
-    has_words = any(character.isalnum() for character in cell.printed)  # False for a dash
+    has_words = any(character.isalnum() for character in cell.printed)  # this is False for a dash
     return CellComparison("not_reproducible", "a statement in words" if has_words else "nothing is printed")
 
 
@@ -190,7 +190,7 @@ def _tested(cell: PublishedCell, runs: Array, median: float, order: float | None
     for name in rule.tests:
         if reason := _reason(name, cell, rule, runs, median, order):
             return CellComparison(name, reason)
-    # either the printed or the computed solver broke down
+    # one of the two values is missing because its solver broke down
     if not math.isfinite(cell.value) or not math.isfinite(median):
         broken = "" if math.isfinite(median) else f" (no result in most of {len(runs)} runs)"
         return CellComparison("not_reproducible", rule.without_value + broken)
@@ -207,7 +207,7 @@ def _tested(cell: PublishedCell, runs: Array, median: float, order: float | None
 def _reason(test: Test, cell: PublishedCell, rule: Rule, runs: Array, median: float, order: float | None) -> str:
     """Return the reason if a test of the module docstring holds; otherwise ""."""
     n, value, sizes = len(runs), cell.value, np.abs(runs[np.isfinite(runs)])
-    if test == "side":  # ranks: both deficient or both full
+    if test == "side":  # ranks are on the same side if both are deficient or both are full
         is_rank = math.isnan(rule.limit)
         if (is_rank and order is None) or (math.isnan(value) and not rule.nan_above):
             return ""
@@ -224,7 +224,7 @@ def _reason(test: Test, cell: PublishedCell, rule: Rule, runs: Array, median: fl
         return ""
     if test == "equal":  # a whole number (counts, 0 after an underflow, 1 at the limit of kappa) must be exact
         half = 0.0 if cell.text.lstrip("+-").isdigit() else 0.5 * last_digit(cell.text)
-        slack = 1e-12 * abs(value)  # rounding of the decimal print of a double
+        slack = 1e-12 * abs(value)  # tolerance for the rounding of a double to its decimal print
         return f"all {n} runs" if len(sizes) == n and (np.abs(runs - value) <= half + slack).all() else ""
     if test == "rounding":  # only an exact zero agrees with a printed zero
         half = 0.5 * last_digit(cell.text) * (1.0 + 1e-9) if value else 0.0
