@@ -81,7 +81,7 @@ class _KernelCompiler(_FunctionCompiler):  # type: ignore[misc]
     def _compile_core(self, args: tuple[Any, ...], return_type: Any) -> Any:
         report_compilation(self.py_func.__name__)
         result = self.part(tuple(args)).result
-        context = result.target_context  # the name includes the options of the part
+        context = result.target_context  # it includes the options of the part
         library = KernelLibrary(context.codegen(), result.fndesc.qualname)
         library.vectorised = self.vectorised
         library.enable_object_caching()
@@ -142,9 +142,7 @@ class _Cache(FunctionCache):  # type: ignore[misc]
     """Cache of kernels on disk. If a file cannot be read or written, the kernel is compiled and the run continues."""
 
     def load_overload(self, signature: Any, context: Any) -> Any:
-        # initialises only numba's memory management; with its registries of compilable
-        # functions this takes twice the time
-        try:
+        try:  # only numba's memory management: with its registries of functions it takes twice the time
             rtsys.initialize(context)
             return self._load_overload(signature, context)
         except Exception:  # a damaged file may fail in any way; it is rewritten
