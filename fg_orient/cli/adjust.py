@@ -104,7 +104,7 @@ def adjust(
             project, target, overwrite=overwrite, options=options, callback=watch.iteration,
             command=command_line(), execution=execution, stage=watch.stage,
             checkpoint_every_s=checkpoint_every, resume=resume,
-            dem_control=_dem_control(dem_control, dem_sigma, dem_vertical_crs),
+            dem_control=_dem_control(dem_control, dem_sigma, dem_vertical_crs, options.get("memory_limit_gb")),
             start=from_result, start_prior=from_prior,
         )  # fmt: skip
     for found in folded([read(one) for one in record.get("errors", [])]):
@@ -113,13 +113,15 @@ def adjust(
     raise typer.Exit(EXIT_CODE[Status(record["status"])])
 
 
-def _dem_control(path: Path | None, sigma_m: float | None, vertical_crs: str) -> tuple[Any, float] | None:
+def _dem_control(
+    path: Path | None, sigma_m: float | None, vertical_crs: str, memory_limit_gb: float | None
+) -> tuple[Any, float] | None:
     """Return the elevation model and the standard deviation of its heights, if it is given."""
     if path is None and sigma_m is None:
         return None
     if path is None or sigma_m is None:
         raise InputError.of("dem_control.both", option="dem_control, dem_sigma")
-    surface = read_dem(path, vertical_crs)
+    surface = read_dem(path, vertical_crs, memory_limit_gb)
     return surface, sigma_m
 
 

@@ -381,17 +381,18 @@ SENSORS = {"sensors": Several(
 )}  # fmt: skip
 
 
-def read_dem(path: Path | None, vertical_crs: str) -> RasterDem | None:
-    """Open a DEM with the options ``--dem`` and ``--dem-vertical-crs``."""
+def read_dem(path: Path | None, vertical_crs: str, memory_limit_gb: float | None = None) -> RasterDem | None:
+    """Open a DEM with the options ``--dem`` and ``--dem-vertical-crs``; its caches follow the memory limit."""
     if path is None:
         if vertical_crs:
             raise InputError.of("dem.missing", option="dem", value="none given")
         return None
-    return open_dem(path, vertical_crs)
+    return open_dem(path, vertical_crs, memory_limit_gb)
 
 
-def open_dem(path: Path, vertical_crs: str = "") -> RasterDem:
+def open_dem(path: Path, vertical_crs: str = "", memory_limit_gb: float | None = None) -> RasterDem:
     """Open a DEM; when heights are read that are impossible on land, a warning is printed."""
     from fg_orient.sensors.surface import RasterDem
 
-    return RasterDem(path, vertical_crs=vertical_crs, warn=functools.partial(tell, "warning"))
+    warn = functools.partial(tell, "warning")
+    return RasterDem(path, vertical_crs=vertical_crs, warn=warn, memory_limit_gb=memory_limit_gb)

@@ -61,12 +61,12 @@ def check(
     """
     if heights is not None and dem is not None:
         raise InputError.of("options.two_ways", option="heights, dem")
-    from fg_orient.rpc.check import check_rpc
+    from fg_orient.rpc.check import check_rpc, heights_below
     from fg_orient.rpc.points import read_measured
 
-    if dem is not None:
-        heights = open_dem(dem).range_m
     model, measured = _opened(file, options), None if points is None else read_measured(points)
+    if dem is not None:
+        heights = heights_below(model, open_dem(dem))
     _end(check_rpc(model, heights_m=heights, points=measured, against=against), _show_check)
 
 

@@ -24,11 +24,13 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.arrays import Mask
+from fg_orient.formats.arrow_sizes import decoded_sizes
 from fg_orient.formats.columns import Cells, CodedCells, NumberCells
 from fg_orient.formats.faults import Faults
 from fg_orient.formats.table_write import WHOLE, WORDS, Column, are_numbers, comment_lines, texts
 from fg_orient.formats.text_files import read_data
 from fg_orient.model.errors import InputError
+from fg_orient.model.limits import within, within_memory
 from fg_orient.model.machine import allowed_bytes, in_gb
 
 #: Function that checks the names of columns and notes their faults. Its first argument is their place in the file.
@@ -55,12 +57,11 @@ NUMBERS: Final = ("whole", "number")
 
 
 class _Opened(NamedTuple):
-    """Open file: schema, number of rows, bytes of the columns, share of the largest row group, and its row groups."""
+    """Open file: its schema, number of rows, decoded bytes of the largest row group, and its row groups."""
 
     schema: Any
     n_rows: int
-    n_bytes: int
-    largest: float
+    largest_bytes: int
     n_groups: int
     read: Callable[[Sequence[int]], Any]
 
@@ -163,6 +164,8 @@ def _noting(path: Path, faults: Faults) -> Iterator[Any]:
     pa = library(path)
     try:
         yield pa
+    except InputError as error:  # a limit
+        faults.take(*error.problems)
     except (pa.ArrowException, OSError, ValueError, OverflowError, MemoryError) as error:
         faults.add("table.damaged", value=str(error) or type(error).__name__)
 
@@ -180,14 +183,14 @@ def _opened(pa: Any, path: Path) -> _Opened:
         rows = [group.num_rows for group in groups]
         if min(rows, default=0) < 0 or sum(rows) != meta.num_rows:
             raise ValueError("the numbers of rows are wrong")
-        size = sum(group.total_byte_size for group in groups)
-        largest = max(rows, default=0) / max(meta.num_rows, 1)
+        largest = max((group.total_byte_size for group in groups), default=0)
         read = partial(file.read_row_groups, use_threads=False)
-        return _Opened(schema, meta.num_rows, size, largest, len(rows), read)
+        return _Opened(schema, meta.num_rows, largest, len(rows), read)
+    sizes = decoded_sizes(path)
+    within_memory(sum(sizes), path.stat().st_size, file=path)  # dictionaries are decoded when the file is opened
     reader = pa.ipc.open_file(pa.OSFile(str(path)), options=pa.ipc.IpcReadOptions(use_threads=False))
-    n_groups, size = reader.num_record_batches, path.stat().st_size
     return _Opened(
-        reader.schema, reader.count_rows(), size, 1 / max(n_groups, 1), n_groups,
+        reader.schema, reader.count_rows(), sum(sizes), reader.num_record_batches,
         lambda groups: pa.Table.from_batches(map(reader.get_batch, groups), reader.schema),
     )  # fmt: skip
 
@@ -201,9 +204,11 @@ def _parts(path: Path, faults: Faults, check: Check) -> Iterator[dict[str, _Part
         return
     with _noting(path, faults) as pa:
         file = _opened(pa, path)
+        within("table_columns", len(file.schema), file=path, unit="columns")
         kinds = [(one.name, _kind(pa, one.type)) for one in file.schema]
         _check_schema(file, kinds, check, faults)
-        need = file.n_bytes * file.largest + file.n_rows * len(kinds) * PER_CELL
+        need = file.largest_bytes + file.n_rows * len(kinds) * PER_CELL
+        within_memory(need, path.stat().st_size, file=path, place=f"{file.n_rows} rows of {len(kinds)} columns")
         allowed = allowed_bytes(None)
         if allowed is not None and need > allowed:
             faults.add("table.memory", value=in_gb(need), rows=file.n_rows, columns=len(kinds),

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import errno
 import locale
+import os
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,6 +22,7 @@ from typing import Any, Final
 from zlib import crc32
 
 from fg_orient.model.errors import InputError
+from fg_orient.model.raster_limits import require_bounded, require_bounded_file
 
 #: TIFF and BigTIFF files begin with one of these, depending on the byte order.
 TIFF_MARKS: Final = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
@@ -39,14 +41,26 @@ def rasterio_of(file: object, code: str = "ortho.no_rasterio") -> Any:
     return rasterio
 
 
-def opened(rasterio: Any, path: object, mode: str = "r") -> Any:
+def opened(rasterio: Any, path: str | os.PathLike[str], mode: str = "r") -> Any:
     """Open an image.
 
     GDAL's warning about missing map coordinates is not shown; errors are exceptions of rasterio.
+
+    Raises
+    ------
+    InputError
+        The file exceeds a limit (:mod:`fg_orient.model.raster_limits`).
     """
+    require_bounded_file(path)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-        return rasterio.open(path, mode)
+        source = rasterio.open(path, mode)
+        try:
+            require_bounded(rasterio, source, path)
+        except BaseException:
+            source.close()
+            raise
+    return source
 
 
 class Written:

@@ -31,7 +31,7 @@ from fg_orient.model.limits import exceeded, limit, within, within_memory
 #: characters begin a table, a list, a further value, or the value of a name.
 _OBJECTS: Final = {b"{": 260, b"[": 90, b",": 80, b":": 80}
 #: Kinds of numpy arrays that can be read: truth values, numbers, text.
-_KINDS: Final = "biufcU"
+KINDS: Final = "biufcU"
 #: A SQLite database begins with these bytes.
 SQLITE_MARK: Final = b"SQLite format 3\0"
 #: Number of steps of SQLite's virtual machine between two checks of the limit.
@@ -124,7 +124,7 @@ def parse_json(data: bytes, file: object, code: str, place: object = "") -> Any:
 # --- NPZ -------------------------------------------------------------------------------------------
 
 
-def load_npz(source: Path | bytes, code: str, file: object = "") -> dict[str, npt.NDArray[Any]]:
+def load_npz(source: Path | bytes, code: str, file: object = "", kinds: str = KINDS) -> dict[str, npt.NDArray[Any]]:
     """Return the arrays of an ``.npz`` archive. They may contain numbers and text, but no pickled objects.
 
     Parameters
@@ -135,6 +135,8 @@ def load_npz(source: Path | bytes, code: str, file: object = "") -> dict[str, np
         Code of the message if the archive is damaged.
     file : object
         Name of the archive in messages.
+    kinds : str
+        Kinds of arrays (``numpy.dtype.kind``).
 
     Raises
     ------
@@ -148,14 +150,14 @@ def load_npz(source: Path | bytes, code: str, file: object = "") -> dict[str, np
         with zipfile.ZipFile(stream) as archive:
             members = archive.infolist()
             within_memory(sum(one.file_size for one in members), size, file=file)
-            return {one.filename.removesuffix(".npy"): _array(archive, one) for one in members}
+            return {one.filename.removesuffix(".npy"): _array(archive, one, kinds) for one in members}
 
 
 def _stream(source: Path | bytes) -> IO[bytes]:
     return io.BytesIO(source) if isinstance(source, bytes) else source.open("rb")
 
 
-def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> npt.NDArray[Any]:
+def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo, kinds: str) -> npt.NDArray[Any]:
     """Read the array of an archive member.
 
     Raise ValueError if the member has another size than its header states.
@@ -167,7 +169,7 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> npt.NDArray[Any
         read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         shape, is_fortran, dtype = read(stream)
         size = int(np.prod([int(n) for n in shape], dtype=object)) * dtype.itemsize
-        if dtype.kind not in _KINDS or dtype.fields or min(shape, default=0) < 0 or size > member.file_size:
+        if dtype.kind not in kinds or dtype.fields or min(shape, default=0) < 0 or size > member.file_size:
             raise ValueError(f"{member.filename} is {dtype} {shape} in {member.file_size} bytes")
         data = bytearray(stream.read(size))
         if len(data) != size or stream.read(1):  # read(1) at the end makes zipfile compare the checksum

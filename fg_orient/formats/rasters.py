@@ -7,6 +7,8 @@ file gives the offset if it has pixel size 1 and no CRS.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -106,8 +108,18 @@ class Raster:
         self.place = place
         self._rasterio = rasterio_of(place.path, "match.no_rasterio")
         self._env = self._rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES)
-        with self._env:
+        with self._reading():
             self._source = opened(self._rasterio, place.path)
+
+    @contextmanager
+    def _reading(self) -> Iterator[None]:
+        """Convert errors of GDAL to InputError, and limit its cache."""
+        try:
+            with self._env:
+                yield
+        except self._rasterio.errors.RasterioError as error:
+            reason = error.__cause__ or error
+            raise InputError.of("match.pixels", file=self.place.path, reason=reason) from error
 
     def window(self, row: int, column: int, rows: int, columns: int) -> Grey:
         """Read grey values (rows, columns) from a first pixel on.
@@ -119,7 +131,7 @@ class Raster:
         bottom, right = min(row + rows, self.place.rows), min(column + columns, self.place.columns)
         if bottom > top and right > left:
             window = self._rasterio.windows.Window(left, top, right - left, bottom - top)
-            with self._env:
+            with self._reading():
                 values = self._source.read(1, window=window, out_dtype="float32")
             out[top - row : bottom - row, left - column : right - column] = self._clean(values)
         return out
@@ -149,7 +161,7 @@ class Raster:
         Use the overviews of the file if there are any.
         """
         average = self._rasterio.enums.Resampling.average
-        with self._env:
+        with self._reading():
             values = self._source.read(1, out_shape=(rows, columns), out_dtype="float32", resampling=average)
         return np.asarray(self._clean(values))
 

@@ -37,6 +37,11 @@ LIMITS: Final = {
     # Unpacked size, bytes, and cells of a workbook.
     "workbook_bytes": 256e6,
     "workbook_cells": 5e6,
+    # Pixels of a raster; directories of a TIFF file: images, masks, overviews.
+    "raster_pixels": 1e13,
+    "tiff_directories": 10e3,
+    # Columns of a Parquet or Arrow table.
+    "table_columns": 10e3,
     # Steps of SQLite's virtual machine: for each query, and for each byte of the file.
     "sqlite_steps": 50e6,
     "sqlite_steps_per_byte": 50.0,

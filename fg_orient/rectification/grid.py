@@ -31,7 +31,7 @@ LARGEST: Final = 1_000_000
 #: Edge of the tiles inside a file.
 TILE: Final = 512
 #: Size of GDAL's cache for blocks of files, bytes; GDAL's default is 5 % of the memory.
-CACHE_BYTES: Final = 128 * 2**20
+CACHE_BYTES: Final = 64 * 2**20
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.formats.gdal import encoded
+from fg_orient.formats.gdal import encoded, rasterio_of
 from fg_orient.formats.rasters import Place, Raster, place_of, raster_beside
 from fg_orient.model.errors import InputError
 from fg_orient.report.chart import Picture
@@ -146,12 +146,12 @@ def pictures_of(result: Result, folder: Path | None) -> Pictures:
     if folder is None or not result.adjusted or not result.record.get("pixels"):
         return out
     try:
-        import rasterio
-    except ImportError:
+        rasterio_of(folder)
+    except InputError:
         return out
     places = dict(_places(result, folder.resolve(), out))
-    _add_chips(result, places, out, rasterio.errors.RasterioError)
-    _add_images(result, places, out, rasterio.errors.RasterioError)
+    _add_chips(result, places, out)
+    _add_images(result, places, out)
     return out
 
 
@@ -200,7 +200,7 @@ def _places(result: Result, folder: Path, out: Pictures) -> Iterator[tuple[str, 
         yield image, place
 
 
-def _add_chips(result: Result, places: dict[str, Place], out: Pictures, error: type[Exception]) -> None:
+def _add_chips(result: Result, places: dict[str, Place], out: Pictures) -> None:
     """Add the chips; the window of each is read separately."""
     for point in worst_points(result):
         if point.image not in places:
@@ -211,7 +211,7 @@ def _add_chips(result: Result, places: dict[str, Place], out: Pictures, error: t
         try:
             with closing(Raster(place)) as raster:
                 grey = raster.window(top, left, CHIP_PX, CHIP_PX)
-        except error:
+        except InputError:
             del places[point.image]
             out.lacks(point.image, UNREADABLE)
             continue
@@ -220,7 +220,7 @@ def _add_chips(result: Result, places: dict[str, Place], out: Pictures, error: t
             out.chips.append(Chip(href, point, column - left + 0.5, row - top + 0.5))
 
 
-def _add_images(result: Result, places: dict[str, Place], out: Pictures, error: type[Exception]) -> None:
+def _add_images(result: Result, places: dict[str, Place], out: Pictures) -> None:
     """Add pictures of images, the largest residuals first, within the limits of bytes and decoded pixels."""
     decoded = 0.0
     for image in worst_images(result.residual_summary()):
@@ -236,7 +236,7 @@ def _add_images(result: Result, places: dict[str, Place], out: Pictures, error: 
                     continue
                 decoded += needed
                 grey = raster.decimated(max(1, round(place.rows / factor)), max(1, round(place.columns / factor)))
-        except error:
+        except InputError:
             out.lacks(image, UNREADABLE)
             continue
         href = _address(grey, "JPEG")

@@ -20,6 +20,7 @@ from fg_orient.model.errors import Finding, InputError, finding, judged
 from fg_orient.rpc.compensate import normalised, residuals
 from fg_orient.rpc.files import RpcFile, describe
 from fg_orient.rpc.points import MeasuredPoints, statistics
+from fg_orient.sensors.dem import RasterDem, range_below
 from fg_orient.sensors.rpc import COORDINATES, NEAR_ZERO, RpcModel, span
 
 Range = tuple[float, float]
@@ -77,6 +78,28 @@ def _heights(model: RpcModel, given: Range | None) -> Range:
     if not (np.isfinite(heights).all() and heights[0] < heights[1]):
         raise InputError.of("rpc.heights", file=model.file, option="heights", value=f"{heights[0]:g} {heights[1]:g}")
     return heights
+
+
+def heights_below(file: RpcFile, dem: RasterDem) -> Range:
+    """Return the lowest and highest height of a DEM below the image; only this part of the DEM is read.
+
+    Raises
+    ------
+    InputError
+        The DEM has no heights there.
+    """
+    model = file.model
+    sides = [np.linspace(*ends, SHAPE[0]) for ends in (model.validity.line, model.validity.sample)]
+    line, sample = (a.ravel() for a in np.meshgrid(*sides, indexing="ij"))
+
+    def outline(height_m: float) -> tuple[Array, Array]:
+        lon, lat = model.locate(line, sample, np.full(len(line), height_m))
+        return lon, lat
+
+    found = range_below(dem, outline, float(np.mean(model.validity.height_m)))
+    if not np.isfinite(found).all():
+        raise InputError.of("ortho.no_overlap", file=file.model.file, what=dem.path)
+    return found
 
 
 def _grid(line: Range, sample: Range, heights_m: Range) -> Array:

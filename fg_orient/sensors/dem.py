@@ -15,12 +15,13 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
-from factors.arrays import Array, Index
+from factors.arrays import Array
 from fg_orient.geodesy import from_geographic, to_geographic
 from fg_orient.model.errors import Finding, InputError, finding
+from fg_orient.model.raster_limits import require_bounded, require_bounded_file
 from fg_orient.sensors.cliffs import cliff_of
+from fg_orient.sensors.dem_cells import bilinear, groups, share
 
 #: Range of plausible heights of a DEM, m. The lowest land is at -430 m, the highest at 8849 m. Other values are
 #: undeclared nodata values.
@@ -38,6 +39,8 @@ KEPT_BYTES: Final = 32_000_000
 PART_CELLS: Final = 4_000_000
 #: Size of GDAL's cache for blocks of the file, bytes.
 GDAL_BYTES: Final = 64_000_000
+#: Minimum size of GDAL's cache. GDAL would interpret a smaller number as megabytes.
+GDAL_LEAST: Final = 1_000_000
 #: Number of pieces into which a path is divided. For each piece, the squares of its bounding box are used.
 PIECES: Final = 32
 _DEGREE_M: Final = 111e3
@@ -55,6 +58,9 @@ class RasterDem:
         geoid file. Heights without a vertical CRS are ellipsoidal.
     warn : callable, optional
         Function that receives a Finding when implausible heights are read for the first time.
+    memory_limit_gb : float, optional
+        Memory limit of the run, GB; default 80 % of the available memory. The squares that are kept, the part in one
+        array and the cache of GDAL have at most 128 MB, and at most one eighth of this limit.
 
     Attributes
     ----------
@@ -71,8 +77,9 @@ class RasterDem:
     """
 
     def __init__(
-        self, path: str | Path, *, vertical_crs: str = "", warn: Callable[[Finding], None] | None = None
-    ) -> None:
+        self, path: str | Path, *, vertical_crs: str = "", warn: Callable[[Finding], None] | None = None,
+        memory_limit_gb: float | None = None,
+    ) -> None:  # fmt: skip
         try:
             import rasterio
         except ImportError as error:
@@ -82,8 +89,11 @@ class RasterDem:
         self.path, self.vertical_crs = str(path), vertical_crs
         self._rasterio: Any = rasterio
         self._warn = warn or (lambda one: None)
+        self._share = share(memory_limit_gb, KEPT_BYTES + GDAL_BYTES + 8 * PART_CELLS)
         with self._reading():
+            require_bounded_file(path)
             source = self._source = rasterio.open(path)
+            require_bounded(rasterio, source, path)
             if source.crs is None:
                 raise InputError.of("dem.no_crs", file=path)
             self.crs, unit = str(source.crs.to_wkt()), source.units[0] or ""
@@ -106,7 +116,7 @@ class RasterDem:
     def _reading(self) -> Iterator[None]:
         """Convert errors of GDAL to InputError, and limit GDAL's cache."""
         try:
-            with self._rasterio.Env(GDAL_CACHEMAX=GDAL_BYTES):
+            with self._rasterio.Env(GDAL_CACHEMAX=max(int(self._share * GDAL_BYTES), GDAL_LEAST)):
                 yield
         except (self._rasterio.errors.RasterioError, self._rasterio.errors.CRSError) as error:
             raise InputError.of("dem.unreadable", file=self.path, value=error.__cause__ or error) from error
@@ -154,7 +164,7 @@ class RasterDem:
                     self._kept[number] = square
                     yield number, square
             done += count
-            while len(self._kept) > KEPT_BYTES // (8 * EDGE**2):
+            while len(self._kept) > max(self._share * KEPT_BYTES // (8 * EDGE**2), 1):
                 self._kept.popitem(last=False)
 
     def _read(self, first: int, count: int) -> Iterator[tuple[int, Array]]:
@@ -209,10 +219,10 @@ class RasterDem:
                 return exact(*knots)
             fine = [np.interp(np.arange(2 * len(k) - 1) / 2.0, np.arange(len(k)), k) for k in knots]
             values = exact(*fine)
-            error = np.abs(values - _bilinear(knots, values[::2, ::2], fine))
+            error = np.abs(values - bilinear(knots, values[::2, ::2], fine))
             # if the undulation bends between two knots, its error is at most twice the error in their middle
             if 2.0 * (error[1::2, ::2].max(initial=0.0) + error[::2, 1::2].max(initial=0.0)) <= UNDULATION_M:
-                return _bilinear(knots, values[::2, ::2], [np.arange(float(n)) for n in shape])
+                return bilinear(knots, values[::2, ::2], [np.arange(float(n)) for n in shape])
             step //= 2
 
     # --- undeclared nodata -----------------------------------------------------------------------
@@ -380,10 +390,10 @@ class RasterDem:
         Positions far from each other are read in groups.
         """
         sides = [float(np.ptp(part)) + 2.0 * EDGE for part in (row, column)]
-        if sides[0] * sides[1] <= PART_CELLS:
+        if sides[0] * sides[1] <= self._share * PART_CELLS:
             return self._within(row, column)
         out = np.empty(len(row))
-        for group in groups(row, column):
+        for group in groups(row, column, 4 * EDGE):
             out[group] = self._within(row[group], column[group])
         return out
 
@@ -432,17 +442,3 @@ def range_below(dem: RasterDem, outline: Callable[[float], tuple[Array, Array]],
         if not np.isfinite(least) or (least >= low and most <= high):
             return least, most
         low, high = min(low, least), max(high, most)
-
-
-def groups(row: npt.NDArray[Any], column: npt.NDArray[Any], edge: int = 4 * EDGE) -> list[Index]:
-    """Group positions (n,) of a raster by squares of ``edge`` cells."""
-    down, across = (np.asarray(part, float) // edge for part in (row, column))
-    _, number = np.unique(down * (1.0 + np.ptp(across)) + across, return_inverse=True)
-    order = np.argsort(number, kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(number[order])) + 1)
-
-
-def _bilinear(knots: list[Array], values: Array, at: list[Array]) -> Array:
-    """Interpolate values on the grid ``at`` from the grid of ``knots``."""
-    rows = np.stack([np.interp(at[1], knots[1], row) for row in values])
-    return np.stack([np.interp(at[0], knots[0], column) for column in rows.T], axis=1)

@@ -20,7 +20,8 @@ from factors.arrays import Array, Index
 from factors.geometry import ellipsoid
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.correction import HeightSurface
-from fg_orient.sensors.dem import EDGE, PLAUSIBLE_M, UNDULATION_RANGE_M, RasterDem, groups
+from fg_orient.sensors.dem import EDGE, PLAUSIBLE_M, UNDULATION_RANGE_M, RasterDem
+from fg_orient.sensors.dem_cells import groups
 
 if TYPE_CHECKING:
     from fg_orient.geodesy.bodies import Body

@@ -13,7 +13,6 @@ from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, cast
-from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +23,7 @@ from fg_orient import __version__
 from fg_orient.adjustment.problem import Problem, State, no_point_is_named
 from fg_orient.adjustment.rows import some_rows
 from fg_orient.formats.atomic import write_bytes
+from fg_orient.formats.load import KINDS, load_npz
 from fg_orient.model.block import Block, Coordinates, GroundPoints, Image, ImagePoints, Options, WithheldCoordinates
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
@@ -162,11 +162,7 @@ def read_part(folder: str, number: int) -> Problem:
     by another version of this package.
     """
     path = part_file(folder, number)
-    try:
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as content:
-            arrays = dict(content)
-    except (OSError, ValueError, EOFError, BadZipFile) as error:
-        raise InputError.of("parallel.folder", file=path, value=type(error).__name__) from error
+    arrays = load_npz(path, "parallel.folder", kinds=KINDS + "S")
     if str(arrays["version"]) != __version__:
         raise InputError.of("parallel.version", file=path, value=__version__, written=str(arrays["version"]))
     return part_problem(f"part {number}", arrays)
@@ -197,5 +193,5 @@ def read_array(path: Path) -> Array:
     """Map the array of a file; InputError if this process has no access to it."""
     try:
         return np.asarray(np.load(path, mmap_mode="r", allow_pickle=False), dtype=np.float64)
-    except (OSError, ValueError, EOFError) as error:
+    except (OSError, ValueError, EOFError, TypeError) as error:  # the last one: an archive, or a record
         raise InputError.of("parallel.folder", file=path, value=type(error).__name__) from error

@@ -13,7 +13,6 @@ import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
-from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +20,7 @@ import numpy.typing as npt
 from fg_orient import __version__
 from fg_orient.adjustment.parts.execution import Execution, opened
 from fg_orient.formats.atomic import write_bytes
+from fg_orient.formats.load import load_npz
 from fg_orient.model.errors import InputError
 
 __all__ = ["study"]
@@ -120,8 +120,8 @@ def _make(folder: Path) -> None:
 
 def _kept(path: Path) -> Any:
     try:
-        return loads(path.read_bytes())
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
+        return loads(path.read_bytes(), path)
+    except (OSError, ValueError, KeyError) as error:
         raise InputError.of("parallel.result", file=path, value=type(error).__name__) from error
 
 
@@ -143,10 +143,9 @@ def dumps(result: Any) -> bytes:
     return stream.getvalue()
 
 
-def loads(data: bytes) -> Any:
-    """Read a result from the bytes of :func:`dumps`."""
-    with np.load(io.BytesIO(data), allow_pickle=False) as content:
-        arrays = dict(content)
+def loads(data: bytes, file: object = "") -> Any:
+    """Read a result from the bytes of :func:`dumps`; InputError with the ``file`` if they are damaged."""
+    arrays = load_npz(data, "parallel.result", file)
 
     def place(value: dict[str, Any]) -> Any:
         return arrays[f"array{value[_ARRAY]}"] if _ARRAY in value else value

@@ -26,6 +26,7 @@ from fg_orient.kernels.matching import AFFINE, FIT, fit_window
 from fg_orient.model.block import Options
 from fg_orient.model.distributions import MAD
 from fg_orient.model.errors import Finding, InputError, finding
+from fg_orient.model.limits import within_memory
 from fg_orient.orientation.match.blocks import WIDER, spline_of
 from fg_orient.orientation.match.epipolar import prior_covariance
 from fg_orient.orientation.match.features import cv2_of
@@ -279,6 +280,7 @@ def _chip(path: Path, lon: float, lat: float) -> tuple[Grey, Array, Any]:
         with opened(rasterio, path) as source:
             if source.crs is None:
                 raise InputError.of("match.chip_crs", file=path)
+            within_memory(8.0 * source.height * source.width, path.stat().st_size, file=path, place="chip")
             grey = source.read(1, out_dtype="float32", masked=True).filled(np.nan)
             crs, t = str(source.crs.to_wkt()), source.transform
     except rasterio.errors.RasterioError as error:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import io
 import shutil
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,8 @@ import numpy as np
 from fg_orient import __version__
 from fg_orient.adjustment.parts.pool import Pool
 from fg_orient.formats.atomic import write_bytes, writing
-from fg_orient.model.errors import finding
+from fg_orient.formats.load import load_npz
+from fg_orient.model.errors import InputError, finding
 from fg_orient.model.names import Progress
 from fg_orient.orientation.match.blocks import Counts, Matches
 from fg_orient.orientation.match.coarse import Coarse
@@ -91,9 +91,8 @@ class Store:
 def _read(file: Path) -> Arrays | None:
     """Return the arrays of a file; None if it is missing or damaged, so that its task is run again."""
     try:
-        with np.load(io.BytesIO(file.read_bytes()), allow_pickle=False) as content:
-            return dict(content)
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return load_npz(file, "checkpoint.unreadable")
+    except InputError:
         return None
 
 

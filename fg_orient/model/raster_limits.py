@@ -1,0 +1,95 @@
+"""Limits of rasters, checked when GDAL has opened a file and before it decodes a pixel.
+
+Opening costs what the file's directories cost. To read one pixel, GDAL allocates the table of all blocks and decodes a
+whole block: a file of 274 bytes that states 2^31 lines and samples took 8.6 GB and 29 s, a strip of 1.6 GB of zeros in
+1.6 MB took 1.6 GB (GDAL 3.10).
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, BinaryIO, Final
+
+import numpy as np
+
+from fg_orient.model.limits import exceeded, limit, within, within_memory
+
+#: Memory of GDAL for a block that is not decoded, bytes.
+BLOCK_BYTES: Final = 24
+#: Formats, by first bytes, of TIFF and BigTIFF: number of entries, entry and link of a directory.
+_TIFF: Final = {
+    b"II*\0": ("<", "H", 12, "I"), b"MM\0*": (">", "H", 12, "I"),
+    b"II+\0": ("<", "Q", 20, "Q"), b"MM\0+": (">", "Q", 20, "Q"),
+}  # fmt: skip
+#: Position of the first link, by its format.
+_FIRST: Final = {"I": 4, "Q": 8}
+
+
+def require_bounded_file(path: str | os.PathLike[str]) -> None:
+    """Raise InputError if a TIFF file has too many directories; other and missing files are not read."""
+    most, count = int(limit("tiff_directories")), 0
+    if not Path(path).is_file():
+        return
+    with Path(path).open("rb") as stream:
+        for count, _ in enumerate(_directories(stream), start=1):
+            if count > most:
+                raise exceeded("tiff_directories", f"more than {most}", file=os.fspath(path), unit="directories")
+
+
+def _directories(stream: BinaryIO) -> Iterator[int]:
+    """Yield the position of each directory of a TIFF file, until the chain ends or leaves the file."""
+    form = _TIFF.get(stream.read(4))
+    if form is None:
+        return
+    order, number, entry, link = form
+    at, width = _FIRST[link], struct.calcsize(link)
+    while True:
+        stream.seek(at)
+        found = stream.read(width)
+        if len(found) < width or not any(found):
+            return
+        (place,) = struct.unpack(order + link, found)
+        if place >= 2**63:
+            return
+        stream.seek(place)
+        found = stream.read(struct.calcsize(number))
+        if len(found) < struct.calcsize(number):
+            return
+        yield place
+        at = place + struct.calcsize(number) + entry * struct.unpack(order + number, found)[0]
+        if at >= 2**63:
+            return
+
+
+def require_bounded(rasterio: Any, source: Any, path: str | os.PathLike[str]) -> None:
+    """Raise InputError if a raster has too many pixels, or its blocks are too many or too large for its file.
+
+    Parameters
+    ----------
+    rasterio : module
+    source : dataset of rasterio
+        Opened to be read. The rasters of a virtual raster are opened, too: it does not state their blocks.
+    path : path
+        Its file.
+    """
+    rows, columns, n_bands = source.height, source.width, source.count
+    place = f"{rows} x {columns} pixels"
+    within("raster_pixels", float(rows) * columns, file=path, unit="pixels")
+    if not n_bands or not Path(path).is_file():
+        return
+    size = Path(path).stat().st_size
+    down, across = source.block_shapes[0]
+    n_blocks = -(-rows // down) * -(-columns // across) * n_bands
+    kind = source.dtypes[0]
+    item = 16 if kind.startswith("complex") else np.dtype(kind).itemsize
+    is_mixed = n_bands > 1 and getattr(source.interleaving, "name", "") != "band"  # bands are decoded together
+    block = float(down) * across * item * (2 * n_bands if is_mixed else 1)
+    within_memory(BLOCK_BYTES * float(n_blocks) + block, size, file=path, place=place)
+    for one in source.files[1:] if source.driver == "VRT" else ():
+        if one.lower().endswith((".tif", ".tiff", ".vrt")):
+            require_bounded_file(one)
+            with rasterio.open(one) as opened:
+                require_bounded(rasterio, opened, one)
