@@ -95,7 +95,8 @@ def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Bl
     options, problems = _options(project, str(path), overrides)
     folder = path.parent
     images, image_problems = _images(project, folder, str(path))
-    require_crs(images.values(), project.points.crs or "", str(path))
+    own_crs = project.points.crs if project.points.format == OWN else None
+    require_crs(images.values(), own_crs or "", str(path))
     points, observations, table_problems = _tables(project, folder, str(path), images)
     constraints, constraint_problems = constraints_of(project.constraints, str(path), surplus=1)
     problems += [*image_problems, *table_problems, *constraint_problems]

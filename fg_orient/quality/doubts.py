@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from factors.arrays import Array
+from factors.arrays import Array, Index
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import release
 from fg_orient.adjustment.solve import Estimate
@@ -153,7 +153,7 @@ def gross_errors(tests: OutlierTests, accept: Sequence[str] = ()) -> list[Findin
     return out
 
 
-def _crowd(tests: OutlierTests, above: Array) -> str | None:
+def _crowd(tests: OutlierTests, above: Index) -> str | None:
     """Image most of whose points are above their limits, in words; None if there is none."""
     problem, rows = tests.problem, np.unique(tests.row[above])
     images = problem.observations.image
