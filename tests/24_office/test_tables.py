@@ -304,4 +304,6 @@ def test_a_constant_undulation_makes_heights_ellipsoidal(tmp_path: Path) -> None
     ended = new(tmp_path, "--first-pixel", "1", "--undulation", "35.25")
     assert ended.code == 0, ended.stderr
     assert "35.25" in (tmp_path / "project" / "project.toml").read_text("utf-8")
+    assert "computed with the constant undulation" in ended.stderr + ended.stdout
+    assert "assumed to be ellipsoidal" not in ended.stderr + ended.stdout  # they are no assumption any more
     assert differences(made(tmp_path / "project"), there)[0] < GROUND_M

@@ -57,11 +57,15 @@ class Given:
 
 @dataclass(frozen=True, eq=False)
 class Draft:
-    """Project before it is written: images, survey (None without tables), and the files that were read."""
+    """Project before it is written: images, survey (None without tables), and the files that were read.
+
+    ``heights_known``: the user or an assumption that was printed states the kind of the heights.
+    """
 
     images: list[FoundImage]
     survey: Survey | None
     files: list[Path]
+    heights_known: bool = False
 
 
 def draft(sources: Sequence[Path], out: Path, office: Office, given: Given, decisions: Decisions, *,
@@ -103,7 +107,8 @@ def draft(sources: Sequence[Path], out: Path, office: Office, given: Given, deci
         given = replace(given, level=given.level or _found_level(survey, folders, decisions, str(sheets[0].path)))
         survey = _completed(survey, given, decisions, str(sheets[0].path))
     decisions.require_answers()
-    return Draft(images, survey, [*(image.path for image in images), *tables])
+    known = bool(office.heights) or any(one.subject == "heights" for one in decisions.assumed)
+    return Draft(images, survey, [*(image.path for image in images), *tables], known)
 
 
 def _lift_m(level: ZeroLevel, images: Sequence[FoundImage]) -> float:
@@ -206,7 +211,9 @@ def write_draft(made: Draft, out: Path, decisions: Decisions, *, overwrite: bool
         if not tables or not len(made.survey.observed):  # type: ignore[union-attr]
             return ()
         try:
-            return _shown(read_project_with_remarks(folder / "project.toml")[1], folder, out)
+            remarks = read_project_with_remarks(folder / "project.toml")[1]
+            stated = {"heights.ellipsoidal"} if made.heights_known else set()
+            return _shown([one for one in remarks if one.code not in stated], folder, out)
         except InputError as error:
             raise InputError(*_shown(error.problems, folder, out)) from None
 
