@@ -7,6 +7,7 @@ written completely or not at all.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
 import math
@@ -115,9 +116,10 @@ class Checkpoint:
         return backend, carried
 
     def remove(self) -> None:
-        """Remove the file after the end of the run."""
+        """Remove the file after the end of the run; no error if it stays, as only ``resume`` reads it."""
         self._pending = None
-        self.path.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            self.path.unlink()
 
 
 def _carried(arrays: dict[str, npt.NDArray[Any]]) -> Carried[State]:

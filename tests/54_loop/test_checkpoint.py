@@ -199,6 +199,10 @@ def test_files_of_others_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.undo()
     with pytest.raises(InputError, match="not a checkpoint of this version"):
         resumed.read(problem)
+    with monkeypatch.context() as patched:  # a full or read-only disk after the result is complete
+        patched.setattr(Path, "unlink", lambda *_, **__: (_ for _ in ()).throw(OSError(30, "Read-only file system")))
+        resumed.remove()
+    assert path.exists()
     resumed.remove()
     assert not path.exists()
     resumed.remove()

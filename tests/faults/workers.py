@@ -127,14 +127,21 @@ def while_starting(runs: int, longest_s: float, seed: int) -> Counter[str]:
 # --- the run itself is killed ---------------------------------------------------------------------------
 
 
-def run_killed(kills: int, seed: int) -> Counter[str]:
-    """Ends of ``adjust --workers 4`` after a kill of its own process: its workers end, and the next run resumes."""
+#: Commands with workers that continue; ``compare`` continues from its finished sets without an option.
+RUNS = {
+    "adjust": "--parts 6 --checkpoint-every 0 --resume --workers 4",
+    "compare": "--eop-sets 1,5,9 --solvers qr --backends dense --workers 2",
+}
+
+
+def run_killed(command: str, kills: int, seed: int) -> Counter[str]:
+    """Ends of a command with workers after a kill of its own process: its workers end, and the next run continues."""
     rng, ends = random.Random(seed), Counter[str]()
     with tempfile.TemporaryDirectory(prefix="faults-") as name:
         folder = Path(name)
         project = simulate_zonguldak(folder / "twin", ZonguldakOptions(seed=1))
-        words = ["adjust", project, "--out", folder / "out", "--work-dir", folder, "--parts", "6", "--workers", "4"]
-        line = [sys.executable, "-m", "fg_orient", *map(str, words), "--checkpoint-every", "0", "--quiet", "--resume"]
+        words = [command, str(project), "--out", str(folder / "out"), "--quiet", *RUNS[command].split()]
+        line = [sys.executable, "-m", "fg_orient", *words]
         begin = time.monotonic()
         subprocess.run(line, check=True)
         duration, expected = time.monotonic() - begin, contents(folder)
@@ -153,7 +160,7 @@ def run_killed(kills: int, seed: int) -> Counter[str]:
                 ends["kills"] += 1
                 again = [] if not (folder / "out").exists() else ["--overwrite"]
                 done = subprocess.run(line + again, capture_output=True, text=True)
-                resumed = "no checkpoint" not in done.stderr and not again
+                resumed = not again and command == "adjust" and "no checkpoint" not in done.stderr
                 differ = sorted({path for path, _ in contents(folder).items() ^ expected.items()})
                 same = done.returncode == 0 and not differ
                 wrong = f"wrong: {done.returncode}, {differ[:5]}, {done.stderr[-300:]}"
@@ -186,7 +193,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     begin, report = time.monotonic(), dict[str, Any]()
-    report["run killed"] = run_killed(given.runs, given.seed)
+    report |= {f"{command} killed": run_killed(command, given.runs, given.seed) for command in RUNS}
     report["while starting"] = while_starting(given.starts, given.longest, given.seed)
     print(json.dumps(report), file=sys.stderr, flush=True)
     report["while working"] = while_working(given.kills, given.longest, given.seed)
