@@ -18,34 +18,23 @@ from fg_orient.closerange.fitting import Fit, plain_rms
 from fg_orient.closerange.intersection import intersect_photos
 from fg_orient.closerange.options import DltOptions, ImageOptions, SurfaceOptions
 from fg_orient.closerange.photo import Photo, aerial_from_rotation, photo_text
-from fg_orient.closerange.report import RECORD_FILE, REPORT_FILE, render
+from fg_orient.closerange.report import CONTENTS, RECORD_FILE, REPORT_FILE, render
 from fg_orient.closerange.report_words import doubts, photo_rows
 from fg_orient.closerange.resection import resect
 from fg_orient.closerange.surface import Kind
 from fg_orient.closerange.surface_fit import Priors, fit_surface
-from fg_orient.formats.atomic import (
-    Contents,
-    outputs,
-    require_free,
-    require_free_files,
-    staged_folder,
-    write_text,
-    writing,
-)
+from fg_orient.formats.atomic import outputs, require_free, require_free_files, staged_folder, write_text, writing
 from fg_orient.formats.closerange import read_photos
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.model.errors import Finding, InputError, as_record, finding
 from fg_orient.model.installation import stamp
+from fg_orient.result.manifest import with_manifest, write_manifest
 from fg_orient.result.plain import dumps, plain, rows_of, write_records
 
 Record = dict[str, Any]
 T = TypeVar("T")
 
 SCHEMA: Final = 1
-CONTENTS: Final = Contents(
-    RECORD_FILE,
-    (RECORD_FILE, "points.csv", "photos.toml", REPORT_FILE, "figures/*.svg", "figures/*.pdf", "figures/captions.md"),
-)
 
 
 @dataclass(frozen=True)
@@ -358,11 +347,13 @@ def finished(
     page = "" if out is None and report is None else render(record)
     if out is not None:
         with staged_folder(out, overwrite=output.overwrite, contents=CONTENTS) as folder, writing(out):
-            (folder / RECORD_FILE).write_text(dumps(record, indent=1) + "\n", encoding="utf-8")
+            kept = with_manifest(record)
+            (folder / RECORD_FILE).write_text(dumps(kept, indent=1) + "\n", encoding="utf-8")
             (folder / REPORT_FILE).write_text(page, encoding="utf-8")
             write_records(folder / "points.csv", record.get("points") or photo_rows(record))
             if photos:
                 (folder / "photos.toml").write_text("schema = 1\n\n" + "\n".join(photos), encoding="utf-8")
+            write_manifest(folder, kept, CONTENTS)
     if report is not None:
         with outputs(report, overwrite=output.overwrite and not report.is_dir(), option="report"):
             write_text(report, page)

@@ -16,8 +16,8 @@ import numpy as np
 from factors.arrays import Array
 from fg_orient.closerange.report_maps import columns, deviation_views, distance_histogram, scene_of, views_of
 from fg_orient.closerange.report_words import KINDS, photo_rows, problems, significant, suspects, unit_of, verdict
-from fg_orient.formats.atomic import write_text
-from fg_orient.formats.load import foreign_bytes, load_json
+from fg_orient.formats.atomic import Contents, write_text
+from fg_orient.formats.load import foreign_bytes
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Progress
 from fg_orient.report import figures
@@ -34,6 +34,7 @@ from fg_orient.report.plots import (
     vectors,
 )
 from fg_orient.report.words import printable
+from fg_orient.result.manifest import MANIFEST_FILE, checked_record, is_made_by
 
 Charts = Sequence[Chart | None]
 
@@ -219,6 +220,11 @@ PLOTS: Final[dict[str, tuple[Callable[[dict[str, Any]], Charts], str]]] = {
 #: Record file that identifies a folder of close range, and its page.
 RECORD_FILE: Final = "closerange.json"
 REPORT_FILE: Final = "report.html"
+CONTENTS: Final = Contents(
+    RECORD_FILE,
+    (RECORD_FILE, "points.csv", "photos.toml", REPORT_FILE, MANIFEST_FILE, "figures/*.svg", "figures/*.pdf",
+     "figures/captions.md"),
+)  # fmt: skip
 PACKAGE: Final = "fg_orient.closerange"
 #: Rows of a table that the page shows; closerange.json and points.csv contain all.
 MANY: Final = 200
@@ -228,15 +234,17 @@ WORST: Final = 20
 
 def is_closerange(folder: Path) -> bool:
     """Return whether a folder holds a result of close range."""
-    return (folder / RECORD_FILE).is_file()
+    return is_made_by(folder, CONTENTS)
 
 
 def read_record(folder: Path) -> dict[str, Any]:
-    """Return the record of a folder; InputError if it is missing or damaged, or of a version that has no report."""
-    path = folder / RECORD_FILE
-    record = load_json(path, "report.damaged")
-    if not isinstance(record, dict) or "report" not in record:
-        raise InputError.of("report.damaged", file=path, value="written by an earlier version")
+    """Return the record of a folder whose files are those of its run (:mod:`fg_orient.result.manifest`).
+
+    InputError: it is missing or damaged, or of a version that has no report.
+    """
+    record = checked_record(folder, RECORD_FILE, CONTENTS, "report.damaged")
+    if "report" not in record:
+        raise InputError.of("report.damaged", file=folder / RECORD_FILE, value="written by an earlier version")
     return record
 
 

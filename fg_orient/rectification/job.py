@@ -11,13 +11,13 @@ import numpy as np
 from factors.arrays import Array
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.formats.atomic import require_free, staged_folder, writing
-from fg_orient.formats.load import load_json
 from fg_orient.formats.tables import require_table
 from fg_orient.model.errors import InputError
 from fg_orient.model.installation import stamp
+from fg_orient.rectification.folder import CONTENTS, read_record
 from fg_orient.rectification.options import PointOptions, StudyOptions
 from fg_orient.rectification.points import DIRECTIONS, fit_points, observations, read_map_points
-from fg_orient.rectification.record import CONTENTS, record_of, write_folder
+from fg_orient.rectification.record import record_of, write_folder
 from fg_orient.rectification.study import Cell, design_study, pair_distances
 from fg_orient.rectification.transformation import find_model
 from fg_orient.rpc.points import ids_and_checks
@@ -98,10 +98,7 @@ def _of_table(path: Path) -> Array:
 
 
 def _of_folder(path: Path) -> tuple[Array, str]:
-    file = path / "result.json"
-    if not file.is_file():
-        raise InputError.of("rectify.result", file=path)
-    record = load_json(file, "rectify.result")
+    record = read_record(path)
     try:
         rows, way, pruning = record["points"], record["direction"], record["pruning"]
         if way != DIRECTIONS[0]:

@@ -13,17 +13,18 @@ from typing import Any, Final
 import numpy as np
 
 from factors.arrays import Array
-from fg_orient.formats.atomic import Contents
 from fg_orient.geodesy import area_of_use, to_geographic
 from fg_orient.model.distributions import f_tail
 from fg_orient.model.errors import Finding, as_record, finding, sentences
 from fg_orient.rectification.fit import Observations
+from fg_orient.rectification.folder import CONTENTS, RECORD_FILE, TRANSFORMATION_FILE
 from fg_orient.rectification.outliers import PointTests, check_tests, point_tests
 from fg_orient.rectification.points import DIRECTIONS, PointFit
 from fg_orient.rectification.study import PairDistances
 from fg_orient.report.chart import INKS, Chart, large, mapped, round_down
 from fg_orient.report.svg import svg
 from fg_orient.report.words import printable, scientific
+from fg_orient.result.manifest import with_manifest, write_manifest
 from fg_orient.result.plain import dumps, write_records
 
 SCHEMA: Final = 1
@@ -252,11 +253,6 @@ def _worse(fitted: PointFit, check: Observations) -> list[Finding]:
 
 # --- result folder ----------------------------------------------------------------------------------
 
-#: Contents of the folder; transformation.json identifies it.
-CONTENTS: Final = Contents(
-    "transformation.json",
-    ("transformation.json", "result.json", "points.csv", "coefficients.csv", "residuals.svg", "report.html"),
-)
 #: Length of a large residual (90 % quantile), and maximum length of a residual, as shares of the width.
 SHARE: Final = 0.07
 MOST: Final = 0.3
@@ -267,13 +263,14 @@ MAX_POINTS: Final = 3000
 def write_folder(folder: Path, fitted: PointFit, record: dict[str, Any]) -> None:
     """Fill an empty folder with the results of a fit."""
     transformation = fitted.fit.transformation.as_dict()
-    kept = {key: value for key, value in record.items() if key != "out"}
-    (folder / "transformation.json").write_text(dumps(transformation, indent=1) + "\n", encoding="utf-8")
-    (folder / "result.json").write_text(dumps(kept, indent=1) + "\n", encoding="utf-8")
+    kept = with_manifest({key: value for key, value in record.items() if key != "out"})
+    (folder / TRANSFORMATION_FILE).write_text(dumps(transformation, indent=1) + "\n", encoding="utf-8")
+    (folder / RECORD_FILE).write_text(dumps(kept, indent=1) + "\n", encoding="utf-8")
     (folder / "residuals.svg").write_text(residual_file(record) + "\n", encoding="utf-8")
     (folder / "report.html").write_text(_report(kept), encoding="utf-8")
     write_records(folder / "points.csv", record["points"])
     write_records(folder / "coefficients.csv", record["coefficients"])
+    write_manifest(folder, kept, CONTENTS)
 
 
 def _report(record: dict[str, Any]) -> str:

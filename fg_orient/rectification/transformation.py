@@ -17,9 +17,9 @@ from factors.arrays import Array
 from factors.cameras import plane
 from fg_orient.formats.load import load_json
 from fg_orient.model.errors import InputError
+from fg_orient.rectification.folder import TRANSFORMATION_FILE, require_whole
 
 SCHEMA: Final = 1
-#: Largest file that can be a transformation.
 
 
 @dataclass(frozen=True)
@@ -267,9 +267,11 @@ def read_transformation(path: Path) -> Transformation:
     Raises
     ------
     InputError
-        It cannot be read or is not a transformation.
+        It cannot be read or is not a transformation; the folder is a part of a result, or was changed.
     """
-    file = path / "transformation.json" if path.is_dir() else path
+    if path.is_dir():
+        require_whole(path)
+    file = path / TRANSFORMATION_FILE if path.is_dir() else path
     if not file.is_file():
         raise InputError.of("rectify.saved", file=file, value="no such file")
     content = load_json(file, "rectify.saved")

@@ -20,12 +20,12 @@ import numpy.typing as npt
 
 from factors.arrays import Array, Index
 from fg_orient.formats.atomic import RESULT
-from fg_orient.formats.load import load_bytes, load_json, load_npz, parse_json
+from fg_orient.formats.load import load_bytes, load_npz, parse_json
 from fg_orient.formats.table_write import WHOLE, table_file
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import TABLE_FORM, Status
 from fg_orient.result.joint import JointCofactors
-from fg_orient.result.manifest import read_manifest, require_run
+from fg_orient.result.manifest import MANIFEST_FILE, checked_record
 from fg_orient.result.plain import Table, dumps, plain, read_table, table_of_rows
 
 if TYPE_CHECKING:
@@ -304,15 +304,9 @@ def read_record(folder: Path) -> dict[str, Any]:
         The file is missing or damaged. Or the folder is incomplete or was changed
         (``fg_orient.result.manifest``).
     """
-    path = folder / RESULT_FILE
-    stated = read_manifest(folder)
-    if not path.is_file():
+    if not (folder / RESULT_FILE).is_file() and not (folder / MANIFEST_FILE).is_file():
         raise InputError.of("report.no_result", file=folder, place="DIR", value=f"no {RESULT_FILE}")
-    record = load_json(path, "report.damaged")
-    if not isinstance(record, dict):
-        raise InputError.of("report.damaged", file=path, value="no JSON object")
-    require_run(folder, stated, record)
-    return record
+    return checked_record(folder, RESULT_FILE, RESULT, "report.damaged")
 
 
 def read_result(folder: str | Path) -> Result:

@@ -688,14 +688,8 @@ def _result(folder: Path) -> None:
 
 def _old_result(folder: Path) -> None:
     """Write a small result as a version without manifest wrote it."""
-    import json
-
     _result(folder)
-    (folder / "result" / "manifest.json").unlink()
-    path = folder / "result" / "result.json"
-    record = json.loads(path.read_text("utf-8"))
-    del record["provenance"]["manifest"]
-    path.write_text(json.dumps(record, indent=1), "utf-8")
+    _without_manifest(folder / "result", "result.json")
 
 
 def _read_result(folder: Path) -> None:
@@ -739,6 +733,17 @@ def _closerange_result(folder: Path) -> None:
     words = ("closerange", "dlt", folder / "control.csv", "--out", folder / "result")
     ended = in_process(*words)
     assert ended.code in (0, 4), ended.stderr
+    _without_manifest(folder / "result", "closerange.json")
+
+
+def _without_manifest(folder: Path, name: str) -> None:
+    """Make a folder one of a version without manifest, which would refuse each changed file; ``name``: its record."""
+    import json
+
+    (folder / "manifest.json").unlink()
+    record = json.loads((folder / name).read_text("utf-8"))
+    del record.get("provenance", record)["manifest"]
+    (folder / name).write_text(json.dumps(record, indent=1), "utf-8")
 
 
 def _read_closerange_result(folder: Path) -> None:
@@ -756,6 +761,7 @@ def _transformation(folder: Path) -> None:
     ended = in_process("rectify", "fit", folder / "points.csv", "--out", folder / "result")
     assert ended.code in (0, 4), ended.stderr
     (folder / "points.csv").unlink()
+    _without_manifest(folder / "result", "result.json")
 
 
 def _read_transformation(folder: Path) -> None:

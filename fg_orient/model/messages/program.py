@@ -104,7 +104,7 @@ manifest.incomplete: the folder is only a part of a result: {count} of {n} file(
 manifest.other_run: the record and the manifest of the folder belong to different runs
     -> copy the whole folder of one run
 manifest.changed: the file is not the one that the run wrote: it was edited, or belongs to another run
-    -> restore the file, or run fg-orient adjust again
+    -> restore the file, or run the command again
 manifest.added: the run did not write this file
     -> move it to another folder
 manifest.outside: this is a link out of the result folder, or not a file

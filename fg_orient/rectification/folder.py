@@ -1,0 +1,41 @@
+"""Result folder of ``rectify fit``: its contents, and the record of a folder whose files are those of its run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final
+
+from fg_orient.formats.atomic import Contents
+from fg_orient.model.errors import InputError
+from fg_orient.result.manifest import MANIFEST_FILE, checked_record
+
+TRANSFORMATION_FILE: Final = "transformation.json"
+RECORD_FILE: Final = "result.json"
+#: Contents of the folder; transformation.json identifies it.
+CONTENTS: Final = Contents(
+    TRANSFORMATION_FILE,
+    (TRANSFORMATION_FILE, RECORD_FILE, "points.csv", "coefficients.csv", "residuals.svg", "report.html", MANIFEST_FILE),
+)
+
+
+def read_record(folder: Path) -> dict[str, Any]:
+    """Read the record of a fit.
+
+    Raises
+    ------
+    InputError
+        It is missing or damaged; the folder is a part of a result, or was changed (``fg_orient.result.manifest``).
+    """
+    if not _has_record(folder):
+        raise InputError.of("rectify.result", file=folder)
+    return checked_record(folder, RECORD_FILE, CONTENTS, "rectify.result")
+
+
+def require_whole(folder: Path) -> None:
+    """Check the folder as :func:`read_record` does; a transformation without record and manifest is not checked."""
+    if _has_record(folder):
+        read_record(folder)
+
+
+def _has_record(folder: Path) -> bool:
+    return (folder / RECORD_FILE).is_file() or (folder / MANIFEST_FILE).is_file()
