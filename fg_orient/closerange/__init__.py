@@ -1,4 +1,4 @@
-"""Close range: DLT, resection, intersection, relative and absolute orientation, parallax, surfaces."""
+"""Close-range photogrammetry: DLT, resection, intersection, relative and absolute orientation, surfaces."""
 
 from __future__ import annotations
 

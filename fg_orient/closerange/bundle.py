@@ -1,4 +1,7 @@
-"""Close-range bundle as a block of the common adjustment: self-calibration, observed unknowns, constraints."""
+"""Adjust a close-range bundle: self-calibration, observed unknowns, constraints.
+
+The bundle is converted to a block of the common adjustment.
+"""
 
 from __future__ import annotations
 
@@ -46,9 +49,10 @@ class BundlePhoto:
         Start of the projection centre.
     unknown : tuple of str
         Camera parameters of this photo only (photo-variant): c, x0, y0, the names of
-        ``factors.cameras.image_corrections``, a1 to a21 of ``factors.cameras.additional_parameters``, and the names of
-        ``factors.cameras.image_variants``, relative to the radius of the camera's outermost image point.
-        ``closerange.photo`` defines sets of them.
+        ``factors.cameras.image_corrections``, a1 to a21 of
+        ``factors.cameras.additional_parameters``, and the names of
+        ``factors.cameras.image_variants``, relative to the radius of the camera's
+        outermost image point. ``closerange.photo`` defines sets of them.
     camera : str
         Name of the camera; all its photos have the same ``shared`` unknowns.
     shared : tuple of str
@@ -58,8 +62,8 @@ class BundlePhoto:
     sigma_centre_m : (3,) array, optional
         Standard deviations if the centre is observed as ``observed_centre_m``, by default the start.
     sigma_turn_rad : (3,) array, optional
-        Standard deviations if the start attitude is observed: rotations about the camera's axes X right, Y down, Z
-        along the view.
+        Standard deviations if the start attitude is observed: rotations about the
+        camera's axes X right, Y down, Z along the view.
     held : bool
         True if rotation and centre are exact.
     observed_centre_m : (3,) array, optional
@@ -145,14 +149,15 @@ def adjust_bundle(
     image : (m, 2) array
         Measured x, y.
     sigma : float or array that fits (m, 2)
-        Standard deviations of the corrected image coordinates, or of the conditions (image unit times m) with
-        ``residual="condition"``.
+        Standard deviations of the corrected image coordinates, or of the conditions
+        (image unit times m) with ``residual="condition"``.
     control : mapping, optional
-        Observed points: coordinates and sigmas, m; with sigma 0 they are held fixed.
+        Observed points: coordinates and standard deviations, m. Points with standard
+        deviation 0 are held fixed.
     constraints : sequence of Constraint
     residual : "image" or "condition"
-        Least squares of the image residuals, or of the conditions F = e R3 (Ayhan 1996, eq. 77), with weights that do
-        not depend on the depth.
+        Least squares of the image residuals, or of the conditions F = e R3 (Ayhan 1996,
+        eq. 77), with weights that do not depend on the depth.
     backend : "auto", "dense", "graph" or "schur"
         Full matrices, GTSAM, or our own loop on arrays; auto: full matrices up to 2000 unknowns, else GTSAM.
     optimizer : str
@@ -160,8 +165,9 @@ def adjust_bundle(
     callback : callable, optional
         Function that receives an ``IterationRecord`` after each iteration.
     **more
-        Other options of the adjustment, of a robust loss and of the search for gross errors: those fields of
-        :class:`fg_orient.Options` that ``closerange.options.COMMON`` names.
+        Other options of the adjustment, of a robust loss and of the search for gross
+        errors: those fields of :class:`fg_orient.Options` that
+        ``closerange.options.COMMON`` names.
 
     Returns
     -------
@@ -170,10 +176,11 @@ def adjust_bundle(
     Raises
     ------
     InputError
-        Sizes or values are invalid; points have less than two rays; motions of the whole block are undetermined; other
-        unknowns are undetermined (without a prior their standard deviation exceeds 1000 times that of their
-        observations), named with their direction; hard constraints depend on or contradict each other; full matrices
-        would have more than 2000 unknowns.
+        Sizes or values are invalid; points have less than two rays; motions of the whole
+        block are undetermined; other unknowns are undetermined (without a prior their
+        standard deviation exceeds 1000 times that of their observations), named with
+        their direction; hard constraints depend on or contradict each other; full
+        matrices would have more than 2000 unknowns.
     NoSolutionError
         The iteration does not converge, or a point lies behind a photo.
     TypeError

@@ -1,4 +1,4 @@
-"""Photos, points, observations and constraints of a bundle as a block of the common adjustment."""
+"""Convert photos, points, observations and constraints of a bundle to a block of the common adjustment."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ CENTRE: Final = ("X0", "Y0", "Z0")
 POINT: Final = ("X", "Y", "Z")
 _TURN: Final = ("rotation_x", "rotation_y", "rotation_z")
 _CENTRE: Final = ("centre_x", "centre_y", "centre_z")
-#: Close-range names of parameters that have another name for frame images.
+#: Parameters that have another name for frame images, by their names in close range.
 FRAME: Final = {
     "c": "focal", "x0": "principal_sample", "y0": "principal_line", "p1": "p2", "p2": "p1",
     **dict(zip(TURNS, _TURN, strict=True)), **dict(zip(CENTRE, _CENTRE, strict=True)),
@@ -75,7 +75,7 @@ class Built:
     observed : frozenset of (str, str)
         Unknowns that are observed directly: photo, or camera with shared unknowns, and name.
     exact : tuple of Constraint
-        Figures through just as many points as determine them; they do not change the adjustment.
+        Figures with exactly the number of points that determines them. They do not change the adjustment.
     """
 
     photos: tuple[BundlePhoto, ...]
@@ -93,7 +93,10 @@ class Built:
 
     @cached_property
     def owners(self) -> list[tuple[str, str]]:
-        """Photo or camera, and name, of each unknown of the photos (z,); a shared unknown occurs once."""
+        """Photo or camera, and name, of each unknown of the photos (z,).
+
+        A shared unknown occurs once.
+        """
         out = dict[int, tuple[str, str]]()
         for k, (photo, own) in enumerate(zip(self.photos, self.problem.parameters, strict=True)):
             shared = own.shared or ("",) * len(own)
@@ -249,9 +252,10 @@ def build(
 def _require_members(
     photos: Sequence[BundlePhoto], ids: Sequence[str], constraints: Sequence[Constraint], control: Control
 ) -> None:
-    """Refuse unknown members, constraints of fixed members only, and different hard lengths between the same members.
+    """Refuse unknown members, constraints between fixed members, and contradictory hard lengths of the same members.
 
-    The adjustment refuses equal lengths as dependent; lengths with a sigma are observations.
+    The adjustment refuses equal hard lengths, because they are dependent. Lengths with a
+    sigma are observations.
     """
     first, by_name = dict[tuple[str, frozenset[str]], Constraint](), {p.name: p for p in photos}
     foreign = foreign_members(constraints, ids, tuple(by_name))

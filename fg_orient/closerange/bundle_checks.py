@@ -1,4 +1,4 @@
-"""Refusals of a bundle: points without rays, undetermined unknowns."""
+"""Refuse bundles with points without rays or with undetermined unknowns."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _CODES: Final = {
 def require_rays(built: Built) -> None:
     """Refuse points without rays, and points in one photo without other observations.
 
-    For a control point or a point of a constraint the observability of the block decides, with all other unknowns.
+    Control points and points of constraints are not checked here: the observability of the whole block decides.
     """
     known, o = built.block.points.known, built.block.observations
     others = {name for e in built.block.extra for name in getattr(e, "members", ())}
@@ -58,7 +58,7 @@ def require_determined(labels: Sequence[str], deviation: Array) -> None:
 
 
 def of_close_range(error: FgOrientError) -> InputError:
-    """Return the error of an adjustment with remedies for photos."""
+    """Convert an error of the adjustment: its remedies are replaced by remedies for photos."""
     faults = [p for p in error.problems if p.code != "block.no_control"] or list(error.problems)
     return InputError(*map(_of_close_range, faults))
 

@@ -1,4 +1,4 @@
-"""Execution of the command ``closerange bundle``: read tables, photos and constraints, then adjust."""
+"""Run the command ``closerange bundle``: read tables, photos and constraints, then adjust."""
 
 from __future__ import annotations
 
@@ -39,11 +39,13 @@ def run_bundle(
     Parameters
     ----------
     path, photos : Path
-        Image points; photo file. A photo without orientation is resected from its points with known coordinates.
+        Image points; photo file. A photo without orientation is resected from its points
+        with known coordinates.
     options : BundleOptions
     control, check, start : Path, optional
-        Tables of points in space: control points; check points, whose coordinates are not used in the adjustment; new
-        points with approximate coordinates (other new points are intersected).
+        Tables of points in space: control points; check points, whose coordinates are not
+        used in the adjustment; new points with approximate coordinates (other new points
+        are intersected).
     constraints, stations : Path, optional
         Constraint file; table of observed projection centres and attitudes.
     output : Output, optional
@@ -55,8 +57,8 @@ def run_bundle(
     Raises
     ------
     InputError, NoSolutionError
-        See :func:`fg_orient.closerange.bundle.adjust_bundle`. Also: control points or constraints have sigmas, or
-        options need sigmas, but image coordinates have none.
+        See :func:`fg_orient.closerange.bundle.adjust_bundle`. Also: control points or
+        constraints have sigmas, or options need sigmas, but image coordinates have none.
     """
     output.require_possible()
     report_progress = stage or (lambda name, count: None)
@@ -145,8 +147,9 @@ def _approximate(
 ) -> tuple[list[tuple[PhotoInterior, Array, Array]], Array, list[Finding]]:
     """Return interior, rotation and centre of each photo; points (n, 3); warnings.
 
-    The approximate value of an observed attitude is the observation. Other photos come from the file, else from a
-    resection. Points without given coordinates are intersected.
+    The approximate value of an observed attitude is the observation. Other photos come
+    from the file, else from a resection. Points without given coordinates are
+    intersected.
     """
     names, ids, which, of = table.numbered(begun)
     file = read_photos(path)

@@ -1,4 +1,4 @@
-"""Record of a bundle: content of ``closerange.json`` and of the report."""
+"""Make the record of a bundle, which is the content of ``closerange.json`` and of the report."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from fg_orient.result.summary import robust_record
 
 Known = Mapping[str, tuple[Array, Array]]
 
-#: Smallest correlation that is listed; maximum number of listed correlations and of weak directions.
+#: Correlations of at least this size are listed; below: maximum number of correlations and of weak directions.
 HIGH: Final = 0.9
 LISTED: Final = 40
 #: Recorded fields of an iteration.
 HISTORY: Final = ("iteration", "chi2", "chi2_after", "ratio", "step", "accepted")
 _WEAK: Final = 5
-#: Maximum number of unknowns of a direction that are named.
+#: Maximum number of unknowns that are named for a direction.
 _FEW: Final = 4
 
 
@@ -105,7 +105,7 @@ def bundle_record(
 
 
 def _numbers(one: Adjustment, *names: str) -> list[job.Record]:
-    """Return some values, by default all, with standard deviations."""
+    """Return values with their standard deviations, by default all values."""
     return [{"name": n, "value": one[n][0], "sigma": one[n][1]} for n in (names or one.names)]
 
 
@@ -193,9 +193,10 @@ def _points(result: BundleResult, known: Known, of: Index, check: Mapping[str, A
 
 
 def _residuals(result: BundleResult, table: files.Observed, unit: float) -> list[job.Record]:
-    """Return image points with residuals (computed minus corrected), redundancy numbers, w, detectable errors.
+    """Return image points with residuals (computed minus corrected), redundancy numbers, w and detectable errors.
 
-    With a loss or a search for gross errors they have weights, 0 if rejected. Under a loss there are no tests.
+    With a loss or a search for gross errors, they have weights; rejected points have the
+    weight 0. With a loss, there are no tests.
     """
     sigma, options = result.image_sigma, result.solution.block.options
     own, detectable = _tested(result.residuals, sigma * unit, result.redundancy_numbers)
@@ -294,7 +295,8 @@ def _significance(result: BundleResult) -> job.Record | None:
 def directions(result: BundleResult) -> job.Record:
     """Return the singular values of the orientation in its units, and its weakest directions by their main unknowns.
 
-    A direction with the value s has a standard deviation of 1/s units; directions that hard conditions fix are counted.
+    A direction with the value s has a standard deviation of 1/s units; directions that
+    hard conditions fix are counted.
     """
     units = result.orientation_units
     variances, vectors = np.linalg.eigh(result.orientation / np.outer(units, units))

@@ -47,49 +47,54 @@ class BundleResult:
     Parameters
     ----------
     photos : tuple of Adjustment
-        Camera parameters by name, then ``turn_x, turn_y, turn_z`` (rad, about the camera's axes, from the start) and
-        ``X0, Y0, Z0`` (m).
+        Camera parameters by name, then ``turn_x, turn_y, turn_z`` (rad, about the
+        camera's axes, from the start) and ``X0, Y0, Z0`` (m).
     cameras : tuple of Adjustment
         Shared parameters of the cameras.
     interiors, rotations, centres_m
-        Interior orientations, rotations and projection centres of the photos. An interior contains the corrections of
-        :class:`PhotoInterior`: k1 to affinity_b.
+        Interior orientations, rotations and projection centres of the photos. An interior
+        contains the corrections of :class:`PhotoInterior`: k1 to affinity_b.
     ids : tuple of str
         Ids of the points.
     points_m, sigma_m : (n, 3) arrays
-        Coordinates and standard deviations of the points; ``sigma_m`` is None without redundancy, and 0 for a fixed
-        point.
+        Coordinates and standard deviations of the points; ``sigma_m`` is None without
+        redundancy, and 0 for a fixed point.
     figures : tuple of Adjustment
     residuals : (m, 2) array
-        Computed minus ideal image coordinates, in the order of the observations and in their unit (times metres for
-        residuals of conditions). Residuals of rejected observations are predicted; nan if their point has no position.
+        Computed minus ideal image coordinates, in the order of the observations and in
+        their unit (times metres for residuals of conditions). Residuals of rejected
+        observations are predicted; nan if their point has no position.
     image_sigma : (m, 2) array
         Standard deviations of the image coordinates: as given, or estimated by variance components.
     weights : (m,) array
-        Weights of the image points: those of the loss, 1 without a loss, 0 for observations that the search rejected.
+        Weights of the image points: those of the loss, 1 without a loss, 0 for
+        observations that the search rejected.
     state : (u,) array
     labels : tuple of str
         Names of the unknowns.
     cofactors : (u,) array
         Diagonal of the cofactor matrix.
     m0 : float or None
-        None without redundancy. Under a loss it is the scale of the loss: standard deviations are based on the given
-        sigmas, or with ``robust_scale="mad"`` on those of the residuals.
+        None without redundancy. Under a loss it is the scale of the loss: standard
+        deviations are based on the given sigmas, or with ``robust_scale="mad"`` on those
+        of the residuals.
     redundancy, iterations : int
-        Redundancy; number of iterations with all constraints (iterations without spheres and spheroids are not
-        counted).
+        Redundancy; number of iterations with all constraints (iterations without spheres
+        and spheroids are not counted).
     backend : str
     history : tuple of IterationRecord
     redundancy_numbers : (m, 2) array
         Redundancy numbers of the image coordinates; nan for rejected ones.
     others, others_whitened, others_redundancy
-        Names (k) of other soft observations, element by element; their whitened residuals and redundancy numbers (k,).
+        Names (k) of other soft observations, element by element; their whitened residuals
+        and redundancy numbers (k,).
     point_cofactors, angle_cofactors : (n, 3, 3), (p, 3, 3) arrays
         Cofactors of the points, m^2, and of omega, phi, kappa of the photos, deg^2; 0 for fixed ones.
     orientation, orientation_labels : (o, o) array, tuple of str
         Cofactors and names of all unknowns except those of points.
     orientation_units : (o,) array
-        Accuracy of these unknowns from one image point; an unknown that is 1000 times less accurate is not determined.
+        Accuracy of these unknowns from one image point; an unknown that is 1000 times
+        less accurate is not determined.
     solution : Solution
         Solution of the common adjustment, whose images are the photos.
     """
@@ -262,9 +267,9 @@ def _orientation(built: Built, solution: Solution, figures: Sequence[FittedFigur
 
 
 def _units(built: Built, solution: Solution, figures: Sequence[FittedFigure]) -> Array:
-    """Return the accuracy from one image point of the orientation, then of the points.
+    """Return the accuracy that one image point gives, for the unknowns of the orientation, then for the points.
 
-    a figure has that of its points.
+    A figure has the accuracy of its points.
     """
     z, units = len(built.owners), built.units(solution.state)
     typical = float(np.median(units[z:])) if len(units) > z else 1.0

@@ -1,8 +1,9 @@
-"""Comparison of a published report with a result: name, value, optionally sigma and digits, from a CSV table.
+"""Compare a published report with a result. A CSV table contains name, value, and optionally sigma and digits.
 
-``digits`` is the number of significant digits of a value that was printed without its last zeros. The verdict on a
-value comes from :func:`fg_orient.model.digits.agreement` with the published standard deviation, else with ours. A
-standard deviation is compared only by its digits. Counts must be equal. Angles in degrees are compared modulo 360.
+``digits`` is the number of significant digits, for values that were printed without their
+last zeros. :func:`fg_orient.model.digits.agreement` compares a value with the published
+standard deviation; if this is missing, with ours. A standard deviation is compared only
+by its digits. Counts must be equal. Angles in degrees are compared modulo 360.
 """
 
 from __future__ import annotations
@@ -37,7 +38,10 @@ Value = tuple[float | None, float | None]
 
 
 def values_of(record: Record) -> dict[str, Value]:
-    """Return values and standard deviations of a result by name; correlations have names like ``camera all k1/k2``."""
+    """Return values and standard deviations of a result by name.
+
+    Correlations have names like ``camera all k1/k2``.
+    """
     out: dict[str, Value] = {name: (record[name], None) for name in ("m0", "redundancy", "unknowns") if name in record}
     parts = [
         ("", record.get("parameters", [])),

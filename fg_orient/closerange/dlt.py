@@ -1,18 +1,23 @@
 """Direct linear transformation: 11 parameters and distortion, interior and exterior orientation recovered from them.
 
-Control points are refused if their heights above a plane are within the noise of the image. Let the middle of the
-points be the origin and their plane Z = 0. A photo of the plane alone is a homography. Its eight parameters do not
-determine the third column (L3, L7, L11) of the matrix. If the heights are too small, noise determines this column. With
-columns m1, m2, m3, m4 the projection centre has the height ``-D4 / D3``, ``D3 = det(m1, m2, m3)`` and
-``D4 = det(m1, m2, m4)``. Noise in the third column moves the centre through 1 / ``D3``. ``D3`` is the determinant of
-the left part of the matrix in any axes, so the plane need not be known. It is also 0 for a parallel projection.
+Control points are refused if their heights above a plane are within the noise of the
+image. Let the middle of the points be the origin and their plane Z = 0. A photo of the
+plane alone is a homography. Its eight parameters do not determine the third column (L3,
+L7, L11) of the matrix. If the heights are too small, noise determines this column. With
+columns m1, m2, m3, m4 the projection centre has the height ``-D4 / D3``, ``D3 = det(m1,
+m2, m3)`` and ``D4 = det(m1, m2, m4)``. Noise in the third column moves the centre through
+1 / ``D3``. ``D3`` is the determinant of the left part of the matrix in any axes, so the
+plane need not be known. It is also 0 for a parallel projection.
 
-A test that ``D3`` differs from 0 by q sigmas (q: quantile of ``LEVEL``) is not sufficient, because error propagation to
-the inverse of a number is valid only many sigmas from 0. If the estimate is T sigmas from 0 and the true value is t,
-the error of the centre is ``T (T - t) / t`` standard deviations. This error may exceed ``ALLOWED`` only if the noise
-exceeds q: T - t >= q at ``T (T - t) / t = ALLOWED`` requires ``T >= q ALLOWED / (ALLOWED - q)``, 8.1 = 2.6 q for known
-sigmas. If m0 replaces unknown sigmas, q is Student's quantile, at most ``ALLOWED``. With a redundancy below 7, errors
-of good coordinates exceed this limit more often than ``LEVEL``. With a redundancy of 1, one flat set of 15 passes.
+A test that ``D3`` differs from 0 by q sigmas (q: quantile of ``LEVEL``) is not
+sufficient, because error propagation to the inverse of a number is valid only many sigmas
+from 0. If the estimate is T sigmas from 0 and the true value is t, the error of the
+centre is ``T (T - t) / t`` standard deviations. This error may exceed ``ALLOWED`` only if
+the noise exceeds q: T - t >= q at ``T (T - t) / t = ALLOWED`` requires ``T >= q ALLOWED /
+(ALLOWED - q)``, 8.1 = 2.6 q for known sigmas. If m0 replaces unknown sigmas, q is
+Student's quantile, at most ``ALLOWED``. With a redundancy below 7, errors of good
+coordinates exceed this limit more often than ``LEVEL``. With a redundancy of 1, one flat
+set of 15 passes.
 """
 
 from __future__ import annotations
@@ -34,7 +39,7 @@ from fg_orient.model.distributions import normal_quantile, t_quantile
 from fg_orient.model.errors import Finding, InputError, NoSolutionError, finding
 from fg_orient.rectification.transformation import Scaling
 
-#: Distortion coefficients that a DLT may have, in order.
+#: Distortion coefficients that a DLT may have, in their order.
 DISTORTION: Final = NAMES[:N_DISTORTION]
 PARAMETERS: Final = tuple(f"L{k}" for k in range(1, 12))
 RECOVERED: Final = ("x0", "y0", "cx", "cy", "skew", "X0", "Y0", "Z0", "turn_x", "turn_y", "turn_z")
@@ -65,11 +70,13 @@ class Recovered:
         Deviation of the image axes from a right angle, rad.
     centre_m : (3,) array
     rotation : (3, 3) array
-        Camera axes X right, Y down, Z along the view, from ground axes; Y follows the y axis of the image exactly.
+        Camera axes X right, Y down, Z along the view, from ground axes; Y follows the y
+        axis of the image exactly.
     y_axis : "up" or "down"
         Direction of y in the image, computed from the points.
     sigma : dict or None
-        Standard deviations by name (:data:`RECOVERED`; rotations about the camera axes, rad); None without redundancy.
+        Standard deviations by name (:data:`RECOVERED`; rotations about the camera axes,
+        rad); None without redundancy.
     """
 
     principal: Array
@@ -144,13 +151,13 @@ def fit_dlt(
     distortion : sequence of str
         Unknown coefficients among k1, k2, k3, p1, p2 (measured to ideal).
     about : (2,) array, optional
-        Fixed origin of the distortion. Default: the principal point of L, found by iteration (of the direct solution,
-        if the iteration does not converge).
+        Fixed origin of the distortion. Default: the principal point of L, found by
+        iteration (of the direct solution, if the iteration does not converge).
     name : str
         Name of the photo.
     iterate : bool
-        False: compute the direct linear solution (without distortion), in which the equations are multiplied by their
-        denominator.
+        False: compute the direct linear solution (without distortion), in which the
+        equations are multiplied by their denominator.
 
     Returns
     -------
@@ -159,7 +166,8 @@ def fit_dlt(
     Raises
     ------
     InputError
-        Too few points, points in a plane or flat within the noise, unknown coefficients, impossible values.
+        There are too few points; points lie in a plane, or are flat within the noise;
+        coefficients are unknown; or values are impossible.
     NoSolutionError
         The iteration does not converge, or points lie on both sides of the camera.
     """
@@ -218,9 +226,10 @@ def fit_dlt(
 def _iterated(rows: fitting.Rows, records: Array, state: Array, *, moves: bool) -> tuple[Array, int]:
     """Return the adjusted state and number of iterations.
 
-    If it ``moves``, the centre of distortion is the principal point of L. If this iteration does not converge (points
-    that do not separate distortion and principal point), the centre of the direct solution is used; ``records`` contain
-    the used centre.
+    If it ``moves``, the centre of distortion is the principal point of L. If this
+    iteration does not converge (points that do not separate distortion and principal
+    point), the centre of the direct solution is used; ``records`` contain the used
+    centre.
     """
     start, before = records[0, RECORD.centre].copy(), np.inf
     first = last = fitting.adjust(rows, state, "DLT")
@@ -240,7 +249,7 @@ def _iterated(rows: fitting.Rows, records: Array, state: Array, *, moves: bool) 
 
 
 def _open(ground: Array, value: str) -> InputError:
-    """Return the refusal of points close to a plane, or in another critical configuration such as a twisted cubic."""
+    """Return the error for points close to a plane or in another critical configuration, such as a twisted cubic."""
     size = np.linalg.svd(ground - ground.mean(axis=0), compute_uv=False)
     code = "closerange.plane" if size[2] <= CLOSE_TO_PLANE * size[0] else "closerange.critical"
     return InputError.of(code, place="DLT", value=value)
@@ -255,9 +264,9 @@ def _require_spatial(ground: Array, design: Array) -> fitting.Determination:
 
 
 def limits(redundancy: int, *, known: bool) -> tuple[float, float]:
-    """Return the limits in sigmas: determinant different from 0, and inverse with a valid sigma.
+    """Return two limits in sigmas: for a determinant that differs from 0, and for an inverse whose sigma is valid.
 
-    ``redundancy``: 1 or more if sigmas are not known; ``known``: sigmas were given.
+    ``known`` states whether sigmas were given. If not, ``redundancy`` must be at least 1.
     """
     normal = float(-normal_quantile(LEVEL))
     noise = normal if known else min(float(t_quantile(redundancy, 1.0 - LEVEL)), ALLOWED)
@@ -281,8 +290,8 @@ def require_depth(
         Cofactors of these parameters and of the distortion coefficients.
     m0, redundancy
     known : bool
-        True if sigmas were given; m0 can only enlarge them. Without them and without redundancy the noise is unknown,
-        and nothing is refused.
+        True if sigmas were given; m0 can only enlarge them. Without them and without
+        redundancy the noise is unknown, and nothing is refused.
     """
     if not known and m0 is None:
         return None
@@ -357,8 +366,8 @@ def recover(parameters: Array, origin_m: Array, covariance: Array | None = None)
         Parameters for ground coordinates relative to ``origin_m``.
     origin_m : (3,) array
     covariance : (11, 11) array, optional
-        Covariance of the parameters. It is propagated to standard deviations by complex steps through the same
-        formulas.
+        Covariance of the parameters. It is propagated to standard deviations by complex
+        steps through the same formulas.
 
     Raises
     ------
@@ -388,7 +397,10 @@ def recover(parameters: Array, origin_m: Array, covariance: Array | None = None)
 
 
 def _orientation(matrix: npt.NDArray[Any], sign: float) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-    """Return x0, y0, cx, cy, skew, centre (8,) and rotation (3, 3); complex matrices are allowed."""
+    """Return x0, y0, cx, cy, skew, centre (8,) and rotation (3, 3).
+
+    Complex matrices are allowed.
+    """
     m = matrix[:, :3] / np.sqrt(np.sum(matrix[2, :3] ** 2))
     x0, y0 = m[0] @ m[2], m[1] @ m[2]
     along_x, along_y = m[0] - x0 * m[2], m[1] - y0 * m[2]

@@ -1,7 +1,8 @@
-"""Tables and photo files of the commands: points in photos and in space, stations, photos from TOML.
+"""Read the tables and photo files of the commands: points in photos and in space, stations, photos.
 
-Stations are observed projection centres, optionally with attitudes, and their standard deviations. They come from a
-receiver, a total station or an inertial unit, in the coordinate system of the control points.
+Stations are observed projection centres with standard deviations; attitudes are optional.
+They come from a receiver, a total station or an inertial unit. Their coordinate system is
+that of the control points.
 """
 
 from __future__ import annotations
@@ -44,8 +45,8 @@ class Observed(PointTable):
     photos : tuple of str
         One per row; "" if the table has no such column.
     sigma : array or None
-        Standard deviations of the image coordinates (n, 2); in a table without them, of the ground coordinates (n, 3).
-        None: relative weights, all 1.
+        Standard deviations of the image coordinates (n, 2); in a table without them, of
+        the ground coordinates (n, 3). None: relative weights, all 1.
     sha256 : str
     """
 
@@ -55,7 +56,7 @@ class Observed(PointTable):
 
     @property
     def weights(self) -> str:
-        """Absolute (given sigmas, m0 is a ratio), or relative (m0 is a sigma)."""
+        """Kind of the weights: "absolute" (sigmas are given, m0 is a ratio) or "relative" (m0 is a sigma)."""
         return "relative" if self.sigma is None else "absolute"
 
     @property
@@ -64,9 +65,10 @@ class Observed(PointTable):
         return np.ones((len(self), 2)) if self.sigma is None else self.sigma
 
     def numbered(self, others: Iterable[str] = ()) -> tuple[list[str], list[str], Index, Index]:
-        """Return names of the photos; ids of the points and of others.
+        """Number the photos and points.
 
-        Number (n,) of the photo and point of each row.
+        Return the names of the photos, the ids of the points and of others, and the
+        number (n,) of the photo and of the point of each row.
         """
         names, ids = list(dict.fromkeys(self.photos)), list(dict.fromkeys((*self.ids, *others)))
         rows = ((names, self.photos), (ids, self.ids))
@@ -89,12 +91,18 @@ def read_control(path: Path, sigma: float | None = None) -> Observed:
 
 
 def read_image_points(path: Path, sigma: float | None = None) -> Observed:
-    """Return the points measured in photos: id, photo, x, y; optional sigma_x and sigma_y. ``sigma``: default."""
+    """Return the points measured in photos: id, photo, x, y.
+
+    Optional sigma_x and sigma_y. ``sigma``: default.
+    """
     return _read(path, [("id", "photo", *IMAGE, *own) for own in ((), SIGMA_IMAGE)], sigma)
 
 
 def read_ground_points(path: Path, sigma_m: float | None = None) -> Observed:
-    """Return the points in space: id, x_m, y_m, z_m; optional sigma_x_m, sigma_y_m, sigma_z_m. ``sigma_m``: default."""
+    """Return the points in space: id, x_m, y_m, z_m.
+
+    Optional sigma_x_m, sigma_y_m, sigma_z_m. ``sigma_m``: default.
+    """
     return _read(path, [("id", *GROUND, *own) for own in ((), SIGMA_GROUND)], sigma_m)
 
 
@@ -135,7 +143,7 @@ def _read(path: Path, layouts: list[tuple[str, ...]], default: float | None) -> 
 
 
 def _numbers(table: Table, names: Sequence[str]) -> Array:
-    """Read numbers (n, k) of some columns; numbers larger than ``LARGEST`` are refused."""
+    """Read the numbers (n, k) of some columns; refuse numbers larger than ``LARGEST``."""
     out = table.numbers(*names)
     for name, values in zip(names, out.T, strict=True):
         table.refuse(np.abs(values) > LARGEST, "closerange.range", name, value=values, limit=LARGEST)
@@ -182,8 +190,8 @@ def oriented_photos(photos: Photos) -> dict[str, Photo]:
 class Station:
     """Observed projection centre and, optionally, attitude of a photo with standard deviations (3,).
 
-    ``rotation`` (3, 3): camera axes from ground axes; ``sigma_turns_rad``: sigmas of rotations about the camera's axes
-    X right, Y down, Z along the view.
+    ``rotation`` (3, 3): camera axes from ground axes; ``sigma_turns_rad``: sigmas of
+    rotations about the camera's axes X right, Y down, Z along the view.
     """
 
     centre_m: Array
@@ -195,8 +203,8 @@ class Station:
 def read_stations(path: Path) -> dict[str, Station]:
     """Return the stations of a CSV table by photo; InputError with all errors of the table.
 
-    Columns: photo, x_m, y_m, z_m, sigma_x_m, sigma_y_m, sigma_z_m; optional omega_deg, phi_deg, kappa_deg,
-    sigma_x_deg, sigma_y_deg, sigma_z_deg.
+    Columns: photo, x_m, y_m, z_m, sigma_x_m, sigma_y_m, sigma_z_m; optional omega_deg,
+    phi_deg, kappa_deg, sigma_x_deg, sigma_y_deg, sigma_z_deg.
     """
     place = ("photo", *GROUND, *SIGMA_GROUND)
     table = require_table(path, [place, (*place, *ANGLES, *SIGMA_TURNS)])

@@ -1,12 +1,13 @@
-"""Adjustment of small problems by the loop of the bundle adjustment: rows of any kind, and foot points on quadrics.
+"""Adjust small problems with the loop of the bundle adjustment; compute foot points on quadrics.
 
-Unknowns should be of size 1, because the loop compares the largest element of a step with its limit.
+Unknowns should have a size of about 1, because the loop compares the largest element of a step with its limit.
 
-A condition ``l^T S l + 2 u^T l + c = 0`` between the observations of one point (a surface in space, the coplanarity of
-two rays) with ``v^T Q^-1 v`` minimal has v in closed form except for one number t. Along the eigenvectors of the
-whitened S, v_i = -t w_i/(1 + t d_i), and the condition is a decreasing function of t. So the foot point is exact and is
-the nearest one, whereas iterated linearisation (Pope) may converge to the far side. :func:`compare_points` compares
-adjusted points with a reference.
+A condition ``l^T S l + 2 u^T l + c = 0`` between the observations of one point (a surface
+in space, the coplanarity of two rays) with ``v^T Q^-1 v`` minimal has v in closed form
+except for one number t. Along the eigenvectors of the whitened S, v_i = -t w_i/(1 + t
+d_i), and the condition is a decreasing function of t. So the foot point is exact and is
+the nearest one, whereas iterated linearisation (Pope) may converge to the far side.
+:func:`compare_points` compares adjusted points with a reference.
 """
 
 from __future__ import annotations
@@ -145,9 +146,10 @@ def adjust(rows: Rows, start: Array, what: str, *, moved: Callable[[Array, Array
 class Determination:
     """Result of :func:`determination`: how well rows determine their unknowns.
 
-    ``condition``: condition number of the design with columns of unit length, inf if singular; ``cofactors`` (u, u):
-    None if the unknowns are not determined; ``weakest`` (u,): change of the unknowns with the smallest effect on the
-    rows, of unit length in scaled unknowns.
+    ``condition``: condition number of the design with columns of unit length, inf if
+    singular; ``cofactors`` (u, u): None if the unknowns are not determined; ``weakest``
+    (u,): change of the unknowns with the smallest effect on the rows, of unit length in
+    scaled unknowns.
     """
 
     condition: float
@@ -158,8 +160,8 @@ class Determination:
 def determination(design: Array, sigma: Array | None = None) -> Determination:
     """Assess unknowns from the singular values of a design with columns of unit length; also return cofactors.
 
-    ``sigma``: standard deviations of points; unknowns with standard deviations above ``UNDETERMINED`` times their root
-    mean square are not determined.
+    ``sigma``: standard deviations of points; unknowns with standard deviations above
+    ``UNDETERMINED`` times their root mean square are not determined.
     """
     length = np.linalg.norm(design, axis=0)
     # a column of rounding noise must not be scaled to unit length
@@ -198,7 +200,10 @@ def plain_rms(values: Array) -> list[float | None]:
 
 
 def as_points(values: npt.ArrayLike, width: int, place: str) -> Array:
-    """Return the finite numbers (n, width), at most ``LARGEST`` in size; InputError for anything else."""
+    """Return finite numbers (n, width) up to ``LARGEST`` in size.
+
+    Raise InputError for other values.
+    """
     out = np.atleast_2d(array(values, place))
     if out.ndim != 2 or out.shape[1] != width or not len(out):
         raise InputError.of("closerange.points", place=place, value=f"shape {out.shape}", width=width)
@@ -220,7 +225,10 @@ def as_positions(values: npt.ArrayLike, place: str, like: Array, count: int | No
 
 
 def as_sigmas(values: npt.ArrayLike, like: Array, place: str = "sigma") -> Array:
-    """Return standard deviations of each element of ``like`` (n, k), from an array that fits it; others are refused."""
+    """Return standard deviations of each element of ``like`` (n, k), from an array that fits it.
+
+    Others are refused.
+    """
     given = array(values, place)
     try:
         out = np.broadcast_to(given, like.shape)
@@ -299,7 +307,8 @@ def foot_points(conditions: Conditions, points: Array, sigma: Array) -> Array:
     Returns
     -------
     (n, d) array
-        Foot points; nan without a unique nearest point (the centre of a sphere), or if the surface has no point.
+        Foot points; nan without a unique nearest point (the centre of a sphere), or if
+        the surface has no point.
     """
     square = sigma[:, :, None] * np.broadcast_to(conditions.square, (len(points), *conditions.square.shape[-2:]))
     square = square * sigma[:, None, :]
@@ -337,7 +346,7 @@ def distance_rows(by_unknown: Array, slope: Array, sigma: Array) -> Array:
 
 
 def _multiplier(d: Array, w: Array, c: Array) -> Array:
-    """Return the root t (n,) of c - sum w^2 t (2 + t d)/(1 + t d)^2 between the poles -1/d, by Newton in a bracket."""
+    """Find the root t (n,) of c - sum w^2 t (2 + t d)/(1 + t d)^2 between the poles -1/d, by bracketed Newton steps."""
     with np.errstate(all="ignore"):
         poles = np.where(np.abs(w) > 0.0, -1.0 / d, np.nan)
         low = np.fmax.reduce(np.where(poles < 0.0, poles, -np.inf), axis=1)

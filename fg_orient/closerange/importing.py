@@ -1,8 +1,10 @@
-"""Tables for the bundle from projects of other programs: cameras, poses, start points and marks of a frame model.
+"""Make the tables of a bundle from projects of other programs: cameras, poses, start points and marks.
 
-Image coordinates and cameras have the unit of the model's camera: mm if the program gives it (PhotoModeler), else
-pixels; x points right, y down. The coordinates of a project are shifted into the system of its control points by the
-mean difference of these points, because programs export a shifted system. A rotated or scaled system is not supported.
+Image coordinates and cameras have the unit of the model's camera. It is mm if the program
+gives it (PhotoModeler), and pixels otherwise. x points right, and y points down. Programs
+export coordinates in a shifted system. Therefore the coordinates of a project are shifted
+into the system of its control points by the mean difference of these points. A rotated or
+scaled system is not supported.
 """
 
 from __future__ import annotations
@@ -48,9 +50,10 @@ def run_import(
     *export, source
         Files or folder of the project; name of a format with cameras and poses.
     control, stations : Path, optional
-        Control points: lines of id, name, X, Y, Z and, unless exact, one or three standard deviations. Observed
-        projection centres: lines of photo, X, Y, Z and one or three standard deviations. Control points that the
-        project does not have are left out, with a note.
+        Control points: lines of id, name, X, Y, Z and, unless exact, one or three
+        standard deviations. Observed projection centres: lines of photo, X, Y, Z and one
+        or three standard deviations. Control points that the project does not have are
+        left out, with a note.
     sigma_image_px : float, optional
         Standard deviation of image coordinates, pixels, added to the table.
     image_sizes : mapping of str to (n_lines, n_samples), optional
@@ -115,13 +118,16 @@ def run_import(
 
 
 def _unit(model: FrameModel) -> float:
-    """Return pixels per unit of the image coordinates, which is the common unit of the camera polynomials, else 1."""
+    """Return the number of pixels per unit of the image coordinates.
+
+    This is the unit of the camera polynomials if all cameras have the same unit; otherwise it is 1 pixel.
+    """
     units = {c.unit_px for c in model.cameras.values() if c.model == MEASURED_TO_IDEAL and c.unit_px}
     return units.pop() if len(units) == 1 else 1.0
 
 
 def _shift(model: FrameModel, ids: Sequence[str], known: Array) -> Array:
-    """Return the mean difference (3,) between control points and the project's points; 0 without any."""
+    """Return the mean difference (3,) between control points and the project's points; 0 without control points."""
     if not len(ids):
         return np.zeros(3)
     place = {name: k for k, name in enumerate(model.point_ids)}
@@ -145,7 +151,10 @@ def _spread(values: Array) -> dict[str, Array]:
 
 
 def _photos(model: FrameModel, shift: Array, file: Path) -> list[str]:
-    """Return the photo tables; InputError for two photos of one name, or a camera that a photo file cannot contain."""
+    """Return the photo tables.
+
+    InputError for two photos of one name, or a camera that a photo file cannot contain.
+    """
     names = [pose.name for pose in model.poses]
     if len(set(names)) < len(names):
         twice = next(n for n in names if names.count(n) > 1)
@@ -162,7 +171,7 @@ def _photos(model: FrameModel, shift: Array, file: Path) -> list[str]:
 def _interior(camera: FrameInterior, unit_px: float, file: Path) -> PhotoInterior:
     """Convert a camera to the unit of the image coordinates.
 
-    K1 k2 k3 P1 P2 for x right, y down, from measured to ideal.
+    The coefficients k1 k2 k3 P1 P2 refer to x right, y down, and convert measured to ideal coordinates.
     """
     if camera.model != MEASURED_TO_IDEAL and np.any(camera.distortion):
         raise InputError.of("closerange.direction", file=file, place=f"camera {camera.name}", value=camera.model)

@@ -1,4 +1,7 @@
-"""Space intersection of oriented photos with covariance; parallax equations of a stereo pair in the normal case."""
+"""Space intersection of oriented photos with covariance matrices.
+
+Parallax equations of the normal case.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,8 @@ class Intersection:
     ----------
     points_m : (n, 3) array
     cofactors : (n, 3, 3) array
-        Cofactors for the given sigmas; times m0 squared they are the covariance. The photos are treated as exact.
+        Cofactors for the given sigmas; times m0 squared they are the covariance. The
+        photos are treated as exact.
     residuals : (m, 2) array
         Computed minus ideal image coordinates, in the order of the observations.
     m0 : float or None
@@ -77,8 +81,9 @@ def intersect_photos(
     ids : sequence of str, optional
         Ids of the points, for messages.
     reweighted : bool
-        True: equations are multiplied by their denominators and weighted with the previous denominators (Ayhan 1996,
-        eqs. 119-124). False: least squares of the image coordinates. The results differ by the square of the residuals.
+        True: equations are multiplied by their denominators and weighted with the
+        previous denominators (Ayhan 1996, eqs. 119-124). False: least squares of the
+        image coordinates. The results differ by the square of the residuals.
 
     Returns
     -------
@@ -87,7 +92,8 @@ def intersect_photos(
     Raises
     ------
     InputError
-        A point in a single photo, or with rays so close to parallel that they do not determine its depth.
+        A point is measured in a single photo only, or its rays are so nearly parallel
+        that its depth is not determined.
     NoSolutionError
         The iteration does not converge, or a point lies behind a photo.
 
@@ -184,8 +190,8 @@ def _iterated(
 def _require_angle(matrices: Array, ideal: Array, size: Array, name: str) -> None:
     """Refuse a point whose rays are parallel within their noise, such as rays from one place.
 
-    With an angle a between the rays, the sigma of the distance is 1/a times the sigma of a point; the limit of this
-    factor is ``UNDETERMINED``.
+    With an angle a between the rays, the sigma of the distance is 1/a times the sigma of
+    a point; the limit of this factor is ``UNDETERMINED``.
     """
     rays = np.linalg.solve(matrices[:, :, :3], np.column_stack([ideal, np.ones(len(ideal))])[:, :, None])[:, :, 0]
     centres = -np.linalg.solve(matrices[:, :, :3], matrices[:, :, 3:])[:, :, 0]
@@ -235,7 +241,8 @@ def normal_case(
 ) -> Array:
     """Return the points of a stereo pair without rotations, with its base along x.
 
-    Axes as in Ayhan 1996: X right, Y away from the cameras, Z up; image x right, z up from the principal points.
+    Axes as in Ayhan 1996: X right, Y away from the cameras, Z up; image x right, z up
+    from the principal points.
 
     Parameters
     ----------
@@ -255,7 +262,7 @@ def normal_case(
     Raises
     ------
     InputError
-        A parallax that is not above 0, or impossible values.
+        A parallax is not above 0, or values are impossible.
 
     Notes
     -----

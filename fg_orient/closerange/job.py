@@ -1,4 +1,4 @@
-"""Execution of the commands: read a table, compute, make the record, write the folder."""
+"""Run the commands of close range: read a table, compute, make the record, write the folder."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ SCHEMA: Final = 1
 
 @dataclass(frozen=True)
 class Output:
-    """Outputs of a command: folder of the results, single HTML report; words of the command line for the record."""
+    """Outputs of a command: result folder, or single HTML report; also the command line for the record."""
 
     out: Path | None = None
     report: Path | None = None
@@ -47,7 +47,10 @@ class Output:
     command: Sequence[str] = ()
 
     def require_possible(self) -> None:
-        """Refuse, before the computation, outputs that exist and may not be replaced, and a report without folder."""
+        """Refuse outputs that exist and must not be replaced, and a report in a missing folder.
+
+        Call before computing.
+        """
         if self.out is not None:
             require_free(self.out, overwrite=self.overwrite, contents=CONTENTS)
         if self.report is None:
@@ -230,8 +233,8 @@ def _each_photo(
 
     Residuals are computed minus measured. Errors name the photo.
 
-    ``one`` returns record, photo and its photo-file table from the name, the ground (n, 3) and image coordinates (n, 2)
-    of the control points and their sigmas (n, 2).
+    ``one`` returns record, photo and its photo-file table from the name, the ground (n,
+    3) and image coordinates (n, 2) of the control points and their sigmas (n, 2).
     """
     output.require_possible()
     table, texts, photos = files.read_control(path, sigma), list[str](), list[Record]()
@@ -291,7 +294,7 @@ def _fit_facts(fit: Fit, doubts: Sequence[Finding | None]) -> Record:
 
 
 def exterior_record(rotation: Array, centre: Array, turns: Any, sigma: Any) -> Record:
-    """Return orientation of a photo with standard deviations of rotations (3,) and centre (3,), and aerial angles."""
+    """Return the orientation of a photo, standard deviations of rotations (3,) and centre (3,), and aerial angles."""
     omega, phi, kappa = np.degrees(aerial_from_rotation(rotation))
     return {
         "centre_m": centre,
@@ -305,7 +308,7 @@ def exterior_record(rotation: Array, centre: Array, turns: Any, sigma: Any) -> R
 
 
 def parameters(names: Sequence[str], values: Array, sigma: Array | None) -> list[Record]:
-    """Return the values (k,) with standard deviations, None without redundancy."""
+    """Return the values (k,) with their standard deviations, which are None without redundancy."""
     return rows_of({"name": names, "value": values, "sigma": [None] * len(names) if sigma is None else sigma})
 
 

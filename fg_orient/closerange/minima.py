@@ -1,12 +1,13 @@
-"""Tests of a minimum of weighted squares: other minima, curvature of the unknowns, profiles along one unknown.
+"""Test a minimum of weighted squares: other minima, curvature of the unknowns, profiles along one unknown.
 
-Cofactors describe a minimum only by its tangent. They do not show three properties:
+Cofactors describe only the linear approximation at a minimum. They do not show three properties:
 
 - other minima of nearly the same height. An F test of equal redundancies compares them.
 - curvature. If two unknowns are strongly correlated and badly determined (centre and rotations of a far camera), the
-  states that fit form a curved band. Each standard deviation is correct, but the error of one unknown also moves a
-  well-determined combination of unknowns, by its square. This is the parameter-effects curvature of Bates and Watts
-  (1980), here as the displacement at one standard deviation.
+  states that fit form a curved band. Each standard deviation is correct, but the error of
+  one unknown also moves a well-determined combination of unknowns, by its square. This is
+  the parameter-effects curvature of Bates and Watts (1980), here as the displacement at
+  one standard deviation.
 - profiles. Noise can make a narrow minimum near a long valley of nearly the same height. The profile shows how much the
   weighted squares grow if one unknown is held fixed at a very different value.
 """
@@ -27,17 +28,18 @@ from fg_orient.model.errors import Finding, NoSolutionError, finding
 
 #: Level of the test that distinguishes two minima.
 RIVAL_LEVEL: Final = 0.05
-#: Two minima are equal if directions differ by less than this (rad), and centres by less than this share of the
-#: object's distance.
+#: Two minima are equal if their directions differ by less than this, rad, and their
+#: centres by less than this share of the object's distance.
 SAME: Final = 1e-5
 #: Limit of the bend. At this limit an error of two standard deviations (exceeded by one error
 #: in 20) moves another combination by one standard deviation.
 BENT: Final = 0.25
 #: Error probability of an interval. The decision does not depend on it if the squares grow as a parabola.
 LEVEL: Final = 1e-3
-#: Factor by which the sigmas of points may be too small without a change of the decision: a real surface is not a
-#: spheroid. A larger m0 replaces the factor; with a redundancy of one or two, m0 alone is too uncertain. If points do
-#: not determine a semi-axis, noise of f sigmas reduces the squares by at most f^2 times a chi-square of one.
+#: Factor by which the sigmas of points may be too small without a change of the decision:
+#: a real surface is not a spheroid. A larger m0 replaces the factor; with a redundancy of
+#: one or two, m0 alone is too uncertain. If points do not determine a semi-axis, noise of
+#: f sigmas reduces the squares by at most f^2 times a chi-square of one.
 OPTIMISTIC: Final = 5.0
 #: The fit is repeated at these fractions of the distance.
 _WAY: Final = (1 / 64, 1 / 8, 1.0)
@@ -91,8 +93,9 @@ def rival_of(
     rotation, place : arrays
         See :class:`Rival`.
     known : bool
-        True if sigmas are given. The difference of the squares must then also exceed chi-square of one (a ratio of
-        likelihoods): two minima that both fit far better than the sigmas are both possible.
+        True if sigmas are given. The difference of the squares must then also exceed
+        chi-square of one (a ratio of likelihoods): two minima that both fit far better
+        than the sigmas are both possible.
     """
     limit = ratio_limit(redundancy)
     if known and own > 0.0:
@@ -101,11 +104,12 @@ def rival_of(
 
 
 def bend(rows: Rows, state: Array, m0: float | None) -> float:
-    """Return displacement of a combination of unknowns by errors of one standard deviation in others, in its sigmas.
+    """Return how far errors of one standard deviation in some unknowns displace a combination of others, in its sigmas.
 
-    The squares of the errors, weighted by the covariance, exceed the number of unknowns by about ``3 bend**2``, the
-    mean square of second-derivative terms within the tangent. Above ``BENT`` each single standard deviation is correct,
-    but the covariance as a whole is optimistic.
+    The squares of the errors, weighted by the covariance, exceed the number of unknowns
+    by about ``3 bend**2``, the mean square of second-derivative terms within the tangent.
+    Above ``BENT`` each single standard deviation is correct, but the covariance as a
+    whole is optimistic.
 
     Parameters
     ----------
@@ -119,7 +123,7 @@ def bend(rows: Rows, state: Array, m0: float | None) -> float:
     Returns
     -------
     float
-        Bend; an error e in one combination alone moves others by ``bend e**2``.
+        Bend. An error e in only one combination of unknowns moves others by ``bend e**2``.
     """
     residual, design = rows(state, True)
     length = np.linalg.norm(design, axis=0)
@@ -158,8 +162,9 @@ def reach(sigma: float, squares: float, redundancy: int, *, known: bool) -> tupl
     Returns
     -------
     tuple of float or None
-        None if the size of the noise is unknown. If squares grow as a parabola, an unknown with a standard deviation
-        of ``UNDETERMINED`` sigmas has exactly this growth at this distance.
+        None if the size of the noise is unknown. If squares grow as a parabola, an
+        unknown with a standard deviation of ``UNDETERMINED`` sigmas has exactly this
+        growth at this distance.
     """
     own = squares / redundancy if redundancy > 0 else 1.0
     if known:
@@ -185,8 +190,10 @@ class Held(NamedTuple):
 def held(rows: Rows, state: Array, k: int, value: float, limit: float = np.inf) -> Held | None:
     """Return the state with the least weighted squares while one unknown is held fixed.
 
-    Far from the shape of the points the iteration may need hundreds of steps at squares thousands of times the limit.
-    So it need not converge if the squares are below the ``limit``, or stay above it. Without a limit it must converge.
+    Far from the shape of the points, the iteration may need hundreds of steps, with
+    squares that are thousands of times the limit. Therefore convergence is not required
+    if the squares fall below the ``limit`` or remain far above it. Without a limit, the
+    iteration must converge.
 
     Parameters
     ----------
@@ -247,8 +254,9 @@ def followed(rows: Rows, state: Array, k: int, to: float, limit: float) -> tuple
     Returns
     -------
     tuple of ((u,) array, float) or None
-        State after the first step, which still has the directions near the start, and weighted squares at the end. None
-        if the squares may lie on either side of the limit.
+        State after the first step, which still has the directions near the start, and
+        weighted squares at the end. None if the squares may lie on either side of the
+        limit.
     """
     path, squares = [state, state], np.inf
     for part in _WAY:

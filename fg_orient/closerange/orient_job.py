@@ -1,4 +1,4 @@
-"""Execution of commands ``relative`` and ``absolute``: from tables to model or ground points and oriented photos."""
+"""Run the commands ``relative`` and ``absolute``: compute model points, ground points and oriented photos."""
 
 from __future__ import annotations
 
@@ -48,7 +48,8 @@ def run_relative(
     Raises
     ------
     InputError, NoSolutionError
-        See :func:`fg_orient.closerange.orientation.relative_orientation`; not exactly two photos; unequal sigmas.
+        See :func:`fg_orient.closerange.orientation.relative_orientation`. Also: there are
+        not exactly two photos, or standard deviations differ.
     """
     require_free_files(out, overwrite=overwrite)
     require_free_files(photos, overwrite=overwrite, option="photos_out")
@@ -146,7 +147,7 @@ def run_absolute(
 
 
 def _bent(bend: float) -> Sequence[Finding]:
-    """Return the warning that the covariance as a whole is optimistic."""
+    """Return the warning that the joint covariance matrix is too optimistic."""
     if bend <= BENT:
         return []
     return [

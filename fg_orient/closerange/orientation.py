@@ -46,14 +46,15 @@ class RelativeOrientation(fitting.Fit):
     base : (3,) array
         Direction to the second projection centre in axes of the first camera, length 1.
     base_axes : (2, 3) array
-        Directions at right angles to the base, along which its errors are given.
+        Two directions perpendicular to the base; errors of the base refer to them.
     model : (n, 3) array
         Points in axes of the first camera; the base has length 1.
     distances : (n,) array
         Distance of each pair of image points from coplanarity, in sigmas.
     bend : float
-        Bend. Above 0.25 each standard deviation is correct, but the covariance as a whole is optimistic
-        (:func:`fg_orient.closerange.minima.bend`): few points of a plane, short bases.
+        Bend. Above 0.25 each standard deviation is correct, but the covariance as a whole
+        is optimistic (:func:`fg_orient.closerange.minima.bend`): few points of a plane,
+        short bases.
     rival : Rival or None
         Second orientation that fits few points of a plane; seven or eight points in space may also have one.
     """
@@ -73,7 +74,7 @@ class RelativeOrientation(fitting.Fit):
 
 @dataclass(frozen=True)
 class _Candidate:
-    """Minimum of the squares; ``orientation`` is None if the points do not determine it."""
+    """Minimum of the squares; its ``orientation`` is None if the points do not determine it."""
 
     squares: float
     rotation: Array
@@ -98,7 +99,8 @@ def relative_orientation(
     image_first, image_second : (n, 2) arrays
         Measured coordinates of six points or more in both.
     sigma : float, optional
-        Standard deviation of all image coordinates, in the unit of the focal lengths; without it m0 is the estimate.
+        Standard deviation of all image coordinates, in the unit of the focal lengths;
+        without it m0 is the estimate.
 
     Returns
     -------
@@ -108,10 +110,10 @@ def relative_orientation(
     Raises
     ------
     InputError
-        Too few points, or points that do not determine the orientation at the smallest minimum, even if they
-        determine another one.
+        There are too few points, or they do not determine the orientation at the smallest
+        minimum. This also applies if they determine it at another minimum.
     NoSolutionError
-        No minimum with the points in front of both cameras.
+        At no minimum do the points lie in front of both cameras.
 
     Notes
     -----
@@ -149,8 +151,9 @@ def relative_orientation(
 def _chosen(minima: list[_Candidate], redundancy: int, *, known: bool) -> RelativeOrientation:
     """Return the smallest determined minimum with the points in front of both cameras.
 
-    An undetermined minimum is refused if its squares are smaller. If its points lie behind a camera, which may be due
-    to noise, it is refused only if an F test distinguishes the determined minimum from it.
+    An undetermined minimum is refused if its squares are smaller. If its points lie
+    behind a camera, which may be due to noise, it is refused only if an F test
+    distinguishes the determined minimum from it.
 
     Raises
     ------
@@ -233,7 +236,8 @@ def _require_base(points: Array, sigma: Array, squares: float, *, known: bool) -
     ----------
     points, sigma : (n, 4) arrays
     squares : float
-        Least weighted squares of coplanarity, one condition for each point; without known sigmas they define the noise.
+        Least weighted squares of coplanarity, one condition for each point; without known
+        sigmas they define the noise.
     known : bool
         True if sigmas are given.
     """
@@ -267,7 +271,8 @@ def _require_base(points: Array, sigma: Array, squares: float, *, known: bool) -
 class Similarity(fitting.Fit):
     """Seven-parameter transformation: ground = shift + scale rotation model.
 
-    Cofactors refer to rotations about the ground axes (rad), to the logarithm of the scale, and to the shift (m).
+    Cofactors refer to rotations about the ground axes (rad), to the logarithm of the
+    scale, and to the shift (m).
 
     Parameters
     ----------
@@ -277,9 +282,9 @@ class Similarity(fitting.Fit):
     residuals_m : (n, 3) array
         Computed minus given.
     bend : float
-        Bend. Above 0.25 each standard deviation is correct, but the covariance as a whole is optimistic
-        (:func:`fg_orient.closerange.minima.bend`): points close to a line. It is computed for unknowns about the middle
-        of the points.
+        Bend. Above 0.25 each standard deviation is correct, but the covariance as a whole
+        is optimistic (:func:`fg_orient.closerange.minima.bend`): points close to a line.
+        It is computed for unknowns about the middle of the points.
     """
 
     scale: float

@@ -1,10 +1,12 @@
-"""Close-range photo: ideal image coordinates as a projective map of the ground, corrections, rotations.
+"""Close-range photo: projective map from ground to ideal image coordinates, corrections, rotations.
 
-Image coordinates x (right) and y (up or down) have any unit, the same as the focal length: mm or pixels. All rotations
-lead from ground axes to camera axes X right, Y **down**, Z along the view (``sensors.frame``).
+Image coordinates x (right) and y (up or down) have any unit, the same as the focal
+length: mm or pixels. All rotations lead from ground axes to camera axes X right, Y
+**down**, Z along the view (``sensors.frame``).
 
-Ayhan 1996 multiplies the triple (X, Z, Y): X right, Z up, Y away from the camera. With X right, Y forward, Z up this
-triple is left-handed, so its angles have the opposite sense of an aerial omega, phi, kappa.
+Ayhan 1996 multiplies the triple (X, Z, Y): X right, Z up, Y away from the camera. With X
+right, Y forward, Z up this triple is left-handed, so its angles have the opposite sense
+of an aerial omega, phi, kappa.
 
 Sets of camera parameters have names; the correction along the radius is computed from the parameters.
 """
@@ -114,8 +116,8 @@ class Photo:
     ----------
     name : str
     matrix : (3, 4) array
-        Matrix from ``(ground - origin_m, 1)`` to homogeneous ideal image coordinates; its last row gives the depth,
-        above 0.
+        Matrix from ``(ground - origin_m, 1)`` to homogeneous ideal image coordinates; its
+        last row gives the depth, above 0.
     origin_m : (3,) array
     principal : (2,) array
         Origin of the corrections.
@@ -168,7 +170,7 @@ class Photo:
         """
         own = lens_of(self.corrections)
         at = np.array([frame_corrections.undistorted(own, x, y) for x, y in (ideal - self.principal).tolist()])
-        if not np.isfinite(at).all():  # beyond the fold of the polynomial two points have the same ideal point
+        if not np.isfinite(at).all():  # here the polynomial is not unique: two points have the same ideal point
             raise NoSolutionError.of("closerange.fold", place=self.name)
         return np.asarray(at + self.principal)
 
@@ -202,7 +204,10 @@ def corrections_of(names: Sequence[str], values: npt.ArrayLike) -> Array:
 
 
 def ayhan_matrix(omega: float, psi: float, kappa: float) -> Array:
-    """Return M = M_kappa M_psi M_omega (3, 3) of Ayhan 1996, eqs. 56-59, on the triple (X, Z, Y); angles in rad."""
+    """Return M = M_kappa M_psi M_omega (3, 3) of Ayhan 1996, eqs. 56-59, on the triple (X, Z, Y).
+
+    Angles in rad.
+    """
     so, co, sp, cp, sk, ck = (f(a) for a in (omega, psi, kappa) for f in (np.sin, np.cos))
     return np.array([
         [cp * ck, so * sp * ck + co * sk, -co * sp * ck + so * sk],
@@ -230,7 +235,7 @@ def rotation_from_aerial(omega: float, phi: float, kappa: float) -> Array:
 
 
 def aerial_from_rotation(rotation: Array) -> tuple[float, float, float]:
-    """Return the aerial angles omega, phi, kappa, rad: first about X, then the turned Y, then the turned Z."""
+    """Return the aerial angles omega, phi, kappa, rad: rotations about X, then the rotated Y, then the rotated Z."""
     omega, phi, kappa = opk_of_rotation(rotation)[0].tolist()
     return omega, phi, kappa
 
@@ -272,7 +277,10 @@ def camera_of(interior: PhotoInterior) -> Array:
 
 
 def parameters_of(words: Sequence[str], place: str) -> tuple[str, ...]:
-    """Return the camera parameters for words that name a parameter or a set, each once; InputError for other words."""
+    """Return the camera parameters for words that name a parameter or a set, each once.
+
+    InputError for other words.
+    """
     out: list[str] = []
     for word in words:
         if word not in SETS and word not in NAMES:
@@ -285,8 +293,9 @@ def parameters_of(words: Sequence[str], place: str) -> tuple[str, ...]:
 def profile(camera: Array, rim: float, names: Sequence[str], covariance: Array) -> dict[str, Array]:
     """Return the corrections of a camera over the radius, as arrays (33,), in image units.
 
-    ``radius``; ``radial``: radial part of the correction, mean over all directions; ``sigma``: its standard deviation;
-    ``across``: largest part at right angles to the radius.
+    ``radius``; ``radial``: radial part of the correction, mean over all directions;
+    ``sigma``: its standard deviation; ``across``: largest part at right angles to the
+    radius.
 
     Parameters
     ----------

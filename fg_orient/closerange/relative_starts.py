@@ -1,7 +1,8 @@
-"""Approximate relative orientations of two photos in closed form, from tangents (n, 4) of common points.
+"""Compute approximate relative orientations of two photos in closed form from tangents (n, 4) of common points.
 
-An orientation consists of the rotation R from the axes of the first camera to those of the second, and of the base b in
-axes of the first. The essential matrix ``G = R [b]x`` fulfils ``d2^T G d1 = 0`` for the rays d1, d2 of a point.
+An orientation consists of the rotation R from the axes of the first camera to those of
+the second, and of the base b in axes of the first. The essential matrix ``G = R [b]x``
+fulfils ``d2^T G d1 = 0`` for the rays d1, d2 of a point.
 """
 
 from __future__ import annotations
@@ -85,7 +86,8 @@ def eight_points(points: Array) -> list[Pair]:
 def five_points(points: Array) -> list[Pair]:
     """Return orientations of sets of five points, ordered by the distance of all points from coplanarity.
 
-    Each set has up to ten essential matrices. If noise makes two of them complex, their real part is close to both.
+    Each set has up to ten essential matrices. If noise makes two of them complex, their
+    real part is close to both.
     """
     first, second = rays(points)
     products = np.einsum("ni,nj->nij", second, first).reshape(len(points), 9)
@@ -121,10 +123,11 @@ def _foremost(first: Array, second: Array, pairs: list[Pair]) -> Pair:
 def essential_matrices(products: Array) -> Array:
     """Return the matrices (k, 3, 3) of norm 1 from the products d2 d1^T (5, 9) of five pairs of rays; k is 10 or 0.
 
-    The matrix is a sum of four matrices of the null space with unknown factors. It is essential if ``det G = 0`` and
-    ``2 G G^T G - tr(G G^T) G = 0``, ten cubic equations in the factors (Nistér 2004, eqs. 1-9). Elimination of the
-    monomials of degree 3 gives the matrix of a multiplication by the first factor. Its eigenvectors contain the factors
-    (Stewénius, Engels, Nistér 2006). For complex factors the real part is used.
+    The matrix is a sum of four matrices of the null space with unknown factors. It is
+    essential if ``det G = 0`` and ``2 G G^T G - tr(G G^T) G = 0``, ten cubic equations in
+    the factors (Nistér 2004, eqs. 1-9). Elimination of the monomials of degree 3 gives
+    the matrix of a multiplication by the first factor. Its eigenvectors contain the
+    factors (Stewénius, Engels, Nistér 2006). For complex factors the real part is used.
     """
     null = np.linalg.svd(products)[2][5:].reshape(4, 3, 3)
     cubic = 2.0 * np.einsum("aik,blk,clj->abcij", null, null, null)

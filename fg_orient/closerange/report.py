@@ -1,4 +1,4 @@
-"""Report of close range: one self-contained HTML file made from the record of a command, and figures for papers.
+"""Make the report of close range, which is one HTML file without other files, and figures for papers.
 
 The page is made only from ``closerange.json``, so that ``fg-orient report DIR`` can write it again at any time.
 """
@@ -38,7 +38,7 @@ from fg_orient.result.manifest import MANIFEST_FILE, checked_record, is_made_by
 
 Charts = Sequence[Chart | None]
 
-#: Maximum number of photos and cameras on a page, and of photos on paper, those with the most image points.
+#: Maximum number of photos and cameras on a page, and of photos on paper. Those with the most image points are shown.
 MAX_PHOTOS: Final = 16
 FEW_PHOTOS: Final = 6
 #: Maximum number of vectors of one photo.
@@ -233,14 +233,14 @@ WORST: Final = 20
 
 
 def is_closerange(folder: Path) -> bool:
-    """Return whether a folder holds a result of close range."""
+    """Return whether a folder contains a result of close range."""
     return is_made_by(folder, CONTENTS)
 
 
 def read_record(folder: Path) -> dict[str, Any]:
     """Return the record of a folder whose files are those of its run (:mod:`fg_orient.result.manifest`).
 
-    InputError: it is missing or damaged, or of a version that has no report.
+    InputError if it is missing or damaged, or of a version that has no report.
     """
     record = checked_record(folder, RECORD_FILE, CONTENTS, "report.damaged")
     if "report" not in record:
@@ -249,7 +249,10 @@ def read_record(folder: Path) -> dict[str, Any]:
 
 
 def write_report(folder: str | Path) -> Path:
-    """Write ``report.html`` of a close-range folder, whole or not at all; path of the file."""
+    """Write ``report.html`` of a close-range folder completely or not at all.
+
+    Return the path of the file.
+    """
     path, record = Path(folder) / REPORT_FILE, read_record(Path(folder))
     with foreign_bytes("report.damaged", Path(folder) / RECORD_FILE):
         page = render(record)
@@ -260,7 +263,10 @@ def write_report(folder: str | Path) -> Path:
 def write_figures(
     folder: str | Path, out: str | Path | None = None, *, overwrite: bool = False, progress: Progress | None = None
 ) -> tuple[Path, list[str]]:
-    """Write the figures of a close-range folder; see :func:`fg_orient.report.figures.write_figures`."""
+    """Write the figures of a close-range folder.
+
+    See :func:`fg_orient.report.figures.write_figures`.
+    """
     figures.require_matplotlib()
     record = _used(read_record(Path(folder)))
 
@@ -279,7 +285,7 @@ def render(record: dict[str, Any]) -> str:
     Parameters
     ----------
     record : dict
-        Of ``dlt``, ``resect``, ``intersect``, ``bundle`` or ``surface``.
+        Record of ``dlt``, ``resect``, ``intersect``, ``bundle`` or ``surface``.
     """
     record = _used(record)
     lists = ("photos", "cameras", "points", "figures", "residuals", "observations", "distortion", "history")

@@ -1,6 +1,6 @@
 """Charts of close range in space: points with error ellipses and vectors, stations; deviations from a surface.
 
-Coordinates are any right-handed system in metres: no map projection, no north.
+Coordinates belong to any right-handed system in metres. There is no map projection and no north direction.
 """
 
 from __future__ import annotations
@@ -48,8 +48,9 @@ _FLAT: Final = 1e-6
 class Scene:
     """Points and stations of a record; nan for missing values.
 
-    ``at`` (n, 3) with ``covariance`` (n, 3, 3) and ``difference`` (n, 3), adjusted minus given. Projection ``centres``
-    (s, 3) with ``looks`` (s, 3), the viewing directions, and ``station_sigma`` (s, 3).
+    ``at`` (n, 3) with ``covariance`` (n, 3, 3) and ``difference`` (n, 3), adjusted minus
+    given. Projection ``centres`` (s, 3) with ``looks`` (s, 3), the viewing directions,
+    and ``station_sigma`` (s, 3).
     """
 
     ids: list[str]
@@ -239,7 +240,10 @@ def deviation_views(record: dict[str, Any]) -> list[tuple[str, Chart]]:
 
 
 def _deviations(record: dict[str, Any], words: str, across: int, up: int) -> Chart:
-    """Return one view: colour shows the sign of a distance; its strength and the radius show the size."""
+    """Return one view: colour shows the sign of a distance.
+
+    Its strength and the radius show the size.
+    """
     points, axes = record["points"], [across, up]
     at = columns(points, *(f"{a}_m" for a in "xyz"))[:, axes]
     distance = columns(points, "distance_m")[:, 0]

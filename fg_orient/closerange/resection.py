@@ -1,4 +1,4 @@
-"""Resection of one photo: rotation and projection centre from control points and a known camera."""
+"""Resect a photo: compute rotation and projection centre from control points and a known camera."""
 
 from __future__ import annotations
 
@@ -48,8 +48,9 @@ class Resection(fitting.Fit):
     weighted_squares : float
         v'Pv for the given sigmas.
     bend : float
-        Bend. Above 0.25 each standard deviation is correct, but the covariance as a whole is optimistic
-        (:func:`fg_orient.closerange.minima.bend`): far cameras, whose rotations move the centre along an arc.
+        Bend. Above 0.25 each standard deviation is correct, but the covariance as a whole
+        is optimistic (:func:`fg_orient.closerange.minima.bend`): far cameras, whose
+        rotations move the centre along an arc.
     rival : Rival or None
         Second pose: distant points of a plane fit two poses, mirrored in the line of sight.
     """
@@ -96,8 +97,8 @@ def resect(
     Raises
     ------
     InputError
-        There are too few points, or they do not determine the orientation (points on a line, or on a dangerous
-        cylinder).
+        There are too few points, or they do not determine the orientation (points on a
+        line, or on a dangerous cylinder).
     NoSolutionError
         No start value, or the iteration does not converge.
 
@@ -144,17 +145,17 @@ def resect(
 
 
 def _require_off_line(ground: Array) -> None:
-    """Refuse points so close to a line that the rotation about it is ``UNDETERMINED``, if there is no pose."""
+    """If there is no pose, refuse points that are so close to a line that the rotation about it is undetermined."""
     along, across = np.linalg.svd(ground - ground.mean(axis=0), compute_uv=False)[:2] / np.sqrt(len(ground))
     if across * fitting.UNDETERMINED <= along or along == 0.0:
         raise InputError.of("closerange.line", place="resection", value=f"{across:.2g} m rms across, {along:.2g} along")
 
 
 def _mirrored(pose: Pose, ground: Array) -> Pose:
-    """Mirror a plane of points across the line of sight; return this pose, which has nearly the same image.
+    """Return the mirrored pose of a plane of points, which has nearly the same image.
 
-    A reflection in their plane does not change points of the plane. It is followed by a reflection across the line of
-    sight to the middle of the points; together they are a rotation.
+    The points are reflected in their own plane, which does not change them, and then
+    across the line of sight to their middle. Both reflections together are a rotation.
     """
     rotation, centre = pose
     middle = ground.mean(axis=0)
@@ -167,7 +168,10 @@ def _mirrored(pose: Pose, ground: Array) -> Pose:
 def _adjusted(
     interior: PhotoInterior, ground: Array, tangents: Array, sigma: Array, start: Pose, name: str
 ) -> Resection:
-    """Adjust from a start; unknowns are rotations (rad) and the centre in units of the object's distance."""
+    """Adjust from a start.
+
+    Unknowns are rotations (rad) and the centre in units of the object's distance.
+    """
     rotation, centre = start
     distance = float(np.linalg.norm(ground - centre, axis=1).mean())
     # line and sample are tangents here: focal length 1, line down

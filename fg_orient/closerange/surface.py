@@ -1,4 +1,4 @@
-"""Surfaces of the second degree: distances and deviations of points, points mapped to a surface, models of a fit."""
+"""Surfaces of the second degree: distances and deviations of points, mapping of points, models for a fit."""
 
 from __future__ import annotations
 
@@ -40,12 +40,13 @@ class Surface:
     centre : (3,) array
         Centre, m; for a quadric the origin of its coefficients.
     semi_axes : (3,) array
-        Semi-axes, m, along the rows of ``rotation``; for a quadric the unit of length of its coefficients, three times.
+        Semi-axes, m, along the rows of ``rotation``; for a quadric the unit of length of
+        its coefficients, three times.
     rotation : (3, 3) array
         Axes of the surface from those of the coordinates.
     coefficients : (10,) array
-        Coefficients A to J of a quadric, as in ``factors.conditions.surfaces``, in ``(p - centre)/semi_axes``;
-        otherwise empty.
+        Coefficients A to J of a quadric, as in ``factors.conditions.surfaces``, in ``(p -
+        centre)/semi_axes``; otherwise empty.
     """
 
     kind: Kind
@@ -91,8 +92,9 @@ class Surface:
     def deviations(self, points_m: npt.ArrayLike) -> Array:
         """Return the residuals (n, 3) along X, Y, Z from points to the surface, m, to first order.
 
-        Condition adjustment of Ayhan 1996, eqs. 155-171, with equal weights and a fixed surface: ``v = -g W/|g|^2``, W
-        the condition and g its slope (the minus is missing in eq. 169).
+        Condition adjustment of Ayhan 1996, eqs. 155-171, with equal weights and a fixed
+        surface: ``v = -g W/|g|^2``, W the condition and g its slope (the minus is missing
+        in eq. 169).
         """
         points = as_points(points_m, 3, "points") - self.centre
         slope = self.conditions.slope(points)
@@ -135,8 +137,8 @@ def map_points(points_m: npt.ArrayLike, target: Surface, radius_m: npt.ArrayLike
         Points of another surface.
     target : Surface
     radius_m : (n,) array, optional
-        Distance from the axis that defines the angle; default: of the points. Ayhan uses half the distance between
-        the extreme targets of a ring.
+        Distance from the axis that defines the angle; default: of the points. Ayhan uses
+        half the distance between the extreme targets of a ring.
 
     Returns
     -------
@@ -165,7 +167,10 @@ def quadric_matrices(coefficients: Array) -> tuple[Array, Array, float]:
 
 
 def shape_of(coefficients: Array) -> str:
-    """Name a quadric by the signs of its eigenvalues; "other" for cones, cylinders and quadrics without points."""
+    """Return the name of a quadric from the signs of its eigenvalues.
+
+    The name is "other" for cones, cylinders and quadrics without points.
+    """
     central = Conditions(*quadric_matrices(coefficients)).central()
     if central is None:
         return "other"
@@ -180,8 +185,8 @@ def shape_of(coefficients: Array) -> str:
 class SurfaceModel:
     """Surface near a start; the state (u,) contains corrections for ellipsoids, values for spheres and quadrics.
 
-    ``names``, ``start`` and ``is_length`` (the others are angles or have no unit) describe the unknowns (u,); record
-    (d,) and setup (2, k) belong to the equation.
+    ``names``, ``start`` and ``is_length`` (the others are angles or have no unit)
+    describe the unknowns (u,); record (d,) and setup (2, k) belong to the equation.
     """
 
     kind: Kind
@@ -288,7 +293,10 @@ def models_of(kind: Kind, points: Array, axis: str) -> list[SurfaceModel]:
 
 
 def _spheroid(k: int, centre: Array, turn: Array, semi: Array, *, free: bool) -> SurfaceModel:
-    """Return the spheroid about axis number ``k``; a across it, b along it (Ayhan 1996, eq. 142)."""
+    """Return the spheroid about axis number ``k``.
+
+    A across it, b along it (Ayhan 1996, eq. 142).
+    """
     across = float(np.delete(semi, k).mean())
     semi = np.where(np.arange(3) == k, semi[k], across)
     tilts = tuple(j for j in range(3) if j != k) if free else ()

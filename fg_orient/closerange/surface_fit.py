@@ -1,8 +1,9 @@
-"""Fits of surfaces to points: by normal distances (weights of the points) or by conditions (Ayhan 1996).
+"""Fit surfaces to points: by weighted normal distances, or by conditions (Ayhan 1996).
 
-Points, sigmas and unknowns are normalised; all results are in metres. Undetermined parameters are refused by name.
-Without priors, noise alone determines a parameter whose standard deviation exceeds 1000 sigmas of a point, and the
-iteration may converge to any value. Noise may also make a narrow minimum, so semi-axes are additionally held fixed at
+Points, sigmas and unknowns are normalised; all results are in metres. Undetermined
+parameters are refused by name. Without priors, noise alone determines a parameter whose
+standard deviation exceeds 1000 sigmas of a point, and the iteration may converge to any
+value. Noise may also make a narrow minimum, so semi-axes are additionally held fixed at
 very different values (``closerange.minima``).
 """
 
@@ -42,12 +43,13 @@ class SurfaceFit(fitting.Fit):
     surface : Surface
     method : str
     names : tuple of str
-        Names of the parameters: lengths in m; coefficients of a quadric without unit; rotations and tilts in rad about
-        the axes of ``surface.rotation``, whose values are 0 by definition.
+        Names of the parameters: lengths in m; coefficients of a quadric without unit;
+        rotations and tilts in rad about the axes of ``surface.rotation``, whose values
+        are 0 by definition.
     values : (u,) array
     deviations_m : (n, 3) array
-        Deviations along X, Y, Z from the points to the surface: to their foot points, or first-order residuals of the
-        algebraic method (:meth:`Surface.deviations`).
+        Deviations along X, Y, Z from the points to the surface: to their foot points, or
+        first-order residuals of the algebraic method (:meth:`Surface.deviations`).
     distances_m : (n,) array
         Normal distances, above 0 outside.
     """
@@ -104,7 +106,10 @@ class _Task:
         return [k for k, n in enumerate(self.model.names) if n in SEMI_AXES and n not in self.priors][::-1]
 
     def geometric(self, x: Array, with_jacobian: bool) -> tuple[Array, Array]:
-        """Return rows of normal distances divided by their sigmas, then of priors; derivatives at the foot points."""
+        """Return rows of normal distances divided by their sigmas, then of priors.
+
+        Derivatives at the foot points.
+        """
         model = self.model
         conditions, centre = model.conditions(x)
         residual, foot = fitting.weighted_distances(conditions, self.points - centre, self.sigma)
@@ -131,7 +136,7 @@ class _Task:
         )
 
     def unverified(self, k: int, value: float) -> FgOrientError:
-        """Return the error for a semi-axis that may or may not be determined."""
+        """Return the error for a semi-axis if it cannot be verified that it is determined."""
         name = self.model.names[k]
         return InputError.of(
             "closerange.unverified", place=self.model.kind, name=name, value=f"{name} held at {value * self.size:.4g} m"
@@ -157,12 +162,12 @@ def fit_surface(
     axis : str
         Axis of a spheroid: "x", "y", "z" or "free" (two additional tilts).
     sigma_m : float or array that fits (n, 3), optional
-        Standard deviations of the points. By default all have weight 1, and m0 estimates their sigma, in m; priors are
-        then weighted relative to 1 m.
+        Standard deviations of the points. By default all have weight 1, and m0 estimates
+        their sigma, in m; priors are then weighted relative to 1 m.
     method : "geometric" or "algebraic"
-        Least weighted squares of the distances to the surface, or least squares of the conditions of
-        ``factors.conditions.surfaces`` with equal weights (Ayhan 1996, eqs. 138-154; the coefficients of a quadric of
-        length 1).
+        Least weighted squares of the distances to the surface, or least squares of the
+        conditions of ``factors.conditions.surfaces`` with equal weights (Ayhan 1996, eqs.
+        138-154; the coefficients of a quadric of length 1).
     priors : mapping, optional
         Observed parameters by name, value and sigma, m or rad (geometric method).
 
@@ -173,7 +178,8 @@ def fit_surface(
     Raises
     ------
     InputError
-        Too few points, undetermined parameters (named, with their direction), impossible values.
+        There are too few points, parameters are undetermined (the message names them and
+        their direction), or values are impossible.
     NoSolutionError
         The iteration does not converge.
     """
@@ -267,8 +273,9 @@ def _require_steep(task: _Task, base: tuple[Array, float] | None, k: int) -> Non
     Raises
     ------
     InputError
-        Names the parameters and the direction near the start; or the semi-axis that cannot be verified, because no fit
-        converges there and its squares do not stay far above.
+        Names the parameters and the direction near the start; or the semi-axis that
+        cannot be verified, because no fit converges there and its squares do not stay far
+        above.
     """
     model = task.model
     if base is None:
@@ -292,9 +299,9 @@ def _require_steep(task: _Task, base: tuple[Array, float] | None, k: int) -> Non
 
 
 def _tangent(model: SurfaceModel, x: Array) -> Array:
-    """Return the free directions (u, f) of the unknowns: all.
+    """Return the free directions (u, f) of the unknowns.
 
-    For quadrics only changes of the ratios of coefficients.
+    All directions are free, except for quadrics: only the ratios of their coefficients can change.
     """
     if model.kind != "quadric":
         return np.eye(len(x))

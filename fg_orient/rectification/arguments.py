@@ -1,4 +1,4 @@
-"""Checks of arguments: invalid values are refused with a message of the catalogue."""
+"""Check arguments; invalid values are refused with a message of the catalogue."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from fg_orient.model.errors import InputError
 
 
 def numbers(place: str, values: npt.ArrayLike) -> Array:
-    """Return one number or more as an array, finite or not; InputError for anything else."""
+    """Return one or more numbers as an array.
+
+    They need not be finite. InputError: a value is not a number.
+    """
     out = array(values, place)
     if not out.size:
         raise InputError.of("rectify.numbers", place=place, value="none")
@@ -21,7 +24,7 @@ def numbers(place: str, values: npt.ArrayLike) -> Array:
 
 
 def finite(place: str, values: npt.ArrayLike) -> Array:
-    """Return one finite number or more as an array; InputError for anything else."""
+    """Return one or more finite numbers as an array; raise InputError for other values."""
     out = numbers(place, values)
     if not np.isfinite(out).all():
         raise InputError.of("rectify.numbers", place=place, value=f"{np.sum(~np.isfinite(out))} not finite")
@@ -29,7 +32,7 @@ def finite(place: str, values: npt.ArrayLike) -> Array:
 
 
 def number(place: str, value: float, unit: str, *, least: float = -math.inf) -> float:
-    """Return the finite number not below ``least``; InputError for anything else."""
+    """Return a finite number that is not below ``least``; raise InputError for other values."""
     out = numbers(place, value)
     if out.ndim or not math.isfinite(out) or out < least:
         words = f"a finite number of {unit}" + (f", not below {least:g}" if least > -math.inf else "")
@@ -38,7 +41,7 @@ def number(place: str, value: float, unit: str, *, least: float = -math.inf) -> 
 
 
 def positive(place: str, value: float, unit: str) -> float:
-    """Return the finite number above 0; InputError for anything else."""
+    """Return a finite number above 0; raise InputError for other values."""
     out = numbers(place, value)
     if out.ndim or not math.isfinite(out) or out <= 0.0:
         raise InputError.of("rectify.positive", place=place, value=value, unit=unit)
@@ -46,7 +49,7 @@ def positive(place: str, value: float, unit: str) -> float:
 
 
 def whole(place: str, value: int, least: int) -> int:
-    """Return the whole number not below ``least``; InputError for anything else."""
+    """Return a whole number that is not below ``least``; raise InputError for other values."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
         raise InputError.of("options.value", place=place, value=value, expected=f"a whole number from {least}")
     return int(value)

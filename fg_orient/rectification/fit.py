@@ -1,13 +1,15 @@
-"""Adjustment of a transformation to points, and the extent of these points in each direction.
+"""Adjust a transformation to points, and examine the extent of these points in each direction.
 
-Residuals are computed minus given, the sign of İpbüker 1994. m0 is per coordinate and divided by the redundancy,
-``m0 = sqrt(sum (v/sigma)^2 / (2n - u))``; it is not the plain RMSE, which divides by n.
+Residuals are computed minus given, with the sign of İpbüker 1994. m0 refers to one
+coordinate and is divided by the redundancy: ``m0 = sqrt(sum (v/sigma)^2 / (2n - u))``. It
+is not the plain RMSE, which is divided by n.
 
-If the control points lie on a straight line within their noise, the adjustment converges, but the transformation is
-useless away from this line. Therefore the standard deviation of the scale is computed for each principal direction of
-the points in the source system (centred, one scale). It is compared with the standard deviation in the longest
-direction. For an affine transformation their ratio is the ratio of the extents, the condition number of the centred
-design. It depends neither on the unit nor on the size of the scene.
+If the control points lie on a straight line within their noise, the adjustment converges,
+but the transformation is useless away from this line. Therefore the standard deviation of
+the scale is computed for each principal direction of the points in the source system
+(centred, one scale). It is compared with the standard deviation in the longest direction.
+For an affine transformation their ratio is the ratio of the extents, the condition number
+of the centred design. It depends neither on the unit nor on the size of the scene.
 """
 
 from __future__ import annotations
@@ -51,7 +53,7 @@ STEP: Final = 1e-3
 
 @dataclass(frozen=True)
 class Observations:
-    """Checked points in both systems.
+    """Points with their coordinates in both systems; all values have been checked.
 
     Parameters
     ----------
@@ -64,7 +66,7 @@ class Observations:
     Raises
     ------
     InputError
-        Inconsistent shapes, values that are not finite, sigmas that are not above 0.
+        Shapes do not fit, values are not finite, or standard deviations are not above 0.
     """
 
     source: Array
@@ -96,7 +98,7 @@ class Observations:
         sigma: npt.ArrayLike | None = None,
         ids: Sequence[str] | None = None,
     ) -> Observations:
-        """Return the observations of array-likes.
+        """Make observations from lists or arrays.
 
         Parameters
         ----------
@@ -112,8 +114,8 @@ class Observations:
         Raises
         ------
         InputError
-            See :class:`Observations`; values that are not numbers; sigmas below the rounding of the coordinates, or
-            with a ratio above 1e8.
+            See :class:`Observations`; values that are not numbers; sigmas below the
+            rounding of the coordinates, or with a ratio above 1e8.
         """
         start, end = (np.atleast_2d(numbers(name, a)) for name, a in (("source", source), ("target", target)))
         names = tuple(str(k + 1) for k in range(len(start))) if ids is None else tuple(ids)
@@ -137,7 +139,7 @@ class Observations:
 
 @dataclass(frozen=True)
 class Reach:
-    """Principal direction of the control points, other than the longest.
+    """Principal direction of the control points that is not the longest one.
 
     Parameters
     ----------
@@ -233,7 +235,10 @@ class TransformationFit:
 
     @cached_property
     def cofactors(self) -> Array:
-        """Cofactors (u, u) of the normalised coefficients; times m0 squared they are the covariance."""
+        """Cofactors (u, u) of the normalised coefficients.
+
+        Times m0 squared they are the covariance.
+        """
         root = np.linalg.inv(np.linalg.qr(self.design, mode="r"))
         return np.asarray(root @ root.T)
 
@@ -327,8 +332,9 @@ def fit(
     Raises
     ------
     InputError
-        There are too few points (2n <= unknowns), or heights are missing. The points lie on a line, a curve or a plane
-        and do not determine the transformation; or, for plane transformations, close to a line within their noise.
+        There are too few points (2n <= unknowns), or heights are missing. The points lie
+        on a line, a curve or a plane and do not determine the transformation; or, for
+        plane transformations, close to a line within their noise.
     NoSolutionError
         The iteration does not converge, or a denominator vanishes among the points.
     """
@@ -404,7 +410,10 @@ def _require_sigmas(points: Observations) -> None:
 
 
 def _require_determined(points: Observations, model: TransformationModel, design: Array) -> float:
-    """Return the condition number of the scaled design; InputError if points do not determine the transformation."""
+    """Return the condition number of the scaled design.
+
+    InputError if points do not determine the transformation.
+    """
     length = np.linalg.norm(design, axis=0)
     values = np.linalg.svd(design / np.where(length > 0.0, length, 1.0), compute_uv=False)
     if values[-1] > RANK_LIMIT * values[0]:

@@ -1,9 +1,11 @@
-"""Map rasters: grid, files, and the image pixels of map pixels and heights by interpolation between knots.
+"""Map rasters: their grid and files, and the image pixels of map pixels by interpolation between knots.
 
-At every ``step``-th map pixel the model is evaluated at three heights of the surface. The interpolation between these
-knots is bilinear, and quadratic in the height. The model is evaluated again half-way between knots and at intermediate
-heights. The step is halved while the largest difference inside the image exceeds the limit. The knots are fixed in the
-map, so the pixels do not depend on the size of the windows.
+At every ``step``-th map pixel, the model is evaluated at three heights of the surface.
+Interpolation between these knots is bilinear in the map and quadratic in the height. As a
+test, the model is evaluated half-way between knots and at intermediate heights. If the
+largest difference inside the image exceeds the limit, the step is halved. The positions
+of the knots in the map are fixed. Therefore the pixels do not depend on the size of the
+windows.
 """
 
 from __future__ import annotations
@@ -78,7 +80,7 @@ class MapGrid:
                 resolution=resolution,
                 most=LARGEST,
             )
-        # bounds given as multiples must not gain a pixel by rounding
+        # if the bounds are multiples of the resolution, rounding must not add a pixel
         west, south = (math.floor(v / resolution + 1e-6) for v in (left, bottom))
         east, north = (math.ceil(v / resolution - 1e-6) for v in (right, top))
         return cls(crs, west * resolution, north * resolution, resolution, north - south, east - west)
@@ -123,7 +125,7 @@ SIDE: Final = 9
 ERROR_PX: Final = 0.01
 FIRST_STEP: Final = 64
 LEAST_STEP: Final = 4
-#: Smallest range of heights at which the model is evaluated, m.
+#: The model is evaluated over at least this range of heights, m.
 LEAST_RANGE_M: Final = 1.0
 #: Scaled heights between the knots. There a cubic term causes the largest errors of a
 #: quadratic through three equidistant heights.
@@ -160,8 +162,8 @@ class Lattice:
     scaling : (2,) array
         Offset and scale of heights.
     error_px : float
-        Largest error of the interpolation inside the image, pixels of the image or cells of the DEM. nan if the image
-        contains no middle of four knots.
+        Largest error of the interpolation inside the image, pixels of the image or cells
+        of the DEM. nan if the image contains no middle of four knots.
     """
 
     step: int
@@ -198,11 +200,12 @@ def height_range(
     ----------
     surface : RasterDem or LevelSurface
     crs : str
-        Of the map.
+        Coordinate system of the map.
     bounds : left, bottom, right, top, optional
-        Of the map; otherwise it is bounded by the image.
+        Bounds of the map. Without them, the image bounds the map.
     outline : callable
-        Map coordinates (N,) that bound the image at a height; ``start_m`` is an approximate height.
+        Function of a height; it returns map coordinates (N,) of the border of the image.
+        ``start_m`` is an approximate height.
     """
     if isinstance(surface, LevelSurface):
         return surface.range_m
@@ -281,7 +284,7 @@ def _cells(grid: MapGrid, surface: Surface, x: Array, y: Array) -> Array:
 def _error(
     grid: MapGrid, model: MapModel, surface: Surface, scaling: Array, step: int, knots: Array, limits: Array
 ) -> float:
-    """Return the largest difference at the middles of cells inside the image; nan without any."""
+    """Return the largest difference at the middles of cells inside the image; nan if there are no such cells."""
     rows, columns = ((np.arange(n - 1.0) + 0.5) * step for n in knots.shape[:2])
     r, c = (a.ravel() for a in np.meshgrid(rows, columns, indexing="ij"))
     x, y = grid.centres(r, c)

@@ -1,4 +1,4 @@
-"""Execution of the commands: fit a table of points, study designs, read tested points."""
+"""Run the commands of rectification: fit a table of points, study designs, read tested points."""
 
 from __future__ import annotations
 
@@ -74,14 +74,17 @@ def rectify_fit(
 def read_differences(path: Path) -> tuple[Array, str]:
     """Return the differences (n, 2), m, of tested points from a table or a result folder, and their origin in words.
 
-    A table has the columns id and easting_m, northing_m, true_easting_m, true_northing_m, or residual_easting_m,
-    residual_northing_m. A result folder gives its check points, or its control points if it has no check points.
+    A table has the columns id and easting_m, northing_m, true_easting_m, true_northing_m,
+    or residual_easting_m, residual_northing_m. A result folder gives its check points, or
+    its control points if it has no check points.
 
     Raises
     ------
     InputError
-        All errors of the file; an edited result, or one with residuals in pixels; a result without check points whose
-        control points were selected by their residuals (pruning), which do not measure the accuracy of the map.
+        The file has errors, which are all listed. Or the result was edited, or its
+        residuals are in pixels. Or the result has no check points and its control points
+        were selected by their residuals (pruning): such residuals do not measure the
+        accuracy of the map.
     """
     return _of_folder(path) if path.is_dir() else (_of_table(path), "points of the table")
 

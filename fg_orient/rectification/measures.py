@@ -1,4 +1,4 @@
-"""Execution of the commands ``rectify area``, ``projection`` and ``scanner``."""
+"""Run the commands ``rectify area``, ``projection`` and ``scanner``."""
 
 from __future__ import annotations
 
@@ -34,7 +34,8 @@ def measure_outlines(
     path : Path
         Vertices in order: easting_m, northing_m or lon_deg, lat_deg; outline if there are several.
     projection : str
-        Projection of vertices in lon_deg, lat_deg (:func:`fg_orient.rectification.projections.find_projection`).
+        Projection of vertices in lon_deg, lat_deg
+        (:func:`fg_orient.rectification.projections.find_projection`).
     ellipsoid : str
         Ellipsoid of lon_deg, lat_deg, in PROJ.
     pixel_m : float, optional
@@ -48,7 +49,8 @@ def measure_outlines(
     Raises
     ------
     InputError
-        All errors of the file; a projection without lon_deg, lat_deg; pixels without plane coordinates.
+        The file has errors, which are all listed; a projection is given without lon_deg,
+        lat_deg; or pixels are given without plane coordinates.
     """
     table = require_table(path, [(*own, *names) for own in ((), ("outline",)) for names in (PLANE, GEOGRAPHIC)])
     geographic = GEOGRAPHIC[0] in table.columns
@@ -116,7 +118,8 @@ def project_points(
     Raises
     ------
     InputError
-        All errors of the file; an invalid projection; a point outside its domain.
+        The file has errors, which are all listed; the projection is invalid; or a point
+        lies outside its domain.
     """
     require_free_files(out, overwrite=overwrite)
     definition = projections.find_projection(projection)
@@ -149,7 +152,8 @@ def scanner_record(
     Parameters
     ----------
     height_m, ifov_along_rad, ifov_across_rad, overlap, focal_m, speed_m_s, rotation_s : float
-        See :class:`fg_orient.rectification.scanner.Scanner`; results that need a missing one are None.
+        See :class:`fg_orient.rectification.scanner.Scanner`. If a value is missing,
+        results that need it are None.
     angles_deg : sequence of float
         Scan angles from nadir; default: from nadir to the edge of the swath.
     swath_m : float, optional
@@ -160,7 +164,7 @@ def scanner_record(
     Raises
     ------
     InputError
-        Neither angles nor swath; an angle beyond the horizontal; see ``Scanner``.
+        Neither angles nor swath are given, or an angle is beyond the horizontal. Also see ``Scanner``.
     """
     across = ifov_along_rad if ifov_across_rad is None else ifov_across_rad
     given = {"focal_length_m": focal_m, "speed_m_s": speed_m_s, "rotation_s": rotation_s}

@@ -1,9 +1,9 @@
-"""Orthorectification: a map raster filled from an image through a model, window by window.
+"""Orthorectify an image: fill a map raster through a sensor model or a transformation, window by window.
 
-Each map pixel takes its height from the surface (bilinear), its position in the image from the
-model (:class:`fg_orient.rectification.grid.Lattice`, with a stated error) and its grey value from
-the image by the chosen resampling. Hidden ground is not detected: behind a ridge the map shows
-the image of the ridge. Sources: İpbüker 1994, sec. 5 (indirect method); Keys 1981 (cubic convolution).
+The surface gives the height of each map pixel by bilinear interpolation. The model gives its position
+in the image (:class:`fg_orient.rectification.grid.Lattice`, with a stated error). The image gives its
+grey value by the chosen resampling. Hidden ground is not detected: behind a ridge, the map shows the
+image of the ridge. Sources: İpbüker 1994, sec. 5 (indirect method); Keys 1981 (cubic convolution).
 """
 
 from __future__ import annotations
@@ -101,8 +101,8 @@ def orthorectify(
     Raises
     ------
     InputError
-        An image that cannot be read completely, another size than the model's, a value of empty pixels that its type
-        cannot store, no common ground, holes of the DEM, an output that cannot be written.
+        The image cannot be read completely or has another size than the model; its type cannot store the value of empty
+        pixels; image and surface have no common ground; the DEM has holes; or the output cannot be written.
     """
     chosen, rasterio = options or OrthoOptions(), rasterio_of(image)
     with rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES, CPL_LOG=os.devnull), _opened(rasterio, image) as source:
@@ -191,7 +191,7 @@ def _nodata(source: Any, wanted: float | None, image: str | Path) -> float:
 
 
 def _holds(kind: np.dtype[Any], value: float) -> bool:
-    """Return whether a type can store a value; floating point also rounds."""
+    """Return whether a type can store a value; floating-point types may round it."""
     if kind.kind in "iu":
         return math.isfinite(value) and float(value).is_integer() and np.iinfo(kind).min <= value <= np.iinfo(kind).max
     return not math.isfinite(value) or abs(value) <= float(np.finfo(kind).max)
@@ -244,7 +244,10 @@ def fill(
     rasterio: Any, source: Any, target: Path, grid: MapGrid, knots: Lattice, surface: Surface, limits: Array,
     nodata: float, options: OrthoOptions, progress: Progress | None,
 ) -> tuple[int, int, Written]:  # fmt: skip
-    """Write all windows; number of map pixels inside the image, of those with a value in its first band, checksums."""
+    """Write all windows.
+
+    Return the number of map pixels inside the image, the number of those with a value in the first band, and checksums.
+    """
     settings = grid.profile(bands=source.count, dtype=source.dtypes[0], nodata=nodata, compress=options.compress)
     edge = window_edge(options.window, knots)
     corners = [(r, c) for r in range(0, grid.rows, edge) for c in range(0, grid.columns, edge)]
@@ -271,7 +274,7 @@ def fill(
 
 
 def window_edge(wanted: int, knots: Lattice) -> int:
-    """Return the edge length of windows, map pixels: as wanted, or less if windows need too many cells."""
+    """Return the edge of windows, map pixels; it is smaller than requested if windows would need too many cells."""
     most = max(1, int(math.sqrt(WINDOW_CELLS) / max(1.0, *knots.density())))
     return min(wanted, most if most < TILE else most // TILE * TILE)
 
@@ -312,7 +315,7 @@ def _window(
 
 
 def _needed(positions: Array, n: int) -> tuple[int, int]:
-    """Return the first line that a kernel may use, and the line after the last one."""
+    """Return the range of lines that a kernel may use: the first line, and the line after the last one."""
     low, high = math.floor(np.nanmin(positions)), math.floor(np.nanmax(positions))
     return min(max(low - REACH, 0), n - 1), max(min(high + REACH + 1, n), 1)
 
@@ -385,7 +388,7 @@ def rectify_image(
     Raises
     ------
     InputError
-        Unusable files, no coordinate system, no heights, no common ground, holes of the DEM.
+        A file cannot be used; there is no coordinate system, no height or no common ground; or the DEM has holes.
     """
     _require_other(out, image, model, *([] if dem is None else [dem]))
     surface: Surface | None = RasterDem(dem) if dem is not None else None

@@ -1,4 +1,4 @@
-"""Image geometry of a rectification: a sensor with its correction from a result folder, or a fitted transformation."""
+"""Image geometry of a rectification: a sensor with its adjusted correction, or a fitted transformation."""
 
 from __future__ import annotations
 
@@ -35,14 +35,15 @@ def read_correction(folder: Path, sensor: Sensor, image: str = "") -> Any:
     sensor : Sensor
         Sensor of this image.
     image : str
-        Image id. Default: the image with the sensor's metadata file, compared by content if the result recorded it,
-        else by name.
+        Image id. Default: the image with the sensor's metadata file, compared by content
+        if the result recorded it, else by name.
 
     Raises
     ------
     InputError
-        No such folder or image; an image with other metadata than the sensor's, several images with the same, or
-        unknowns of another kind of sensor.
+        The folder or image does not exist; the image has other metadata than the sensor;
+        several images have the same metadata; or the unknowns belong to another kind of
+        sensor.
     """
     try:
         record = read_record(folder)
@@ -67,7 +68,10 @@ def read_correction(folder: Path, sensor: Sensor, image: str = "") -> Any:
 
 
 def _require_light(record: dict[str, Any], image: str, sensor: Any) -> None:
-    """Refuse a sensor with other effects on light than in the adjustment: the correction would contain the others."""
+    """Refuse a sensor with other effects on light than in the adjustment.
+
+    The correction of the adjustment contains the difference between the effects.
+    """
     stated = next((entry.get("light") for entry in record["images"] if str(entry["id"]) == image), None)
     effects = getattr(sensor.metadata, "effects", None) if stated else None
     if stated is None or effects is None:
@@ -91,7 +95,10 @@ def _files(record: dict[str, Any]) -> dict[str, tuple[str, str]]:
 
 
 def _chosen(files: dict[str, tuple[str, str]], folder: Path, metadata: Path, image: str) -> str:
-    """Return the image id by content, because products of one mission often have the same file name; else by name."""
+    """Find the image id by the content of the metadata file; if the content is not recorded, by its name.
+
+    Products of one mission often have the same file name.
+    """
     digest = sha256_of(metadata) if metadata.is_file() else ""
     same = [
         key for key, (file, known) in files.items() if (known == digest if known and digest else file == metadata.name)

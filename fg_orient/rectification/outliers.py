@@ -1,11 +1,13 @@
-"""Tests of points for gross errors; pruning as in İpbüker 1994.
+"""Test points for gross errors; prune points as in İpbüker 1994.
 
 A control point is tested against all others, a check point against the fit.
 
-v are the whitened residuals of a point, Q their cofactors, S the sum of all squares, f the redundancy, d the rank of Q.
-``T = v^T Q^-1 v`` and ``F = (T/d)/((S - T)/(f - d))``. Without a gross error F has the distribution F(d, f - d); the
-scale is estimated without the suspect (``fg_orient.quality.hypotheses``, test "t"). The table of points has one column
-for the statistic. Therefore it is F also for d = 1, for which the bundle adjustment gives its root t.
+v are the whitened residuals of a point, Q their cofactors, S the sum of all squares, f
+the redundancy, d the rank of Q. ``T = v^T Q^-1 v`` and ``F = (T/d)/((S - T)/(f - d))``.
+Without a gross error F has the distribution F(d, f - d); the scale is estimated without
+the suspect (``fg_orient.quality.hypotheses``, test "t"). The table of points has one
+column for the statistic. Therefore it is F also for d = 1, for which the bundle
+adjustment gives its root t.
 """
 
 from __future__ import annotations
@@ -83,8 +85,8 @@ def point_tests(fitted: TransformationFit) -> PointTests:
 def check_tests(fitted: TransformationFit, check: Observations, residuals: Array) -> PointTests:
     """Test every check point against its prediction from the control points.
 
-    With the residuals v of a point, its sigmas and the cofactors P of the prediction, ``C = diag(sigma^2) + P``:
-    ``F = v^T C^-1 v/(2 m0^2)`` is F(2, f) without a gross error.
+    With the residuals v of a point, its sigmas and the cofactors P of the prediction, ``C
+    = diag(sigma^2) + P``: ``F = v^T C^-1 v/(2 m0^2)`` is F(2, f) without a gross error.
 
     Parameters
     ----------
@@ -104,7 +106,7 @@ def check_tests(fitted: TransformationFit, check: Observations, residuals: Array
 
 
 class Pruning(NamedTuple):
-    """Fit of the remaining points, ids of the excluded points in order, radial RMSE before each one and at the end."""
+    """Fit of the remaining points, ids of the excluded points in order, and radial RMSE before each and at the end."""
 
     fit: TransformationFit
     dropped: tuple[str, ...]
@@ -128,10 +130,11 @@ def prune(first: TransformationFit, target_rms: float, *, rule: Rule = "residual
     Raises
     ------
     InputError
-        A target that is not above 0; see :func:`fg_orient.rectification.fit.fit`, also of a later fit, if the
-        remaining points do not determine it.
+        The target is not above 0, or the remaining points do not determine the
+        transformation; see :func:`fg_orient.rectification.fit.fit`.
     NoSolutionError
-        The target is not reached with the smallest number of points that has redundancy, or a fit does not converge.
+        The target is not reached with the smallest number of points that has redundancy,
+        or a fit does not converge.
     """
     positive("RMSE to reach", target_rms, "the target's unit")
     points, t, history = first.points, first.transformation, list[float]()
@@ -156,7 +159,10 @@ def prune(first: TransformationFit, target_rms: float, *, rule: Rule = "residual
 
 
 def _worst(fitted: TransformationFit, rule: Rule) -> int:
-    """Return the index of the worst point; if the test has no redundancy, of the longest residual."""
+    """Return the index of the worst point.
+
+    If the test has no redundancy, of the longest residual.
+    """
     tests = point_tests(fitted) if rule == "test" else None
     if tests is None or np.isnan(tests.statistic).all():
         return int(np.argmax(np.linalg.norm(fitted.residuals, axis=1)))

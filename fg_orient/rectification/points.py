@@ -1,7 +1,9 @@
-"""Points in the image and on the map from a CSV file.
+"""Read points with image and map coordinates from a CSV file.
 
-Columns: id, line, sample (pixels), easting_m, northing_m (or lon_deg, lat_deg: then a projection is needed). Optional:
-height_m, role (control or check), sigma_easting_m and sigma_northing_m, or sigma_line_px and sigma_sample_px.
+The columns are id, line, sample (pixels), easting_m and northing_m. They may be lon_deg
+and lat_deg instead; a projection is then required. Optional columns are height_m, role
+(control or check), and standard deviations: sigma_easting_m and sigma_northing_m, or
+sigma_line_px and sigma_sample_px.
 """
 
 from __future__ import annotations
@@ -68,7 +70,8 @@ def read_map_points(path: Path, crs: str = "") -> MapPoints:
     Raises
     ------
     InputError
-        All errors of the file; a coordinate system that is unknown, not projected, or missing.
+        The file has errors, which are all listed; or the coordinate system is unknown,
+        not projected, or missing.
     """
     if crs and crs_kind(crs) != "projected":
         raise InputError.of("rectify.crs_not_projected", option="crs", value=crs)
@@ -106,7 +109,10 @@ def _projected(path: Path, crs: str, table: Table, ground: Array) -> Array:
 
 
 def require_direction(model: TransformationModel, direction: str | None) -> Direction:
-    """Return the direction of a fit, by default image to map; spatial models allow only map to image."""
+    """Return the direction of a fit, by default image to map.
+
+    Spatial models allow only map to image.
+    """
     usual: Direction = DIRECTIONS[0] if model.dimension == 2 else DIRECTIONS[1]
     for known in DIRECTIONS:
         if direction == known and (model.dimension == 2 or known == usual):

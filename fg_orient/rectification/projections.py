@@ -1,13 +1,14 @@
 """Map projections by their PROJ definition; areas and lengths of outlines in the plane and on the ellipsoid.
 
-Unlike ``fg_orient.geodesy`` no datum is changed: longitude and latitude refer to the ellipsoid or
-sphere of the projection. Several definitions of İpbüker 1994 have no EPSG code, for example a
-geodetic latitude used as a spherical one.
+In contrast to ``fg_orient.geodesy``, the datum is never changed: longitude and latitude
+refer to the ellipsoid or sphere of the projection. Several definitions of İpbüker 1994
+have no EPSG code. For example, a geodetic latitude is used as a spherical latitude.
 
-Areas are also counted in pixels (İpbüker 1994, section 7.2). A pixel belongs to an outline if its centre lies inside.
-Over random positions and orientations of the grid the mean of the count is the area; its standard deviation is about
-``sqrt(0.0728 L h^3)`` for a perimeter L and pixels of size h (Kendall's problem of lattice points, for outlines without
-preferred direction).
+Areas are also counted in pixels (İpbüker 1994, section 7.2). A pixel belongs to an
+outline if its centre lies inside. Over random positions and orientations of the grid the
+mean of the count is the area; its standard deviation is about ``sqrt(0.0728 L h^3)`` for
+a perimeter L and pixels of size h (Kendall's problem of lattice points, for outlines
+without preferred direction).
 """
 
 from __future__ import annotations
@@ -72,12 +73,18 @@ def perimeter_m(vertices: npt.ArrayLike) -> float:
 
 
 def mean_spacing_m(length_m: float, n_vertices: float) -> float:
-    """Return the mean distance of the vertices of a closed outline, m; InputError if an argument is not above 0."""
+    """Return the mean distance of the vertices of a closed outline, m.
+
+    InputError if an argument is not above 0.
+    """
     return positive("length", length_m, "m") / positive("number of vertices", n_vertices, "vertices")
 
 
 def pixel_area_m2(n_pixels: float, pixel_m: float) -> float:
-    """Return the area of a number (0 or more) of square pixels of a size above 0; InputError for other arguments."""
+    """Return the area of a number (0 or more) of square pixels of a size above 0.
+
+    InputError for other arguments.
+    """
     return number("number of pixels", n_pixels, "pixels", least=0.0) * positive("pixel size", pixel_m, "m") ** 2
 
 
@@ -138,9 +145,9 @@ def utm(zone: int, *, south: bool = False, ellipsoid: str = "WGS84") -> str:
 
 
 def gauss_krueger(central_meridian_deg: float, *, scale: float = 1.0) -> str:
-    """Define a transverse Mercator projection of Hayford's ellipsoid, no false easting.
+    """Return the definition of a transverse Mercator projection of Hayford's ellipsoid without false easting.
 
-    InputError for invalid numbers.
+    InputError: a number is invalid.
     """
     number("central meridian", central_meridian_deg, "degrees")
     positive("scale on the meridian", scale, "units of 1")
@@ -148,7 +155,7 @@ def gauss_krueger(central_meridian_deg: float, *, scale: float = 1.0) -> str:
 
 
 def lambert_cylindrical(radius_m: float) -> str:
-    """Define the equal-area cylinder of a sphere, ``R lambda, R sin phi``; InputError for a radius of 0."""
+    """Return the definition of the equal-area cylindrical projection of a sphere, ``R lambda, R sin phi``."""
     positive("radius", radius_m, "m")
     return f"+proj=cea +lon_0=0 +lat_ts=0 +R={radius_m!r}"
 
@@ -163,7 +170,7 @@ def lambert_polar(radius_m: float) -> str:
 
 
 def space_oblique_mercator(satellite: int, path: int, *, ellipsoid: str = "clrk66") -> str:
-    """Define the Space Oblique Mercator of Landsat 1 to 5 (Snyder 1981); InputError for other orbits."""
+    """Return the definition of the Space Oblique Mercator of Landsat 1 to 5 (Snyder 1981)."""
     paths = SOM_LANDSAT.get(satellite, 0)
     if not 1 <= path <= paths:
         raise InputError.of(
@@ -178,8 +185,9 @@ def space_oblique_mercator(satellite: int, path: int, *, ellipsoid: str = "clrk6
 def find_projection(text: str) -> str:
     """Return the definition of a projection by its short name, or a definition of PROJ or EPSG unchanged.
 
-    Short names are ``utm:36``, ``utm:36S``, ``gauss-krueger:30`` (central meridian), ``lambert-cylindrical:R`` and
-    ``lambert-polar:R`` (radius, m) and ``som:5,180`` (Landsat, path). InputError for anything else.
+    Short names are ``utm:36``, ``utm:36S``, ``gauss-krueger:30`` (central meridian),
+    ``lambert-cylindrical:R`` and ``lambert-polar:R`` (radius, m) and ``som:5,180``
+    (Landsat, path). InputError for anything else.
     """
     name, colon, rest = text.partition(":")
     south = rest[-1:] in ("S", "s")
@@ -260,7 +268,7 @@ def ellipsoidal_area(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike, ellipsoid: 
     Raises
     ------
     InputError
-        Fewer than three vertices, values that are not finite, or no such ellipsoid.
+        There are fewer than three vertices, values are not finite, or the ellipsoid is unknown.
     """
     from pyproj import Geod
 

@@ -1,7 +1,7 @@
-"""Radiometric corrections, and classification errors (İpbüker 1994, section 4.2 and summary).
+"""Radiometric corrections and classification errors (İpbüker 1994, section 4.2 and summary).
 
-The thesis describes them in words. Destriping follows the moments of each detector (Horn & Woodham 1979), the dark
-object is the darkest grey value of a band (Chavez 1988).
+The thesis describes them only in words. Destriping uses the moments of each detector
+(Horn & Woodham 1979). The dark object has the darkest grey value of a band (Chavez 1988).
 """
 
 from __future__ import annotations
@@ -39,9 +39,10 @@ def destripe(
 ) -> Array:
     """Equalise the detectors of a scanner by the mean and the standard deviation of their lines.
 
-    Line k belongs to detector ``(first_detector + k) mod detectors``. Its grey values are transformed linearly to the
-    mean and standard deviation of the whole band. This assumes that all detectors see the same distribution of
-    radiances, so the image must be large compared with its objects.
+    Line k belongs to detector ``(first_detector + k) mod detectors``. Its grey values are
+    transformed linearly to the mean and standard deviation of the whole band. This
+    assumes that all detectors see the same distribution of radiances, so the image must
+    be large compared with its objects.
 
     Parameters
     ----------
@@ -61,7 +62,7 @@ def destripe(
     Raises
     ------
     InputError
-        Not a band; a detector without two valid grey values that differ.
+        The array is not a band, or a detector does not have two different valid grey values.
     """
     band, good = _band(image, valid)
     whole("detectors", detectors, 1)
@@ -88,7 +89,7 @@ def subtract_dark_object(
     image : (rows, columns) array
         Grey values of a band.
     least_pixels : int
-        Least number of pixels of the dark object; darker pixels are noise, and become 0.
+        Minimum number of pixels of the dark object. Darker pixels are noise and become 0.
     valid : (rows, columns) bool array, optional
         Pixels that count; others and those that are not finite do not change.
 

@@ -36,13 +36,13 @@ WEAK_FACTOR: Final = 50.0
 WEAK_CONDITION: Final = 1e4
 #: If the redundancy number is below this, an error of a point hardly changes its own residual.
 HARDLY_CHECKED: Final = 0.1
-#: Probability below which check points are worse than the control points predict.
+#: If the probability is below this, check points are worse than the control points predict.
 WORSE: Final = 0.001
 #: m0 of weighted points contradicts the sigmas if it is above this factor or below its inverse.
 SIGMA_FACTOR: Final = 100.0
 #: If the ratio of sigmas is above this, points with the larger sigmas have negligible weight.
 NEGLIGIBLE: Final = 1e4
-#: Largest distance from the area of use of a map projection, divided by its width: half a zone of UTM.
+#: Maximum distance from the area of use of a map projection, divided by its width. For UTM, this is half a zone.
 FAR: Final = 0.5
 
 
@@ -172,7 +172,7 @@ def _layout(fitted: PointFit) -> list[Finding]:
         out.append(finding("rectify.hardly_checked", limit=HARDLY_CHECKED, points=weak))
     names, spatial = fit.transformation.source_names, fit.model.dimension == 3
     for reach in fit.reaches:
-        # heights always extend less than the plan, so only undetermined directions are reported
+        # points always extend less in height than in plan, so only undetermined directions are reported
         if reach.is_unknown or (reach.is_weak and not spatial):
             out.append(
                 finding(

@@ -1,7 +1,7 @@
 """Optical-mechanical line scanner (MSS, TM) over flat ground (İpbüker 1994, section 3.3.1).
 
-Angles are in rad, lengths in m; the scan angle theta is 0 at nadir. Some printed equations have
-misprints; this module contains the corrected forms.
+Angles are in rad, lengths in m; the scan angle theta is 0 at nadir. Some printed
+equations have misprints; this module contains the corrected forms.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class Scanner:
         return np.asarray(finite("image y", image_y_m) / self.focal_length_m)
 
     def ground(self, image_x_m: npt.ArrayLike, image_y_m: npt.ArrayLike, height_m: npt.ArrayLike = 0.0) -> Array:
-        """Return ground X, Y (n, 2) from first strip and track: ``(1 - S)(Z_c/f) x`` and ``(Z_c - Z_j) tan theta``.
+        """Return X, Y (n, 2) from the first strip and from the track: ``(1 - S)(Z_c/f) x``, ``(Z_c - Z_j) tan theta``.
 
         The time of the mirror adds :meth:`mirror_shift_m` to X.
         """
@@ -131,7 +131,10 @@ def _angle(theta_rad: npt.ArrayLike) -> Array:
 
 
 def total_angle_rad(swath_m: float, height_m: float) -> float:
-    """Return the total scan angle over flat ground, ``2 arctan(W/(2H))``; InputError if an argument is not above 0."""
+    """Return the total scan angle over flat ground, ``2 arctan(W/(2H))``.
+
+    InputError if an argument is not above 0.
+    """
     return 2.0 * math.atan2(positive("swath", swath_m, "m"), 2.0 * positive("height", height_m, "m"))
 
 
@@ -156,7 +159,8 @@ def swath_m(angle_rad: float, height_m: float, off_nadir_rad: float = 0.0, radiu
     Raises
     ------
     InputError
-        A field of view, a height or a radius that is not above 0; over flat ground, a ray beyond the horizontal.
+        The field of view, the height or the radius is not above 0; or, over flat ground,
+        a ray is beyond the horizontal.
     """
     positive("field of view", angle_rad, "rad")
     positive("height", height_m, "m")

@@ -1,11 +1,14 @@
 """Accuracy standards of maps and images: compliance, and the largest admissible scale.
 
-NMAS (US National Map Accuracy Standards 1947): at most 10 % of the tested points off by more than 1/50 inch at
-1:20 000 and smaller, 1/30 inch at larger scales. CMAS: circle of 90 %, 2.1460 times the mean RMSE of both axes (FGDC
-1998, appendix 3-D). NSSDA (FGDC-STD-007.3-1998): circle of 95 %. ASPRS 1990: RMSE of each axis within 0.25 mm at
-scale, classes 2 and 3 twice and three times that. ASPRS 2014 (edition 1): classes by the RMSE of each axis. ASPRS 2023
-(edition 2): classes by the radial RMSE including the error of the check points, at least 30 points. EMAS (ASCE 1983) is
-not included, because no source of its limits was available.
+- NMAS (US National Map Accuracy Standards 1947): at most 10 % of the tested points may have an error above 1/50 inch at
+  1:20 000 and smaller scales, or above 1/30 inch at larger scales.
+- CMAS: radius of the 90 % circle, 2.1460 times the mean RMSE of both axes (FGDC 1998, appendix 3-D).
+- NSSDA (FGDC-STD-007.3-1998): radius of the 95 % circle.
+- ASPRS 1990: the RMSE of each axis is at most 0.25 mm at map scale; classes 2 and 3 allow twice and three times this.
+- ASPRS 2014 (edition 1): classes by the RMSE of each axis.
+- ASPRS 2023 (edition 2): classes by the radial RMSE including the error of the check points; at least 30 points.
+
+EMAS (ASCE 1983) is not included, because no source of its limits was available.
 """
 
 from __future__ import annotations
@@ -22,7 +25,7 @@ from fg_orient.rectification.fit import plain_rmse
 from fg_orient.rectification.options import AccuracyOptions
 
 INCH_M: Final = 0.0254
-#: Limits of the NMAS in the map: for scales of 1:20 000 and smaller, and for larger scales.
+#: Limits of NMAS in the map, m: for scales of 1:20 000 and smaller; below: for larger scales.
 NMAS_SMALL_M: Final = INCH_M / 50.0
 NMAS_LARGE_M: Final = INCH_M / 30.0
 NMAS_LIMIT_SCALE: Final = 20_000.0
@@ -32,12 +35,12 @@ NMAS_SHARE: Final = 0.1
 CMAS_FACTOR: Final = 2.1460
 NSSDA_FACTOR: Final = 2.4477
 ASPRS_1990_M: Final = 0.25e-3
-#: Smallest ratio of the axes' RMSEs for which NSSDA's formula for a circle is valid.
+#: NSSDA's formula for a circle is valid if the ratio of the RMSE of both axes is at least this.
 CIRCULAR_RATIO: Final = 0.6
 #: Minimum numbers of check points.
 NSSDA_POINTS: Final = 20
 ASPRS_2023_POINTS: Final = 30
-#: Compared quantity of each standard in words.
+#: Quantity that each standard compares, in words.
 MEASURES: Final = {
     "NMAS": "largest error of the better 90 %", "CMAS": "radius of 90 % by the RMSE",
     "NSSDA": "radius of 95 % by the RMSE", "ASPRS-1990": "larger RMSE of an axis, class 1",
@@ -60,10 +63,10 @@ class StandardCompliance:
     passed : bool or None
         None without a given scale or class, or if the standard has no limit.
     largest_scale : float
-        Denominator of the largest scale that would pass; nan for standards without scales, and for errors of 0, which
-        pass at every scale.
+        Denominator of the largest scale that would pass; nan for standards without
+        scales, and for errors of 0, which pass at every scale.
     remarks : tuple of str
-        Doubts, and further demands of the standard.
+        Doubts, and further requirements of the standard.
     """
 
     standard: str
@@ -93,7 +96,10 @@ def effective_resolution_m(scale: float) -> float:
 
 
 def cmas_m(rmse_x_m: float, rmse_y_m: float) -> float:
-    """Return the radius of 90 %: 2.1460 (RMSE_x + RMSE_y)/2, m; InputError if an RMSE is below 0 or not finite."""
+    """Return the radius of 90 %: 2.1460 (RMSE_x + RMSE_y)/2, m.
+
+    InputError if an RMSE is below 0 or not finite.
+    """
     return CMAS_FACTOR * 0.5 * sum(number("RMSE", v, "m", least=0.0) for v in (rmse_x_m, rmse_y_m))
 
 
@@ -181,7 +187,10 @@ def _compliance(name: str, value: float, remarks: tuple[str, ...], options: Accu
 
 
 def _smallest_class(value_m: float) -> str:
-    """Return the smallest class that is met: four digits, rounded up, because a class below the value is not met."""
+    """Return the smallest class that is met, with four digits.
+
+    It is rounded up, as a smaller class is not met.
+    """
     text = f"{100.0 * value_m:.4g}"
     text = text if float(text) >= 100.0 * value_m else f"{100.05 * value_m:.4g}"
     return f"{text} cm is the smallest class that is met"

@@ -1,10 +1,12 @@
-"""Studies of numbers of control points and degrees (İpbüker 1994, tables 6.1, 7.1), checks of m0, pairwise distances.
+"""Study numbers of control points and degrees of polynomials; check m0 values; compare pairwise distances.
 
-One check of printed m0 values needs no points. Least squares over the same points cannot give a larger sum of squares
-with more terms: ``m0^2 (2n - 2p)`` must not grow with the degree.
+Source: İpbüker 1994, tables 6.1 and 7.1. One check of printed m0 values needs no points:
+with more terms, least squares over the same points cannot give a larger sum of squares.
+Therefore ``m0^2 (2n - 2p)`` must not increase with the degree.
 
-The simulations replace figures of İpbüker 1994 that no formula gives: digitised sheets, and distances compared with m0.
-The points of that work are not published; these are simulated from its description.
+Some figures of İpbüker 1994 do not follow from a formula: digitised sheets, and distances
+compared with m0. They are simulated. The points of that work are not published, so that
+they are simulated from its description.
 """
 
 from __future__ import annotations
@@ -26,11 +28,11 @@ from fg_orient.rectification.transformation import find_model
 RUNS: Final = 400
 #: Number of runs of a reproduction.
 REPRODUCED_RUNS: Final = 60
-#: Scene of 30 km with 30 points, and noise of one coordinate in m; the ratio does not depend on size or noise.
+#: Size of the scene, m; below: number of points, noise of a coordinate, m. The ratio does not depend on size and noise.
 SCENE_M: Final = 30_000.0
 SCENE_POINTS: Final = 30
 SCENE_SIGMA_M: Final = 20.0
-#: The calibration of the sheets (section 7.2): points, noise, the printed affine transformation (northing, easting).
+#: Calibration of the sheets (section 7.2): number of points; below: noise, printed affine transformation.
 SHEET_POINTS: Final = 24
 SHEET_SIGMA_M: Final = 4.34
 #: Assumed extent of the nodes around the islands, east and north.
@@ -45,7 +47,7 @@ def terms(degree: int) -> int:
     Raises
     ------
     InputError
-        A degree below 0.
+        The degree is below 0.
     """
     whole("degree", degree, 0)
     return (degree + 1) * (degree + 2) // 2
@@ -59,7 +61,8 @@ class Cell:
     ----------
     n_points, degree : int
     median, low, high : float
-        Radial RMSE at the test points over the layouts, in the unit of the target; nan where nothing was fitted.
+        Radial RMSE at the test points over the layouts, in the unit of the target; nan
+        where nothing was fitted.
     layouts : int
         Number of layouts that had a solution.
     reason : str
@@ -105,8 +108,9 @@ def design_study(
     Raises
     ------
     InputError
-        A count above the number of points, an impossible degree, no layouts, a negative seed. A layout without a
-        solution is not refused: its cell has the reason.
+        A count exceeds the number of points, a degree is impossible, there are no
+        layouts, or the seed is negative. A layout without a solution is not an error: its
+        cell contains the reason.
     """
     most = len(control)
     for count in counts:
@@ -147,7 +151,7 @@ def growing_degrees(m0_by_degree: Mapping[int, float], n_points: int) -> tuple[i
     Raises
     ------
     InputError
-        A degree has no redundancy with so many points, so there is no m0 to test; an m0 that is not above 0.
+        A degree has no redundancy with this number of points, so that there is no m0; or an m0 is not above 0.
     """
     for degree, m0 in m0_by_degree.items():
         positive(f"m0 of degree {degree}", m0, "the target's unit")
@@ -184,8 +188,9 @@ def admissible_points(m0_by_degree: Mapping[int, float], most: int = 200) -> tup
 class Ratios(NamedTuple):
     """Simulated runs of a scene that contains only noise, (runs,) arrays.
 
-    ``ratio``: standard deviation of the pairwise distance differences, divided by m0 of the affine transformation;
-    ``spread_m``: standard deviation of the distances themselves, the effect of a scale error of 1.
+    ``ratio``: standard deviation of the pairwise distance differences, divided by m0 of
+    the affine transformation; ``spread_m``: standard deviation of the distances
+    themselves, the effect of a scale error of 1.
     """
 
     ratio: Array
@@ -194,7 +199,10 @@ class Ratios(NamedTuple):
 
 @cache
 def distance_ratios(runs: int = RUNS, seed: int = 1) -> Ratios:
-    """Compare pairwise distances with m0 for 30 points with noise alone; InputError without runs or seed."""
+    """Compare pairwise distances with m0 for 30 simulated points that contain only noise.
+
+    InputError: there are fewer than two runs, or the seed is negative.
+    """
     whole("runs", runs, 2)
     rng, model = np.random.default_rng(whole("seed", seed, 0)), find_model("affine")
     ratio, spread = np.empty(runs), np.empty(runs)
@@ -255,9 +263,10 @@ def digitised_sheets(extent_km: tuple[int, int] = SHEET_EXTENT_KM, runs: int = R
 class PairDistances(NamedTuple):
     """Differences of the distances of all pairs of points, m.
 
-    ``differences`` (K,): first minus second list, pairs in the order 01, 02, ..., 12, ...; their standard deviation
-    (K - 1 in the divisor) and mean; ``of_point`` (n,): root mean square about the mean of the differences of each
-    point's pairs, large for a gross error.
+    ``differences`` (K,): first minus second list, pairs in the order 01, 02, ..., 12,
+    ...; their standard deviation (K - 1 in the divisor) and mean; ``of_point`` (n,): root
+    mean square about the mean of the differences of each point's pairs, large for a gross
+    error.
     """
 
     differences: Array
@@ -269,9 +278,10 @@ class PairDistances(NamedTuple):
 def pair_distances(first: npt.ArrayLike, second: npt.ArrayLike) -> PairDistances:
     """Compare the distances of all pairs of points in two plane systems of one scale, without a transformation.
 
-    İpbüker 1994, appendix EK 3, program KEN.BAS: ``d_ij = s_ij(image in metres) - s_ij(map)`` for i < j. Their standard
-    deviation measures the precision of both lists together. A constant cancels, a scale error does not. With noise
-    alone it is about 1.39 m0 for 30 points.
+    İpbüker 1994, appendix EK 3, program KEN.BAS: ``d_ij = s_ij(image in metres) -
+    s_ij(map)`` for i < j. Their standard deviation measures the precision of both lists
+    together. A constant cancels, a scale error does not. With noise alone it is about
+    1.39 m0 for 30 points.
 
     Parameters
     ----------

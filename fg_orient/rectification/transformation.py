@@ -76,9 +76,11 @@ class TransformationModel:
     def start(self, source: Array, target: Array) -> Array:
         """Return the start values (u,) from normalised coordinates: zeros for linear models.
 
-        Other models start from the least squares of ``numerator - target (denominator - 1) = target``. Both rows of the
-        projective transformation have the denominator; in the line-scanner DLT only the sample has it. The affine model
-        (denominator 1) is the start for the parallel projection, and if the denominator is not above 0 at all points.
+        Other models start from the least squares of ``numerator - target (denominator -
+        1) = target``. Both rows of the projective transformation have the denominator; in
+        the line-scanner DLT only the sample has it. The affine model (denominator 1) is
+        the start for the parallel projection, and if the denominator is not above 0 at
+        all points.
         """
         x = np.zeros(self.n_unknowns)
         if self.linear:
@@ -145,7 +147,7 @@ def find_model(name: str, degree: int | None = None) -> TransformationModel:
     Raises
     ------
     InputError
-        No such transformation or degree.
+        The transformation or the degree does not exist.
     """
     if name not in NAMES:
         raise InputError.of("rectify.model", place="model", value=name, known=", ".join(NAMES))
@@ -230,8 +232,8 @@ class Transformation:
     def plain_coefficients(self) -> dict[str, float] | None:
         """Return the coefficients for coordinates that are not normalised; None for quotients.
 
-        Each coefficient is rounded once. With map coordinates of 4.5e6 m, the powers of the coordinates multiply this
-        rounding. To transform points use :meth:`apply`.
+        Each coefficient is rounded once. With map coordinates of 4.5e6 m, the powers of
+        the coordinates multiply this rounding. To transform points use :meth:`apply`.
         """
         if not self.model.linear:
             return None
@@ -267,7 +269,7 @@ def read_transformation(path: Path) -> Transformation:
     Raises
     ------
     InputError
-        It cannot be read or is not a transformation; the folder is a part of a result, or was changed.
+        The file cannot be read, or it is not a transformation; the folder is part of a result, or was changed.
     """
     if path.is_dir():
         require_whole(path)
@@ -282,7 +284,10 @@ def read_transformation(path: Path) -> Transformation:
 
 
 def _from_dict(record: Mapping[str, Any]) -> Transformation:
-    """Return the transformation of the content of a file; ValueError, KeyError or TypeError for invalid content."""
+    """Return the transformation of the content of a file.
+
+    ValueError, KeyError or TypeError for invalid content.
+    """
     if record["schema"] != SCHEMA:
         raise ValueError("schema")
     name = record["model"]
