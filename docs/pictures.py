@@ -30,6 +30,9 @@ sys.path.insert(0, str(ROOT))
 import fg_orient as fg  # noqa: E402
 from fg_orient.formats.sensor import read_sensor  # noqa: E402
 from fg_orient.geodesy import geodetic_to_ecef  # noqa: E402
+from fg_orient.model.names import COMPONENTS  # noqa: E402
+from fg_orient.quality.jitter import QUANTILE  # noqa: E402
+from fg_orient.quality.jitter_system import without_quadratic  # noqa: E402
 from fg_orient.report import chart, paper  # noqa: E402
 from fg_orient.report.graph import write_graph  # noqa: E402
 from fg_orient.result.record import read_result  # noqa: E402
@@ -337,12 +340,36 @@ def rpc_bundle(out: Path) -> None:
     keep(figure, out / "rpc-bundle.svg")
 
 
+def jitter(out: Path) -> None:
+    """Draw the curves that the adjustment of the page finds, with the true jitter."""
+    block, truth = zonguldak_block(ZonguldakOptions(jitter_px=1.2, jitter_cycles=3.0, jitter_images=("left",)))
+    evidence = fg.adjust(block, jitter="auto").jitter
+    assert evidence is not None
+    found = [angle for angle in evidence.angles if angle.band is not None]
+    figure = paper.new_figure(paper.TWO_COLUMNS, 2.5)
+    for k, angle in enumerate(found):
+        band = angle.band
+        assert band is not None
+        panel = figure.add_subplot(1, len(found), k + 1)
+        half = QUANTILE * band.sd
+        panel.fill_between(angle.line, band.value - half, band.value + half, color=chart.GREY, alpha=0.35, lw=0)
+        panel.plot(angle.line, band.value, color=chart.BLUE, label="estimate")
+        waves = truth.corrections[block.images.index(next(i for i in block.images if i.id == angle.image))].waves
+        wave = next(w for w in waves if COMPONENTS[w.component] == angle.angle)
+        true = without_quadratic(band.tau, wave.at(band.tau)) * angle.px_per_rad
+        panel.plot(angle.line, true, color=chart.ORANGE, ls="--", label="true")
+        panel.set(xlabel="line", ylabel="jitter, px", title=f"{angle.angle} of {angle.image}")
+        panel.legend(loc="upper right")
+    keep(figure, out / "band.svg")
+
+
 #: What is drawn, by the folder that it goes to.
 PICTURES: dict[str, tuple[Callable[[Path], None], ...]] = {
     "concepts": (concepts,),
     "factor-graph": (factor_graph,),
     "tutorials": (stereo, dense_sparse, rpc, calibrate),
     "examples": (rectify_by_points, rpc_bundle),
+    "jitter": (jitter,),
 }
 
 

@@ -15,6 +15,11 @@ independent x the coefficients are a random walk of third order, as in penalised
 (Eilers & Marx 1996). The curves contain no quadratics, whose third differences are zero; the
 degree-2 coefficients represent them. W is scaled so that the prior standard deviation of a
 curve is 1 in the mean square over the image.
+
+Jitter has another prior. All ``k + 3`` coefficients are independent with equal variances, so
+that the spectrum of the process is flat up to about ``k / 3`` cycles per image. Its k unknowns
+are the coefficients without quadratics, in an orthonormal basis N. The degree-2 coefficients
+represent the quadratics, whose prior variances are added to their own.
 """
 
 from __future__ import annotations
@@ -93,3 +98,33 @@ def _from_unknowns(n_intervals: int) -> Array:
 def curves(tau: Array, n_intervals: int) -> Array:
     """Return the values (N, n_intervals) at N times of the curves in which one unknown is 1 and the others are 0."""
     return np.asarray(basis(tau, n_intervals) @ _from_unknowns(n_intervals))
+
+
+@cache
+def _jitter(n_intervals: int) -> tuple[Array, Array]:
+    """Return scaled N (k + 3, k), and standard deviations (3,) of c0, c1, c2, for unit mean square of the process."""
+    tau = np.linspace(-1.0, 1.0, 40 * n_intervals + 1)
+    values = basis(tau, n_intervals)
+    powers = np.linalg.lstsq(values, tau[:, None] ** np.arange(DEGREE), rcond=None)[0]  # exact: splines contain them
+    q, r = np.linalg.qr(powers, mode="complete")
+    scale = 1.0 / np.sqrt(np.mean(np.sum(values**2, axis=1)))
+    out = np.asarray(q[:, DEGREE:] * scale), np.asarray(np.linalg.norm(np.linalg.inv(r[:DEGREE]), axis=1) * scale)
+    for array in out:
+        array.setflags(write=False)
+    return out
+
+
+def jitter_curves(tau: Array, n_intervals: int) -> Array:
+    """Return the values (N, n_intervals) of jitter without quadratics that belong to unit unknowns."""
+    return np.asarray(basis(tau, n_intervals) @ _jitter(n_intervals)[0])
+
+
+def jitter_quadratic(n_intervals: int) -> Array:
+    """Return the standard deviations (3,) of c0, c1, c2 in jitter whose mean square over the image is 1."""
+    return _jitter(n_intervals)[1]
+
+
+@cache
+def curves_from_jitter(n_intervals: int) -> Array:
+    """Return the matrix (k, k) from unknowns of jitter to unknowns of the same curve in :func:`curves`."""
+    return np.asarray(np.linalg.lstsq(_from_unknowns(n_intervals), _jitter(n_intervals)[0], rcond=None)[0])

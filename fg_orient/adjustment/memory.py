@@ -20,6 +20,7 @@ import numpy as np
 
 from factors.arrays import Index
 from factors.cameras import pushbroom
+from factors.geometry.polynomials import MOST
 from fg_orient.adjustment.cofactors import CHUNK, WHOLE_LIMIT, full_statistics
 from fg_orient.adjustment.images_first import Sizes, each_of_one_image
 from fg_orient.adjustment.problem import no_point_is_named
@@ -155,7 +156,7 @@ def need_of(block: Block, *, elsewhere: bool = False, open_share: float = 1.0) -
     models = image_models(block.images, options)
     sizes = [len(model.parameters) for model in models]
     n, u = len(block.observations), sum(sizes)
-    records = 8 * (pushbroom.RECORD.size + options.curve_intervals)
+    records = 8 * (pushbroom.RECORD.size + (MOST if options.jitter_curves else options.curve_intervals))
     common = n * (open_share * records + 48) + len(block.points.ids) * 8 * PER_POINT
     backend = suitable_backend(block)
     border = _images_first(block, models) if backend == "graph" else None

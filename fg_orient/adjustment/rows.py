@@ -18,6 +18,7 @@ from factors._contract import NotFiniteError, check_blocks
 from factors.arrays import Array, Index
 from fg_orient.kernels.batch import batch
 from fg_orient.model.errors import InputError
+from fg_orient.model.jitter import jitter_by_image
 from fg_orient.sensors.base import ImageModel
 
 if TYPE_CHECKING:
@@ -246,6 +247,12 @@ def image_models(images: Sequence[Image], options: Options) -> tuple[ImageModel,
             if starts.setdefault((shared, part), value) != value:
                 raise InputError.of("frame.shared", place=f"image {image.id}, {part}", value=value, id=shared)
     models = tuple(image.sensor.image_model(options) for image in images)
+    curves = jitter_by_image(options.jitter_curves, [image.id for image in images])
+    if curves and options.curve_intervals:
+        raise InputError.of("jitter.curves", option="jitter_curves", value=options.curve_intervals)
+    for image, model in zip(images, models, strict=True):
+        if image.id in curves:
+            model.add_jitter(curves[image.id])
     for image, model in zip(images, models, strict=True):
         if image.held:
             model.parameters = model.parameters.take(np.zeros(len(model.parameters), bool))

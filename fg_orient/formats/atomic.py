@@ -217,7 +217,7 @@ def in_all_forms(*tables: str) -> tuple[str, ...]:
 
 
 #: File names of the tables of a result folder.
-RESULT_TABLES: Final = in_all_forms("eop", "points", "residuals", "accuracy", "outliers", "start_points")
+RESULT_TABLES: Final = in_all_forms("eop", "points", "residuals", "accuracy", "outliers", "jitter", "start_points")
 #: Contents of a result folder of ``adjust``.
 RESULT: Final = Contents(
     "result.json",

@@ -22,6 +22,7 @@ StatisticsChoice = Literal["auto", "full", "basic"]
 Regularisation = Literal["none", "tikhonov", "truncated", "minimum_norm", "generalised_ridge", "stein", "ridge_stein"]
 PenaltyKind = Literal["deviation", "gradient", "laplace"]
 RegularisedUnits = Literal["prior_sigmas", "raw", "columns"]
+Jitter = Literal["none", "auto"]
 MultipleTesting = Literal["none", "bonferroni", "sidak", "holm", "benjamini_hochberg"]
 
 #: Longest extrapolation of attitudes, s: a rate error of 1e-6 rad/s gives an error of 5 m on the ground.
@@ -86,6 +87,17 @@ class Options(Checked):
     )
     curve_attitude_sigma_rad: float = option(
         5e-6, PRIORS, "Prior sigma of an attitude curve, root mean square over the image.", unit="rad"
+    )
+    jitter: Jitter = option(
+        "none", UNKNOWNS,
+        "Jitter of the attitude of pushbroom images. auto: test roll and pitch of each image, choose resolution and "
+        "strength of their curves by restricted likelihood, and adjust with these curves. It replaces `jitter_curves`.",
+    )
+    jitter_curves: Names = option(
+        (), UNKNOWNS,
+        "Jitter curves of single images: image, angle (roll or pitch), number of intervals (2 to 32) and prior sigma "
+        "in rad, separated by colons. The coefficients of a curve are independent (`factors.geometry.polynomials`).",
+        such="left:roll:16:3e-6", left_out="no jitter",
     )
     rpc_compensation: RpcCompensation = option(
         "shift", UNKNOWNS,

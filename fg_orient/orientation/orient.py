@@ -152,6 +152,14 @@ def adjust(
     block = with_options(block, "adjust", optimizer=named)
     require_possible(block.options)
     block.require_adjustable()
+    if block.options.jitter == "auto":
+        if callable(optimizer):
+            raise InputError.of("graph.own_optimizer", option="jitter")
+        from fg_orient.orientation.jitter import adjust_with_jitter
+
+        how = {"start": start, "start_prior": start_prior, "parts": parts, "workers": workers, "cluster": cluster}
+        report: dict[str, Any] = {"work_dir": work_dir, "callback": callback, "stage": stage}
+        return adjust_with_jitter(block, lambda one: adjust(one, **how, **report))
     doubts.require_acceptances(block.options.accept)
     block = vendor_datum.with_datum(block)
     regularisation.require_possible(block)

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from fg_orient.quality.accuracy import PredictionTest
     from fg_orient.quality.dem_accuracy import DemComparison
     from fg_orient.quality.free_network import FreeNetwork
+    from fg_orient.quality.jitter_record import Jitter
     from fg_orient.quality.located_point import LocatedPoint, Orientation
     from fg_orient.sensors.correction import HeightSurface
 
@@ -100,6 +101,8 @@ class Solution(AdjustmentResult):
         Stated sigmas of groups of observations, with the estimated sigmas if the observations are tested.
     supposed : Supposed or None
         Most likely mistake, until a further adjustment has decided on it.
+    jitter : Jitter or None
+        Evidence for jitter, if the option ``jitter`` requests it.
     reduced_system : Choice or None
         Method of the Schur backend for the reduced system of the images, with predicted operations and bytes.
     """
@@ -125,6 +128,7 @@ class Solution(AdjustmentResult):
     rejected: tuple[str, ...] = ()
     sigmas: tuple[StatedSigma, ...] = ()
     supposed: Supposed | None = None
+    jitter: Jitter | None = None
     reduced_system: Choice | None = None
 
     @property

@@ -51,6 +51,7 @@ def read_correction(folder: Path, sensor: Sensor, image: str = "") -> Any:
             raise InputError.of("report.nothing_adjusted", file=folder, place=RESULT_FILE, value=record["status"])
         options = record["provenance"]["options"]
         small_angle, n_curves = bool(options["small_angle"]), int(options.get("curve_intervals", 0))
+        jitter = tuple(options.get("jitter_curves", ()))
         files = _files(record)
         eop = read_table(table_file(folder, "eop"))
         values: dict[str, dict[str, float]] = {name: {} for name in files}
@@ -62,7 +63,8 @@ def read_correction(folder: Path, sensor: Sensor, image: str = "") -> Any:
     name = _chosen(files, folder, Path(sensor.file), image)
     _require_light(record, name, sensor)
     try:
-        return sensor.correction_of(values[name], Options(small_angle=small_angle, curve_intervals=n_curves))
+        chosen = Options(small_angle=small_angle, curve_intervals=n_curves, jitter_curves=jitter)
+        return sensor.correction_of(values[name], chosen)
     except KeyError:
         raise InputError.of("ortho.other_sensor", file=folder, place=f"image {name}", value=sensor.file) from None
 

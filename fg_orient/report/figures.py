@@ -10,6 +10,7 @@ from typing import Final
 from fg_orient.formats.atomic import Contents, require_free, staged_folder, writing
 from fg_orient.formats.load import foreign_bytes
 from fg_orient.model.errors import InputError
+from fg_orient.model.jitter import ANGLES
 from fg_orient.model.names import Progress
 from fg_orient.report import maps, paper, plots, tables
 from fg_orient.report.chart import Chart
@@ -77,6 +78,8 @@ PLOTS: Final[dict[str, tuple[int, Callable[[Result, list[str]], Charts]]]] = {
     "quantiles": (2, _residuals(plots.quantiles, most=MANY["quantiles"])),
     "corrections": (2, _corrections),
     "correlations": (2, _correlations),
+    "jitter": (2, lambda result, images: [
+        plots.jitter_chart(result, name, angle) for name in images for angle in ANGLES]),
     "singular_values": (MAX_IMAGES, lambda result, images: [
         plots.singular_values([o for o in result.record["observability"] if str(o["image"]) in images])]),
     "redundancy": (0, _redundancy),

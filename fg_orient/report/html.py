@@ -61,7 +61,7 @@ class Section:
 SECTIONS: Final = [Section(name, title) for name, title in (
     ("summary", "Summary"), ("map", "Map"), ("figures", "Figures"), ("accuracy", "Accuracy axis by axis"),
     ("residuals", "Image residuals"), ("reliability", "Reliability"),
-    ("orientation", "Corrections of the exterior orientation"), ("constraints", "Constraints"),
+    ("orientation", "Corrections of the exterior orientation"), ("jitter", "Jitter"), ("constraints", "Constraints"),
     ("features", "Control features"),
     ("metadata", "Orientation of the metadata"), ("light", "Effects on light"), ("observability", "Observability"),
     ("regularisation", "Regularisation"), ("iterations", "Iterations"),

@@ -255,6 +255,25 @@ def correction_chart(image: str, rows: Sequence[dict[str, Any]]) -> Chart | None
     return chart
 
 
+def jitter_chart(result: Result, image: str, angle: str) -> Chart | None:
+    """Jitter of an angle (px) with its 95 % band over the lines of the image; None where no jitter was found."""
+    table = result.tables.get("jitter")
+    if table is None:
+        return None
+    named = zip(table.words["image"], table.words["component"], strict=True)
+    rows = np.array([k for k, one in enumerate(named) if one == (image, angle)], np.intp)
+    if not len(rows):
+        return None
+    line, value, low, high = table.numbers("line", "value_px", "lower_px", "upper_px", rows=rows).T
+    reach = 1.05 * float(np.abs([low, high]).max())
+    chart = broad(f"jitter of {angle} of image {image} over the lines", Axis("line", (line[0], line[-1])),
+                  Axis("jitter, px", (-reach, reach)), title=f"{angle} of {cut(image)}")  # fmt: skip
+    chart.add("area", "band", np.append(line, line[::-1]), np.append(low, high[::-1]), label="95 % band")
+    chart.across("zero", 0.0)
+    chart.add("line", "of-line", line, value, label="estimate")
+    return chart
+
+
 def _value(row: dict[str, Any]) -> str:
     """Return value and sigma with their significant digits."""
     if row["value"] is None:

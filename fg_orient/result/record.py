@@ -61,7 +61,7 @@ class Result:
         Content of ``result.json`` (docs/results.md).
     tables : dict
         Tables by the names of their files: ``points``, ``residuals``, ``eop``. After a search
-        for gross errors also ``outliers``. If the block was not adjusted, only
+        for gross errors also ``outliers``, with jitter ``jitter``. If the block was not adjusted, only
         ``start_points``.
     iterations : tuple of dict
         One record per iteration.
@@ -203,7 +203,7 @@ class Result:
         ----------
         table : str
             ``points``, ``residuals``, ``unknowns`` (``eop``), ``accuracy``, ``outliers``,
-            ``iterations``, or ``covariances``. The last one contains the covariance matrix of
+            ``jitter``, ``iterations``, or ``covariances``. The last one contains the covariance matrix of
             the unknowns of each image; its index is image and parameter.
 
         Raises
@@ -343,7 +343,7 @@ def read_any_result(folder: Path) -> Result:
     """
     result = Result(read_record(folder), {})
     names = [name for name in TABLES if (name == START_POINTS) != result.adjusted]
-    names += ["outliers"] if table_file(folder, "outliers").is_file() else []
+    names += [name for name in ("outliers", "jitter") if table_file(folder, name).is_file()]
     file = ""
     with _damaged(lambda: folder / file):
         tables = {name: read_table(table_file(folder, name), *TABLES.get(name, ())) for name in names}

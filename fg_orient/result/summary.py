@@ -201,6 +201,7 @@ def summary(solution: Solution) -> dict[str, Any]:
         },
         "robust": robust_record(solution),
         "regularisation": solution.regularisation,
+        "jitter": None if solution.jitter is None else solution.jitter.as_dict(),
         "variance_components": None if solution.components is None else solution.components.as_dict(),
         "stated_sigmas": [one.as_dict() for one in solution.sigmas],
         "resumed_at_iteration": solution.resumed_at or None,

@@ -29,6 +29,7 @@ import numpy.typing as npt
 from factors.arrays import Array, Index
 from factors.geometry import ellipsoid
 from fg_orient.formats.table_write import Column
+from fg_orient.quality.jitter_record import COLUMNS as JITTER_COLUMNS
 from fg_orient.result import statistics
 from fg_orient.result.plain import Table, of_axes, table_of_rows
 from fg_orient.result.record import START_POINTS, TABLES
@@ -48,7 +49,7 @@ PAIRS: Final = (np.array([0, 0, 1]), np.array([1, 2, 2]))
 
 
 def tables_of(solution: Solution, cofactors: Array) -> dict[str, Table]:
-    """Make the tables ``eop``, ``points``, ``residuals`` and, after a search, ``outliers``.
+    """Make the tables ``eop``, ``points``, ``residuals``; ``outliers`` after a search, ``jitter`` if it was found.
 
     The cofactors of the points come from :func:`point_cofactors`.
     """
@@ -61,6 +62,8 @@ def tables_of(solution: Solution, cofactors: Array) -> dict[str, Table]:
     }
     if solution.snooping is not None:
         tables["outliers"] = statistics.outlier_table(solution.snooping)
+    if solution.jitter is not None and solution.jitter.curves:
+        tables["jitter"] = table_of_rows(JITTER_COLUMNS, solution.jitter.rows())
     return tables
 
 

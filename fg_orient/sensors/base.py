@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from factors._contract import Equation
     from fg_orient.geodesy.bodies import Body
     from fg_orient.model.block import ImagePoints, Options
+    from fg_orient.model.jitter import JitterCurve
     from fg_orient.model.parameters import ImageParameters
     from fg_orient.sensors.metadata import FramePoint
 
@@ -82,6 +83,11 @@ class ImageModel(ABC):
         """
         factors = self.per_line()[0]
         return np.asarray(self.parameters.sigma * np.where(np.isfinite(factors), factors, 1.0))
+
+    def add_jitter(self, curves: tuple[JitterCurve, ...]) -> None:
+        """Add the unknowns of jitter curves of this image; InputError if the kind of image has none."""
+        kind = self.facts().get("model", type(self).__name__)
+        raise InputError.of("jitter.kind", option="jitter_curves", value=str(curves[0]), kind=kind)
 
     def is_valid(self, ground_m: Array) -> Mask:
         """Return a mask (n,) of the ground points (n, 3), ECEF m, at which the sensor's model is valid."""

@@ -8,6 +8,7 @@ much the metadata deviate from the published model.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, Protocol
 
@@ -15,6 +16,7 @@ import numpy as np
 
 from factors.arrays import Array
 from factors.geometry import polynomials
+from fg_orient.model.parameters import CURVE, CURVES, N_EOP
 
 if TYPE_CHECKING:
     from fg_orient.sensors.pushbroom import PushbroomSensor
@@ -46,6 +48,33 @@ class HeightSurface(Protocol):
 
 
 @dataclass(frozen=True)
+class Wave:
+    """Sine wave of one EOP over the lines of an image, as simulated jitter has it.
+
+    The value at tau is ``amplitude sin(pi cycles (tau + 1) + phase)``: ``phase`` is its phase at the first line.
+
+    Parameters
+    ----------
+    component : int
+        Position of the EOP in ``fg_orient.model.names.COMPONENTS``: 6 is roll, 7 pitch.
+    amplitude : float
+        m, m/s or rad.
+    cycles : float
+        Number of cycles from the first to the last line.
+    phase_rad : float
+    """
+
+    component: int
+    amplitude: float
+    cycles: float
+    phase_rad: float
+
+    def at(self, tau: Array) -> Array:
+        """Value (N,) at N line times tau."""
+        return np.asarray(self.amplitude * np.sin(np.pi * self.cycles * (tau + 1.0) + self.phase_rad))
+
+
+@dataclass(frozen=True)
 class Correction:
     """Corrections of the orientation of one image, in physical units.
 
@@ -59,21 +88,53 @@ class Correction:
         Whether to use the small-angle attitude matrix, as published (faithful mode).
     curve : (9, k) array
         Amplitudes of the curves of ``factors.geometry.polynomials`` over k intervals, for the nine EOPs.
+    waves : tuple of Wave
+        Simulated jitter.
     """
 
     eop: Array = field(default_factory=lambda: np.zeros((9, 3)))
     look: Array = field(default_factory=lambda: np.zeros((2, 0)))
     small_angle: bool = False
     curve: Array = field(default_factory=lambda: np.zeros((9, 0)))
+    waves: tuple[Wave, ...] = ()
+
+    @property
+    def is_quadratic(self) -> bool:
+        """True if polynomials of degree 2 are the whole correction of the EOP."""
+        return not self.curve.shape[1] and not self.waves
 
     def curve_at(self, tau: Array) -> Array:
-        """Return the part of the curves in the corrections of the nine EOPs (N, 9) at N line times tau."""
-        return np.asarray(polynomials.curves(tau, self.curve.shape[1]) @ self.curve.T)
+        """Return the part of curves and waves in the corrections of the nine EOPs (N, 9) at N line times tau."""
+        n = self.curve.shape[1]
+        out = polynomials.curves(tau, n) @ self.curve.T if n else np.zeros((len(tau), 9))
+        for wave in self.waves:
+            out[:, wave.component] += wave.at(tau)
+        return np.asarray(out)
 
     def eop_at(self, tau: Array) -> Array:
         """Return the corrections of the nine EOPs (N, 9) at N line times tau."""
         smooth = polynomials.evaluate(self.eop, tau)
-        return smooth + self.curve_at(tau) if self.curve.shape[1] else smooth
+        return smooth if self.is_quadratic else smooth + self.curve_at(tau)
+
+
+def correction_by_code(
+    values: Mapping[int, float], small_angle: bool, n_curves: int, *, is_jitter: bool = False
+) -> Correction:
+    """Make a correction from the values of unknowns by code, in physical units; ``is_jitter``: kind of the curves."""
+    eop, curve = np.zeros(N_EOP), np.zeros((9, n_curves))
+    # the codes of psi_x and psi_y alternate: polynomials of both have an even number of codes
+    highest = max((code for code in values if code < CURVE), default=0) - N_EOP
+    look = np.zeros(2 * (highest // 2 + 1) if highest >= 0 else 0)
+    for code, value in values.items():
+        if code < N_EOP:
+            eop[code] = value
+        elif code < CURVE:
+            look[code - N_EOP] = value
+        else:
+            curve[divmod(code - CURVE, CURVES)] = value
+    if is_jitter and n_curves:
+        curve = np.ascontiguousarray(curve @ polynomials.curves_from_jitter(n_curves).T)
+    return Correction(eop.reshape(9, 3), np.ascontiguousarray(look.reshape(-1, 2).T), small_angle, curve)
 
 
 # --- EOP polynomials -----------------------------------------------------------------------------

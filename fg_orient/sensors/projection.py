@@ -42,7 +42,7 @@ def physical_unknowns(correction: Correction) -> tuple[Array, Array]:
     """Return setup (2, k) and unknowns (k,) of the equation for a correction in physical units, without zeros."""
     codes = np.arange(N_EOP + correction.look.size, dtype=float)
     x = np.concatenate([correction.eop.ravel(), correction.look.T.ravel()])
-    if correction.curve.shape[1]:  # the sums of the curves follow the record: one "curve" with amplitude 1 for each EOP
+    if not correction.is_quadratic:  # sums of curves follow the record: one "curve" of 1 for each EOP
         codes = np.concatenate([codes, CURVE + (CURVES + 1.0) * np.arange(9)])
         x = np.concatenate([x, np.ones(9)])
     codes, x = codes[x != 0.0], x[x != 0.0]
@@ -58,7 +58,7 @@ def conditions(sensor: PushbroomSensor, line: Array, sample: Array, ground_m: Ar
 def _conditions(records: Array, ground_m: Array, correction: Correction) -> Array:
     """Return the conditions (N, 2) of records (N, d)."""
     setup, x = physical_unknowns(correction)
-    if correction.curve.shape[1]:
+    if not correction.is_quadratic:
         records = np.hstack([records, correction.curve_at(records[:, RECORD.tau])])
     return residuals(records, setup, x, np.ascontiguousarray(ground_m))
 

@@ -33,7 +33,8 @@ from fg_orient.model.parameters import (
 )
 from fg_orient.sensors import projection
 from fg_orient.sensors.base import ImageModel, Sensor, same_length
-from fg_orient.sensors.correction import Correction, fit_eop
+from fg_orient.sensors.correction import Correction, correction_by_code, fit_eop
+from fg_orient.sensors.jitter import with_jitter
 from fg_orient.sensors.metadata import (
     AngleAttitude,
     LookAngleTable,
@@ -44,6 +45,7 @@ from fg_orient.sensors.metadata import (
 
 if TYPE_CHECKING:
     from fg_orient.model.block import ImagePoints, Options
+    from fg_orient.model.jitter import JitterCurve
 
 #: Minimum plausible field of view, rad. The narrowest known field of view is 0.015 rad.
 MIN_FIELD_RAD = 1e-4
@@ -326,23 +328,10 @@ class PushbroomSensor(Sensor):
         known = (*range(N_EOP + 2 * (MAX_LOOK_DEGREE + 1)), *range(CURVE, CURVE + 9 * CURVES))
         codes = {parameter_name(code): code for code in known}
         by_code = {codes[name]: value for name, value in values.items()}
-        return _correction(by_code, options.small_angle, options.curve_intervals)
-
-
-def _correction(values: Mapping[int, float], small_angle: bool, n_curves: int) -> Correction:
-    """Make a correction from the values of unknowns by code, in physical units."""
-    eop, curve = np.zeros(N_EOP), np.zeros((9, n_curves))
-    # the codes of psi_x and psi_y alternate: polynomials of both have an even number of codes
-    highest = max((code for code in values if code < CURVE), default=0) - N_EOP
-    look = np.zeros(2 * (highest // 2 + 1) if highest >= 0 else 0)
-    for code, value in values.items():
-        if code < N_EOP:
-            eop[code] = value
-        elif code < CURVE:
-            look[code - N_EOP] = value
-        else:
-            curve[divmod(code - CURVE, CURVES)] = value
-    return Correction(eop.reshape(9, 3), np.ascontiguousarray(look.reshape(-1, 2).T), small_angle, curve)
+        if not options.jitter_curves:
+            return correction_by_code(by_code, options.small_angle, options.curve_intervals)
+        n = 1 + max(((code - CURVE) % CURVES for code in by_code if code >= CURVE), default=-1)
+        return correction_by_code(by_code, options.small_angle, n, is_jitter=True)
 
 
 def require_pushbroom(sensor: Any, image: str) -> PushbroomSensor:
@@ -373,6 +362,12 @@ class PushbroomModel(ImageModel):
         camera = f"{sensor.metadata.mission} {sensor.metadata.instrument}".strip()
         self.parameters = orientation_parameters(options, sensor.file, camera)
         self.n_curves = options.curve_intervals if max(self.parameters.codes) >= CURVE else 0
+        self._curves = polynomials.curves
+
+    def add_jitter(self, curves: tuple[JitterCurve, ...]) -> None:
+        """See :meth:`ImageModel.add_jitter`."""
+        self.parameters = with_jitter(self.parameters, curves)
+        self.n_curves, self._curves = curves[0].intervals, polynomials.jitter_curves
 
     def records(self, points: ImagePoints, ground_m: Array, origin_m: Array) -> Array:
         """Return constants whitened with ``-S^-1 J^-1``, J = dF/d(line, sample) of the metadata orientation."""
@@ -383,12 +378,13 @@ class PushbroomModel(ImageModel):
         (a, b), (c, d) = j.transpose(1, 2, 0)
         inverse = np.array([[d, -b], [-c, a]]) / (a * d - b * c)
         out[:, RECORD.whitening] = (-inverse.transpose(2, 0, 1) / sigma[:, :, None]).reshape(-1, 4)
-        return np.hstack([out, polynomials.curves(out[:, RECORD.tau], self.n_curves)]) if self.n_curves else out
+        return np.hstack([out, self._curves(out[:, RECORD.tau], self.n_curves)]) if self.n_curves else out
 
     def correction(self, x: Array) -> Correction:
         """Return EOP corrections (9, 3), look corrections (2, degree + 1) and curves (9, k) in physical units."""
         values = dict(zip(self.parameters.codes, x * self.parameters.sigma, strict=True))
-        return _correction(values, self.small_angle, self.n_curves)
+        is_jitter = self._curves is polynomials.jitter_curves
+        return correction_by_code(values, self.small_angle, self.n_curves, is_jitter=is_jitter)
 
     def silent_directions(self) -> list[tuple[str, Array]]:
         """Return the directions of velocity corrections that the image cannot observe.

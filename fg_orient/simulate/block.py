@@ -19,6 +19,7 @@ from fg_orient.geodesy import ecef_to_geodetic, geodetic_to_ecef
 from fg_orient.model.names import Progress
 from fg_orient.sensors.correction import Correction
 from fg_orient.simulate.files import Scenario
+from fg_orient.simulate.jitter import jitter_waves
 from fg_orient.simulate.options import LEAST_CONTROL
 from fg_orient.simulate.options import BlockOptions as BlockOptions
 from fg_orient.simulate.scene import N_LINES, N_SAMPLES, Scene, as_read, find_pass
@@ -67,6 +68,7 @@ def simulate(options: BlockOptions, progress: Progress | None = None) -> Simulat
         streams["image_noise"],
         options.max_height_m,
         progress,
+        jitter_waves(options, [scene.id for scene in scenes], streams["jitter"]),
     )
 
 

@@ -1,8 +1,8 @@
 """Writer of a simulated block in the real file formats, with its truth.
 
 Metadata of each image (DIMAP 1.1, RPC, frame files), tables ``points`` and ``observations``, ``project.toml``; in
-``truth/`` the error-free ``points``, ``eop`` (true minus metadata) and ``options.json``, which the adjustment never
-reads. The folder is written completely or not at all.
+``truth/`` the error-free ``points``, ``eop`` (true minus metadata), ``jitter`` if simulated, and ``options.json``,
+which the adjustment never reads. The folder is written completely or not at all.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from fg_orient.model.names import COMPONENTS, TABLE_FORM
 from fg_orient.model.parameters import UNITS, parameter_name
 from fg_orient.result.plain import write_rows
 from fg_orient.sensors.correction import Correction
+from fg_orient.simulate.jitter import JITTER_COLUMNS, jitter_rows
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -42,7 +43,7 @@ CONTENTS: Final = Contents(
     "truth/options.json",
     (
         PROJECT_FILE,
-        *in_all_forms("points", "observations", "truth/points", "truth/eop"),
+        *in_all_forms("points", "observations", "truth/points", "truth/eop", "truth/jitter"),
         "*.DIM",
         "truth/options.json",
         "*.tif",
@@ -212,6 +213,9 @@ def _write_truth(folder: Path, simulation: Simulation, values: dict[str, Any], f
     write_table(folder / f"points.{form}", {"id": truth.point_ids, "role": simulation.ground.roles, **dict(numbers)})
     eop = [row for image in zip(truth.image_ids, truth.corrections, strict=True) for row in _orientation(*image)]
     write_rows(folder / f"eop.{form}", ("image", "parameter", "component", "degree", "unit", "value_per_tau"), eop)
+    waves = [row for image in zip(truth.image_ids, truth.corrections, strict=True) for row in jitter_rows(*image)]
+    if waves:
+        write_rows(folder / f"jitter.{form}", JITTER_COLUMNS, waves)
     write_text(folder / "options.json", json.dumps(values, indent=2, sort_keys=True) + "\n")
 
 

@@ -7,16 +7,19 @@ import math
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from fg_orient.model.declaration import Checked, Group, Three, documented, option, require_allowed
+from fg_orient.model.declaration import Checked, Group, Names, Three, documented, option, require_allowed
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import TABLE_FORM, TableForm
 
 PointSet = Literal["H-0", "H-10", "H-20", "H-30", "H-40", "G-A", "G-B", "G-C"]
 Errors = Literal["constant", "prior", "none"]
 
+JitterAxis = Literal["roll", "pitch", "both"]
+
 BLOCK: Final = Group("Block")
 ORIENTATION: Final = Group("True orientation and errors")
 NOISE: Final = Group("Noise")
+JITTER: Final = Group("Jitter")
 LEAST_CONTROL: Final = 6
 
 # fmt: off
@@ -29,9 +32,28 @@ _IMAGE_NOISE: Final = (
 _GROUND_NOISE: Final = "Sigmas East, North, Up of the noise of control and check coordinates."
 
 
+@dataclass(frozen=True, kw_only=True)
+class Jittered(Checked):
+    """Options of the true jitter of pushbroom images, which their metadata do not contain."""
+
+    jitter_px: float = option(
+        0.0, JITTER, "Amplitude of a sine wave of the attitude. One pixel is the angle of one detector element.",
+        within=(0.0, 10.0), unit="px", zero="no jitter",
+    )
+    jitter_cycles: float = option(4.0, JITTER, "Cycles of the wave from the first to the last line.", below=100.0)
+    jitter_axis: JitterAxis = option("both", JITTER, "Angles that have jitter: roll, pitch, or both.")
+    jitter_phase_deg: float | None = option(
+        None, JITTER, "Phase of the wave at the first line.", within=(-360.0, 360.0), unit="deg",
+        left_out="a random phase for each image and angle",
+    )
+    jitter_images: Names = option(
+        (), JITTER, "Ids of the images that have jitter.", such=("left",), left_out="all pushbroom images",
+    )
+
+
 @documented
 @dataclass(frozen=True)
-class ZonguldakOptions(Checked):
+class ZonguldakOptions(Jittered):
     """Options of the synthetic Zonguldak pair.
 
     Points, roles, errors of the metadata, image noise and ground noise come from independent streams of the seed.
@@ -63,7 +85,7 @@ class ZonguldakOptions(Checked):
 
 @documented
 @dataclass(frozen=True)
-class BlockOptions:
+class BlockOptions(Jittered):
     """Options of a synthetic block of ``rows * columns`` images, at least 2."""
 
     rows: int = option(2, BLOCK, "Rows of scenes.", within=(1, 20))

@@ -34,7 +34,7 @@ from fg_orient.model.block import (
     WithheldCoordinates,
 )
 from fg_orient.model.names import Progress, Role
-from fg_orient.sensors.correction import Correction
+from fg_orient.sensors.correction import Correction, Wave
 from fg_orient.sensors.interior import Interior
 from fg_orient.sensors.metadata import PushbroomMetadata
 from fg_orient.sensors.projection import STEP_PX, conditions, pixel_derivative
@@ -148,7 +148,7 @@ NOMINAL_IMAGE_SIGMA_PX = 0.3
 NOMINAL_GROUND_SIGMA_M = (0.06, 0.06, 1.0)
 
 #: Independent random streams of a simulation; the order is part of the definition of a seed.
-STREAMS = ("points", "roles", "orientation", "image_noise", "ground_noise")
+STREAMS = ("points", "roles", "orientation", "image_noise", "ground_noise", "jitter")
 CONSTANT_POSITION_M = 5.0
 CONSTANT_ATTITUDE_RAD = 20e-6
 
@@ -322,6 +322,7 @@ def observe(
     rng: np.random.Generator,
     max_height_m: float | None = None,
     progress: Progress | None = None,
+    waves: Sequence[tuple[Wave, ...]] = (),
 ) -> Simulation:
     """Simulate pushbroom images: metadata with errors, true pixels of this metadata with its corrections, noise.
 
@@ -340,9 +341,12 @@ def observe(
         is faster for more than some thousand points per image.
     progress : callable, optional
         Function that is called with (done, of, text) before each image.
+    waves : sequence of tuples of Wave
+        True jitter of each image, not in the files; empty: none.
     """
     metadata = tuple(scene.metadata(error) for scene, error in zip(scenes, errors, strict=True))
-    corrections = tuple(Correction(error, look) for error in errors)
+    of_images = waves or [()] * len(scenes)
+    corrections = tuple(Correction(error, look, waves=own) for error, own in zip(errors, of_images, strict=True))
     image, point = (a.astype(np.intp) for a in np.nonzero(visible))
     pixels = np.empty((len(image), 2))
     for k, (written, correction) in enumerate(zip(metadata, corrections, strict=True)):

@@ -24,6 +24,7 @@ from factors.arrays import Array
 from fg_orient.geodesy import enu_from_ecef, geodetic_to_ecef
 from fg_orient.model.names import Progress, Role
 from fg_orient.simulate.files import Scenario
+from fg_orient.simulate.jitter import jitter_waves
 from fg_orient.simulate.options import PointSet
 from fg_orient.simulate.options import ZonguldakOptions as ZonguldakOptions
 from fg_orient.simulate.render import RasterOptions, write_rasters
@@ -92,7 +93,15 @@ def simulate(options: ZonguldakOptions) -> Simulation:
     bend = np.array([[0.0, 0.0, options.distortion_rad]] * 2) if options.distortion_rad else np.zeros((2, 0))
     visible = np.ones((len(scenes), N_POINTS), bool)
     return observe(
-        "zonguldak twin", scenes, ground, visible, errors, bend, options.image_noise_px, streams["image_noise"]
+        "zonguldak twin",
+        scenes,
+        ground,
+        visible,
+        errors,
+        bend,
+        options.image_noise_px,
+        streams["image_noise"],
+        waves=jitter_waves(options, [scene.id for scene in scenes], streams["jitter"]),
     )
 
 

@@ -106,6 +106,7 @@ OPTIONS = [
         statistics="full", tables="parquet", image_unknowns=("x_0", "roll_1"),
         variance_components=("image", "height"), snoop=True, snoop_kind="points",
         outlier_test="pope", outlier_level=0.01, multiple_testing="holm", look_shared=True, curve_intervals=4,
+        jitter="auto", jitter_curves=("left:roll:16:3e-6",),
         curve_position_sigma_m=2.5, curve_attitude_sigma_rad=3e-6, accept=("gross_error:point 12<=20", "sigma0"),
         required_accuracy_m=0.5, regularisation="tikhonov", kappa=0.5, kappa_rule="gcv", penalty="laplace",
         penalty_deviation=True, median_rejection=4.0, loss_quantile=0.25, rank_cut=1e-7, regularised_units="columns",

@@ -98,7 +98,7 @@ RUN_ELSEWHERE = {
 }
 
 #: Folders of docs/_static whose pictures docs/pictures.py draws, and how many there are.
-DRAWN = {"concepts": 3, "factor-graph": 4, "tutorials": 5, "examples": 2}
+DRAWN = {"concepts": 3, "factor-graph": 4, "tutorials": 5, "examples": 2, "jitter": 1}
 
 
 def camera_file(folder: Path) -> None:

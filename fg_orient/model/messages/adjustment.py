@@ -15,6 +15,26 @@ parameters.unknown: no image of the block has an unknown of this name
     -> use the names in eop.csv, such as x_0, roll_1, psi_y_s1 or line_l1
 options.value: the value of this option is not allowed
     -> give {expected}
+jitter.image: there is no such image
+    -> images of the block: {known}
+jitter.twice: image {id} has two curves of the same angle, or curves with different numbers of intervals
+    -> name each angle once, with the same number of intervals
+jitter.curves: an image has either smooth curves or jitter curves
+    -> leave <curve_intervals> or <jitter_curves> out
+jitter.kind: an image of this kind ({kind}) has no roll and pitch
+    -> name images of pushbroom sensors only
+jitter.excluded: the evidence for jitter needs least squares with the prior sigmas
+    -> leave <jitter> or this option out
+jitter.priors: the evidence for jitter needs priors of the orientation
+    -> leave <priors> on, with the datum auto, control or priors
+jitter.no_angles: no image has roll or pitch with coefficients of degree 0, 1 and 2, which jitter needs
+    -> choose an EOP set with the attitude, such as A or PUA
+jitter.found (note): jitter was found in {angles!w}; the adjustment contains its curves (docs/jitter.md)
+jitter.not_found (note): no jitter was found in {angles!w}
+jitter.untold (note): jitter cannot be told in {angles!w}, because too few points determine it
+    -> measure more control points along the lines of the image
+jitter.many: jitter is tested in at most {limit} images at once
+    -> adjust parts of the block with <jitter>, then name the curves found by <jitter_curves>
 initial.no_intersection: the point has no start value, because its rays are parallel within {least} degrees
     -> measure the point in another image, give it coordinates as control, or remove it
 initial.seen_once: the point is seen in {image} only and has no control coordinates: it can move along its ray
