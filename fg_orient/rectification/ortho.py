@@ -1,9 +1,9 @@
 """Orthorectify an image: fill a map raster through a sensor model or a transformation, window by window.
 
-The surface gives the height of each map pixel by bilinear interpolation. The model gives its position
-in the image (:class:`fg_orient.rectification.grid.Lattice`, with a stated error). The image gives its
-grey value by the chosen resampling. Hidden ground is not detected: behind a ridge, the map shows the
-image of the ridge. Sources: İpbüker 1994, sec. 5 (indirect method); Keys 1981 (cubic convolution).
+The surface gives the height of each map pixel by bilinear interpolation. The model gives its position in the image
+(:class:`fg_orient.rectification.grid.Lattice`, with a stated error). The image gives its grey value by the chosen
+resampling. Hidden ground is not detected: behind a ridge, the map shows the image of the ridge.
+Sources: İpbüker 1994, sec. 5 (indirect method); Keys 1981 (cubic convolution).
 """
 
 from __future__ import annotations
@@ -37,14 +37,8 @@ from fg_orient.model.names import Progress
 from fg_orient.rectification.grid import (
     CACHE_BYTES,
     TILE,
-    Bounds,
-    Lattice,
-    LevelSurface,
-    MapGrid,
-    Surface,
-    height_range,
-    lattice,
-)
+    Bounds, Lattice, LevelSurface, MapGrid, Surface, height_range, lattice,
+)  # fmt: skip
 from fg_orient.rectification.options import OrthoOptions
 from fg_orient.rectification.ortho_models import BORDER, MapModel, PointModel, SensorModel, read_correction
 from fg_orient.rectification.transformation import read_transformation
