@@ -37,8 +37,14 @@ from fg_orient.model.names import Progress
 from fg_orient.rectification.grid import (
     CACHE_BYTES,
     TILE,
-    Bounds, Lattice, LevelSurface, MapGrid, Surface, height_range, lattice,
-)  # fmt: skip
+    Bounds,
+    Lattice,
+    LevelSurface,
+    MapGrid,
+    Surface,
+    height_range,
+    lattice,
+)
 from fg_orient.rectification.options import OrthoOptions
 from fg_orient.rectification.ortho_models import BORDER, MapModel, PointModel, SensorModel, read_correction
 from fg_orient.rectification.transformation import read_transformation
@@ -238,10 +244,7 @@ def fill(
     rasterio: Any, source: Any, target: Path, grid: MapGrid, knots: Lattice, surface: Surface, limits: Array,
     nodata: float, options: OrthoOptions, progress: Progress | None,
 ) -> tuple[int, int, Written]:  # fmt: skip
-    """Write all windows.
-
-    Return the number of map pixels inside the image, the number of those with a value in the first band, and checksums.
-    """
+    """Write all windows; return the numbers of map pixels in the image and with a value in band 1, and checksums."""
     settings = grid.profile(bands=source.count, dtype=source.dtypes[0], nodata=nodata, compress=options.compress)
     edge = window_edge(options.window, knots)
     corners = [(r, c) for r in range(0, grid.rows, edge) for c in range(0, grid.columns, edge)]
