@@ -179,7 +179,7 @@ def test_command_writes_table_section_and_record(tmp_path: Path) -> None:
 
 
 @pytest.mark.oracle
-def test_stored_proof_meets_its_bounds() -> None:
+def test_stored_proof_meets_its_bounds(repository: Path) -> None:
     """1000 pairs without and 1000 pairs with jitter (``python -m benchmarks.jitter``), and the table of the page."""
     stored = json.loads(pairs.RESULTS.read_text("utf-8"))
     found = pairs.figures(stored["without"], stored["with"])
@@ -190,6 +190,7 @@ def test_stored_proof_meets_its_bounds() -> None:
     for accuracy in (found["accuracy"], found["accuracy_without"]):
         assert max(one["pooled_ratio"] for one in accuracy.values()) <= 1.02
     assert max(one["pooled_ratio"] for one in found["accuracy_by_amplitude"]) <= 1.02
+    assert pairs.tables(found) in (repository / "docs" / "jitter.md").read_text("utf-8")
 
 
 @pytest.mark.oracle
