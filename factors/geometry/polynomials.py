@@ -1,8 +1,9 @@
 """Polynomials in the normalised line tau and the normalised sample s, and curves over tau.
 
-``tau = (line - c)/c`` with ``c = (n_lines - 1)/2``: the first line is -1, the last +1. ``s`` is defined in the same way
-for samples. EOP corrections are ``c0 + c1 tau + c2 tau^2`` (T 2.34, T-Table 4.1, with tau instead of the line number
-for conditioning). The published per-line form ``q0 + q1 l + q2 l^2``, ``l = line - c``, follows by a diagonal
+``tau = (line - c)/c`` with ``c = (n_lines - 1)/2``: the first line is -1, the last +1.
+``s`` is defined in the same way for samples. EOP corrections are ``c0 + c1 tau + c2
+tau^2`` (T 2.34, T-Table 4.1, with tau instead of the line number for conditioning). The
+published per-line form ``q0 + q1 l + q2 l^2``, ``l = line - c``, follows by a diagonal
 transformation.
 
 Smooth curves over an image are uniform cubic B-splines with a prior on their third
@@ -16,10 +17,10 @@ independent x the coefficients are a random walk of third order, as in penalised
 degree-2 coefficients represent them. W is scaled so that the prior standard deviation of a
 curve is 1 in the mean square over the image.
 
-Jitter has another prior. All ``k + 3`` coefficients are independent with equal variances, so
-that the spectrum of the process is flat up to about ``k / 3`` cycles per image. Its k unknowns
-are the coefficients without quadratics, in an orthonormal basis N. The degree-2 coefficients
-represent the quadratics, whose prior variances are added to their own.
+Jitter has another prior. All ``k + 3`` coefficients are independent with equal variances,
+so that the spectrum of the process is flat up to about ``k / 3`` cycles per image. Its k
+unknowns are the coefficients without quadratics, in an orthonormal basis N. The degree-2
+coefficients represent the quadratics, whose prior variances are added to their own.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ import numpy as np
 
 from factors._contract import Array
 
-#: Degree of the splines. The number of coefficients exceeds the number of intervals by this, and the
-#: differences have this order.
+#: Degree of the splines. The number of coefficients exceeds the number of intervals by
+#: this, and the differences have this order.
 DEGREE: Final = 3
 #: Smallest and largest number of intervals of a curve.
 FEWEST, MOST = 2, 32
@@ -66,15 +67,18 @@ def fit(argument: Array, values: Array, degree: int) -> tuple[Array, Array]:
 def per_line_from_tau(n_lines: int) -> Array:
     """Return the diagonal transformation from c0, c1, c2 of tau to q0, q1, q2 per line, about the same line.
 
-    ``q_k = c_k / c^k`` with ``c = (n_lines - 1)/2``. This is also the Jacobian, so scaling rows and columns gives the
-    covariance.
+    ``q_k = c_k / c^k`` with ``c = (n_lines - 1)/2``. This is also the Jacobian, so
+    scaling rows and columns gives the covariance.
     """
     centre = (n_lines - 1) / 2.0
     return np.asarray(centre ** -np.arange(3.0))
 
 
 def basis(tau: Array, n_intervals: int) -> Array:
-    """Return the values (N, n_intervals + 3) of the B-splines at N times; the outer pieces continue beyond -1 and 1."""
+    """Return the values (N, n_intervals + 3) of the B-splines at N times.
+
+    The outer pieces continue beyond -1 and 1.
+    """
     u = 0.5 * n_intervals * (np.asarray(tau, float) + 1.0)
     piece = np.clip(np.floor(u).astype(int), 0, n_intervals - 1)
     f = u - piece
@@ -96,13 +100,13 @@ def _from_unknowns(n_intervals: int) -> Array:
 
 
 def curves(tau: Array, n_intervals: int) -> Array:
-    """Return the values (N, n_intervals) at N times of the curves in which one unknown is 1 and the others are 0."""
+    """Return n_intervals curves at N times (N, n_intervals): in each, one unknown is 1 and the others are 0."""
     return np.asarray(basis(tau, n_intervals) @ _from_unknowns(n_intervals))
 
 
 @cache
 def _jitter(n_intervals: int) -> tuple[Array, Array]:
-    """Return scaled N (k + 3, k), and standard deviations (3,) of c0, c1, c2, for unit mean square of the process."""
+    """Return N (k + 3, k), scaled to jitter of unit mean square, and the standard deviations (3,) of c0, c1, c2."""
     tau = np.linspace(-1.0, 1.0, 40 * n_intervals + 1)
     values = basis(tau, n_intervals)
     powers = np.linalg.lstsq(values, tau[:, None] ** np.arange(DEGREE), rcond=None)[0]  # exact: splines contain them
@@ -115,7 +119,7 @@ def _jitter(n_intervals: int) -> tuple[Array, Array]:
 
 
 def jitter_curves(tau: Array, n_intervals: int) -> Array:
-    """Return the values (N, n_intervals) of jitter without quadratics that belong to unit unknowns."""
+    """Return jitter without quadratics at N times (N, n_intervals): in each column, one unknown is 1."""
     return np.asarray(basis(tau, n_intervals) @ _jitter(n_intervals)[0])
 
 
@@ -126,5 +130,5 @@ def jitter_quadratic(n_intervals: int) -> Array:
 
 @cache
 def curves_from_jitter(n_intervals: int) -> Array:
-    """Return the matrix (k, k) from unknowns of jitter to unknowns of the same curve in :func:`curves`."""
+    """Return the matrix (k, k) that converts unknowns of jitter to those of :func:`curves` for the same curve."""
     return np.asarray(np.linalg.lstsq(_from_unknowns(n_intervals), _jitter(n_intervals)[0], rcond=None)[0])

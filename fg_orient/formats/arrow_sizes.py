@@ -1,7 +1,8 @@
-"""Sizes that an Arrow file states: bytes of its record batches and dictionaries after decompression.
+"""Read the sizes that an Arrow file states: bytes of its record batches and dictionaries after decompression.
 
-pyarrow allocates what the file states for each compressed buffer, and does not give these sizes before. They are read
-from the file's FlatBuffers: footer, then the message of each block (Arrow columnar format 1.5, "IPC file format").
+pyarrow allocates the stated size of each compressed buffer, and does not report the sizes
+before. They are therefore read from the file's FlatBuffers: the footer, then the message
+of each block (Arrow columnar format 1.5, "IPC file format").
 """
 
 from __future__ import annotations
@@ -13,12 +14,12 @@ from struct import Struct
 from typing import Any, Final, NamedTuple
 
 _SHORT, _INT, _LONG, _OFFSET = (Struct(form) for form in ("<H", "<i", "<q", "<I"))
-#: Block of the footer: position, bytes of the message, bytes of the body. Buffer of a batch: position, bytes.
+#: A block of the footer has position, bytes of the message and bytes of the body; a buffer has position and bytes.
 _BLOCK, _BUFFER = Struct("<qi4xq"), Struct("<qq")
-#: Bytes before a message: a mark and the length; versions before 0.15 have no mark.
+#: Mark before the length of a message; versions before 0.15 write the length only.
 _MARK: Final = b"\xff\xff\xff\xff"
 _END: Final = b"ARROW1"
-#: Fields of the tables of the format.
+#: Numbers of the fields in the tables of the format.
 _DICTIONARIES, _BATCHES, _KIND, _HEADER, _DATA, _BUFFERS, _COMPRESSION = 2, 3, 1, 2, 1, 2, 3
 _IS_DICTIONARY: Final = 2
 
@@ -59,7 +60,7 @@ def _of_footer(data: Any) -> Sizes:
 
 
 def _of_block(data: Any, position: int, message_bytes: int, body_bytes: int) -> int:
-    """Bytes of the buffers of a message after decompression."""
+    """Return the number of bytes of a message's buffers after decompression."""
     message = _within(position, data)
     message += 8 if data[message : message + 4] == _MARK else 4
     table = _within(message + _at(_OFFSET, data, message), data)
@@ -95,7 +96,7 @@ def _at(form: Struct, data: Any, position: int) -> int:
 
 
 def _field(data: Any, table: int, number: int) -> int:
-    """Position of a field of a table; 0 if the table does not have it."""
+    """Return the position of a field of a table; 0 if the table does not have it."""
     names = _within(table - _at(_INT, data, table), data)
     place = 4 + 2 * number
     if place + 2 > _at(_SHORT, data, names):
@@ -105,13 +106,13 @@ def _field(data: Any, table: int, number: int) -> int:
 
 
 def _table(data: Any, table: int, number: int) -> int:
-    """Position of the table in a field; 0 without it."""
+    """Return the position of the table in a field; 0 if the field is missing."""
     place = _field(data, table, number)
     return _within(place + _at(_OFFSET, data, place), data) if place else 0
 
 
 def _vector(data: Any, table: int, number: int, each: int) -> tuple[int, int]:
-    """Position of the first element of a vector, and their number."""
+    """Return the position of the first element of a vector, and the number of its elements."""
     place = _table(data, table, number)
     if not place:
         return 0, 0

@@ -54,7 +54,8 @@ def write_state(
     correction : Correction, optional
         From an adjustment.
     columns : (2,) tuple of int, optional
-        Columns ``first`` to ``end - 1`` of the image: the image of the state begins with column ``first``.
+        ``first`` and ``end``: the state describes columns ``first`` to ``end - 1`` of the
+        image as an image of its own.
 
     Returns
     -------
@@ -177,7 +178,7 @@ def _error_px(
 
 
 def _axes(sensor: PushbroomSensor) -> tuple[float, float]:
-    """Semi-axes of the body, m."""
+    """Return the semi-axes of the body, m."""
     return (ellipsoid.A_M, ellipsoid.B_M) if sensor.body is None else (sensor.body.radii_m[0], sensor.body.radii_m[2])
 
 

@@ -1,4 +1,4 @@
-"""Jitter curves of single images, as the option ``jitter_curves`` names them."""
+"""Read the option ``jitter_curves``, which names the jitter curves of single images."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fg_orient.model.errors import InputError
 
 #: Smallest and largest number of intervals, as in ``factors.geometry.polynomials``, which loads the compiler.
 FEWEST, MOST = 2, 32
-#: Angles that may have jitter. Yaw of 1e-5 rad moves the ends of a line of 12000 pixels by 0.06 px only.
+#: Angles that may have jitter. Yaw is left out: 1e-5 rad moves the ends of a line of 12000 pixels by 0.06 px only.
 ANGLES: Final = ("roll", "pitch")
 _FORM: Final = f"IMAGE:ANGLE:INTERVALS:SIGMA with angle roll or pitch, {FEWEST} to {MOST} intervals, sigma in rad"
 
@@ -70,8 +70,8 @@ def jitter_by_image(texts: Iterable[str], images: Sequence[str]) -> dict[str, tu
     Raises
     ------
     InputError
-        A text is wrong, an image is not in the block, an angle is named twice, or the curves of an image have different
-        numbers of intervals.
+        A text is wrong, an image is not in the block, an angle is named twice, or the
+        curves of an image have different numbers of intervals.
     """
     out: dict[str, tuple[JitterCurve, ...]] = {}
     for text in texts:

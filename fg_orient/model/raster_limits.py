@@ -1,8 +1,9 @@
-"""Limits of rasters, checked when GDAL has opened a file and before it decodes a pixel.
+"""Check the limits of a raster after GDAL has opened its file and before it decodes a pixel.
 
-Opening costs what the file's directories cost. To read one pixel, GDAL allocates the table of all blocks and decodes a
-whole block: a file of 274 bytes that states 2^31 lines and samples took 8.6 GB and 29 s, a strip of 1.6 GB of zeros in
-1.6 MB took 1.6 GB (GDAL 3.10).
+To open a file, GDAL reads its directories. To read one pixel, GDAL allocates the table of
+all blocks and decodes a whole block: a file of 274 bytes that states 2^31 lines and
+samples took 8.6 GB and 29 s, a strip of 1.6 GB of zeros in 1.6 MB took 1.6 GB (GDAL
+3.10).
 """
 
 from __future__ import annotations
@@ -17,9 +18,9 @@ import numpy as np
 
 from fg_orient.model.limits import exceeded, limit, within, within_memory
 
-#: Memory of GDAL for a block that is not decoded, bytes.
+#: Memory that GDAL needs for each block that it does not decode, bytes.
 BLOCK_BYTES: Final = 24
-#: Formats, by first bytes, of TIFF and BigTIFF: number of entries, entry and link of a directory.
+#: First bytes of TIFF and BigTIFF files, and how a directory stores its number of entries, an entry and its link.
 _TIFF: Final = {
     b"II*\0": ("<", "H", 12, "I"), b"MM\0*": (">", "H", 12, "I"),
     b"II+\0": ("<", "Q", 20, "Q"), b"MM\0+": (">", "Q", 20, "Q"),
@@ -29,7 +30,10 @@ _FIRST: Final = {"I": 4, "Q": 8}
 
 
 def require_bounded_file(path: str | os.PathLike[str]) -> None:
-    """Raise InputError if a TIFF file has too many directories; other and missing files are not read."""
+    """Raise InputError if a TIFF file has too many directories.
+
+    Other and missing files are not read.
+    """
     most, count = int(limit("tiff_directories")), 0
     if not Path(path).is_file():
         return

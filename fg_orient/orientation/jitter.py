@@ -1,7 +1,8 @@
-"""Adjustment with jitter by evidence: without jitter, the choice of curves, and the adjustment with these curves.
+"""Adjust a block without jitter, choose the jitter curves for which there is evidence, and adjust with these curves.
 
-Gross errors imitate jitter, and jitter imitates gross errors. With a search for gross errors the choice is therefore
-repeated without the observations that the search left out, until it is the same again.
+Gross errors imitate jitter, and jitter imitates gross errors. If gross errors are
+searched for, the choice is therefore repeated without the observations that the search
+left out, until the choice does not change any more.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from fg_orient.quality.jitter import choose
 from fg_orient.quality.jitter_record import Jitter, jitter_of
 from fg_orient.quality.jitter_system import jitter_system
 
-#: Maximum number of choices with a search for gross errors.
+#: Maximum number of times that curves are chosen if gross errors are searched for.
 MAX_ROUNDS: Final = 4
 
 
@@ -37,7 +38,8 @@ def adjust_with_jitter(block: Block, run: Callable[[Block], Solution]) -> Soluti
     Returns
     -------
     Solution
-        Its attribute ``jitter`` is the evidence; without evidence it is the solution without jitter.
+        Its attribute ``jitter`` contains the evidence. If there is no evidence for
+        jitter, it is the solution without jitter.
 
     Raises
     ------
@@ -63,7 +65,7 @@ def adjust_with_jitter(block: Block, run: Callable[[Block], Solution]) -> Soluti
 
 
 def _concluded(solution: Solution, jitter: Jitter | None, block: Block) -> Solution:
-    """Return the solution with its evidence and the options of the user."""
+    """Return the solution with the evidence, and with the options as the user gave them."""
     options = replace(solution.block.options, jitter="auto", snoop=block.options.snoop)
     problem = replaced(solution.problem, "records", block=replace(solution.block, options=options))
     more = () if jitter is None else jitter.findings()
@@ -75,7 +77,7 @@ def _with(block: Block, **options: Any) -> Block:
 
 
 def _require_possible(block: Block) -> None:
-    """Raise InputError for options that exclude the evidence."""
+    """Raise InputError if an option makes the choice of jitter impossible."""
     options = block.options
     excluded = {
         "loss": options.loss != NONE,

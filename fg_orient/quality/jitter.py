@@ -1,18 +1,21 @@
-"""Evidence for jitter: test against no jitter, resolution and strength by restricted likelihood, bands per line.
+"""Find jitter: test against no jitter, choose resolution and strength by restricted likelihood, compute bands.
 
 1. The statistic of an angle that has no curve yet is the largest gain of log likelihood over all numbers of intervals
-   and strengths. The statistic of a step is the largest of all angles. Its distribution without further jitter is
-   simulated in the linear model, with the same choices (parametric bootstrap), so that a step finds jitter that does
-   not exist with probability :data:`LEVEL` only.
+   and strengths. The statistic of a step is the largest of all angles. Its distribution
+   without further jitter is simulated in the linear model, with the same choices
+   (parametric bootstrap), so that a step finds jitter that does not exist with
+   probability :data:`LEVEL` only.
 2. The best curve is added if the test rejects, and all strengths and resolutions are optimised in turn. Images have one
    resolution for roll and pitch. Steps are repeated until the test does not reject.
-3. A band contains the uncertainty of strength and resolution: models with other ones are weighted by their likelihood
+3. A band contains the uncertainty of strength and resolution: models with other values are weighted by their likelihood
    (:meth:`JitterChoice.band`).
 
-An angle is resolved over k intervals if jitter of 1 px would be determined by more than half: mean of
-``l / (1 + l)`` over the eigenvalues l of its information. Three intervals describe a cycle, so k intervals resolve
-``k / 3`` cycles. Beyond that the control is too sparse, or ground points absorb the jitter. An angle without any
-resolved frequency gets no curve: its extrapolation between few points could do more harm than the jitter.
+An angle is resolved over k intervals if jitter of 1 px would be determined by more than
+half: the mean of ``l / (1 + l)`` over the eigenvalues l of its information exceeds 0.5.
+Three intervals describe a cycle, so k of them resolve ``k / 3`` cycles. Beyond that the
+control is too sparse, or ground points absorb the jitter. An angle without any resolved
+frequency gets no curve: its extrapolation between few points could do more harm than the
+jitter.
 """
 
 from __future__ import annotations
@@ -39,31 +42,32 @@ REFINED: Final = (0.5, 0.7, 0.84, 1.19, 1.41, 2.0)
 MIXED: Final = (0.35, 0.5, 0.71, 1.0, 1.41, 2.0, 2.8)
 #: Number of neighbouring resolutions on both sides that are tried.
 NEIGHBOURS: Final = 2
-#: Gain of log likelihood below which an optimisation ends, and below the best model at which others have no weight.
+#: Gain of log likelihood below which an optimisation ends; loss against the best model above which a model is ignored.
 SETTLED, NEGLIGIBLE = 1e-2, 4.0
-#: Share of jitter of 1 px that must be determined at a resolution, and intervals per cycle.
+#: Share of jitter of 1 px that must be determined at a resolution; number of intervals that describe a cycle.
 RESOLVED: Final = 0.5
 PER_CYCLE: Final = 3.0
-#: Number of intervals for the shares that points and orientation absorb.
+#: Number of intervals at which the shares absorbed by points and orientation are computed.
 ABSORBED_AT: Final = 8
-#: Lines of a band, and quantile of its half-width.
+#: Number of lines of a band; quantile of the normal distribution for its half-width.
 LINES: Final = 201
 QUANTILE: Final = 1.959964
-#: Quantile of a one-sided bound of 95 %, and the drop of log likelihood there.
+#: Normal quantile of a one-sided bound of 95 %, and by how much the log likelihood is lower at this bound.
 ONE_SIDED: Final = 1.644854
 DROP: Final = 0.5 * ONE_SIDED**2
 
 
 @dataclass(frozen=True)
 class Step:
-    """Test of a step: gain of log likelihood, its limit, probability of a larger gain without jitter, the curve."""
+    """Test of a step: gain of log likelihood, its limit, probability of a larger gain without jitter, and the curve."""
 
     gain: float
     limit: float
     p: float
     best: Strength
-    #: Largest amplitude of each angle (px, at resolutions that the points resolve) that the likelihood does not exclude
-    #: (95 %); nan for an angle with a curve, or without such resolutions.
+    #: Largest amplitude of each angle (px, at resolutions that the points resolve) that
+    #: the likelihood does not exclude (95 %); nan for an angle with a curve, or without
+    #: such resolutions.
     bounds: Array
 
     @property
@@ -131,7 +135,7 @@ class JitterChoice:
         return self.system.fit(self.chosen)
 
     def band(self, number: int) -> Band:
-        """Return the band of a chosen curve, over models with other strengths and resolutions of its angle."""
+        """Return the band of a chosen curve, averaged over models with other strengths and resolutions of its angle."""
         tau = np.linspace(-1.0, 1.0, LINES)
         value, _ = self.fit.curve(number, tau)
         own = self.chosen[number]
@@ -170,14 +174,14 @@ def choose(system: JitterSystem) -> JitterChoice:
 
 
 def step(system: JitterSystem, chosen: Sequence[Strength], rng: np.random.Generator) -> Step | None:
-    """Test whether a further angle has jitter, given chosen curves of others; None without a resolved angle."""
+    """Test whether a further angle has jitter, with the curves chosen so far; None if no further angle is resolved."""
     design, observed = system.bordered(chosen)
     (m, p), nu = design.shape, system.freedom
     q = np.linalg.qr(design)[0]
     drawn = np.column_stack([observed, rng.standard_normal((m, SIMULATED))])
     drawn -= q @ (q.T @ drawn)
     squares = np.sum(drawn**2, axis=0)
-    if nu > m - p:  # compressed rows: the sum of squares of the others
+    if nu > m - p:  # the rows were compressed: draw the sum of squares of the others
         squares[1:] += rng.chisquare(nu - (m - p), SIMULATED)
     largest, bounds, best = np.full(SIMULATED + 1, -np.inf), np.full(len(system.angles), np.nan), None
     taken = {c.angle for c in chosen}
@@ -209,7 +213,7 @@ def step(system: JitterSystem, chosen: Sequence[Strength], rng: np.random.Genera
 
 
 class _Trial(NamedTuple):
-    """Jitter of an angle over k intervals: gains of all strengths, eigenvalues, vectors (k, k + 3), y along them."""
+    """Trial of jitter over k intervals: gains of all strengths, eigenvalues, eigenvectors (k, k + 3), y along them."""
 
     intervals: int
     gain: Array
@@ -219,10 +223,11 @@ class _Trial(NamedTuple):
 
 
 def _bound(trials: Sequence[_Trial], scale: float) -> float:
-    """Return the largest amplitude, px, that the observations do not exclude; nan without resolutions.
+    """Return the largest amplitude, px, that the observations do not exclude; nan if no resolution was tried.
 
-    Strengths and resolutions within :data:`DROP` of the largest likelihood are possible. With each, the mean square of
-    the curve without its quadratic polynomial has a posterior mean and standard deviation (``z^T Q z`` of normal z).
+    Strengths and resolutions within :data:`DROP` of the largest likelihood are possible.
+    With each, the mean square of the curve without its quadratic polynomial has a
+    posterior mean and standard deviation (``z^T Q z`` of normal z).
     """
     if not trials:
         return float("nan")
@@ -241,7 +246,7 @@ def _bound(trials: Sequence[_Trial], scale: float) -> float:
 
 
 def _gains(eigenvalues: Array, along: Array, squares: Array, nu: int) -> Array:
-    """Return the gains of log likelihood (S, n) of strengths; ``along`` (r, n): squares along eigenvectors."""
+    """Return the gains of log likelihood (S, n) of S strengths; ``along`` (r, n) are squares along eigenvectors."""
     g2 = STRENGTHS[:, None] ** 2
     weight = g2 / (1.0 + g2 * eigenvalues)
     rest = np.maximum(1.0 - weight @ along / squares, np.finfo(float).tiny)
@@ -261,7 +266,7 @@ def _near(intervals: int) -> tuple[int, ...]:
 def _changed(
     system: JitterSystem, chosen: Sequence[Strength], angle: int, *, intervals: int, factor: float = 1.0
 ) -> tuple[Strength, ...]:
-    """Return the curves with another strength of an angle, and other intervals of all curves of its image."""
+    """Return the curves with a changed strength of one angle and changed intervals of all curves of its image."""
     return tuple(
         Strength(
             c.angle,
@@ -273,7 +278,10 @@ def _changed(
 
 
 def _joined(system: JitterSystem, chosen: Sequence[Strength], best: Strength) -> tuple[Strength, ...]:
-    """Return the curves with a further one; the curves of its image have the finer one of both resolutions."""
+    """Return the curves with one curve added.
+
+    All curves of its image get the finer of the two resolutions.
+    """
     own = [c.intervals for c in chosen if _image(system, c.angle) == _image(system, best.angle)]
     return _changed(system, (*chosen, best), best.angle, intervals=max(best.intervals, *own, 0))
 

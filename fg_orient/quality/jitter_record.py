@@ -1,4 +1,4 @@
-"""Record of the evidence for jitter: verdict, amplitude and band of each angle, in words and as a table."""
+"""Write the evidence for jitter in words and as a table: verdict, amplitude and band of each angle."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ class AngleJitter:
     ----------
     image, angle : str
     verdict : str
-        "cannot be told": the points resolve no frequency of this angle.
+        Verdict; "cannot be told" means that the points resolve no frequency of this angle.
     px_per_rad : float
-        Motion of image points, root mean square.
+        Motion of image points per rad, root mean square.
     curve : JitterCurve or None
         Chosen resolution and strength, if jitter was found.
     band : Band or None
@@ -43,7 +43,8 @@ class AngleJitter:
     resolved_cycles : float
         Highest frequency, in cycles per image, that the points resolve.
     absorbed_by_points, absorbed_by_orientation : float
-        Shares of the effect of jitter on image points that ground points and other unknowns of the images absorb.
+        Shares of the effect of jitter on image points that ground points and other
+        unknowns of the images absorb.
     """
 
     image: str

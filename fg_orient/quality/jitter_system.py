@@ -1,17 +1,19 @@
-"""Linear model of jitter at a solution: reduced rows of the orientation and of splines of roll and pitch.
+"""Linear model of jitter near a solution, from reduced rows of the orientation and of splines of roll and pitch.
 
 The rows of all observations, without the ground points (``fg_orient.quality.elimination``), are
 
     y = A beta + sum_j X_j u_j + e,   beta ~ prior sigmas,   u_j ~ N(0, g_j^2 I),   e ~ N(0, s^2 I)
 
-``X_j`` has the ``k + 3`` columns of jitter of one angle over k intervals: splines without quadratics, and the degree-2
-coefficients, whose effect is also that of columns of A (``factors.geometry.polynomials``). The strengths g and the
-scale s follow from the restricted likelihood, in which beta is integrated (Patterson & Thompson 1971)::
+``X_j`` has the ``k + 3`` columns of jitter of one angle over k intervals: splines without
+quadratics, and the degree-2 coefficients, whose effect is also that of columns of A
+(``factors.geometry.polynomials``). The strengths g and the scale s follow from the
+restricted likelihood, in which beta is integrated (Patterson & Thompson 1971)::
 
     log L = -1/2 (log det H + nu log RSS),   H = normal matrix of A and all g_j X_j with their priors
 
-``RSS`` is the weighted sum of squares with all priors, nu the number of reduced rows. Strengths are in pixels: root
-mean square of the motion of image points. Jitter of some pixels turns the image by 1e-5 rad, where the model is linear.
+``RSS`` is the weighted sum of squares with all priors, nu the number of reduced rows. A
+strength is the root mean square motion of image points, px. Jitter of some pixels turns
+the image by 1e-5 rad, where the model is linear.
 """
 
 from __future__ import annotations
@@ -35,7 +37,7 @@ from fg_orient.model.errors import InputError
 from fg_orient.model.jitter import ANGLES
 from fg_orient.quality.elimination import CHUNK, PointRows, control_residuals, eliminated_points, extra_rows
 
-#: Numbers of intervals that are tested, and their common multiple, whose splines contain all of them.
+#: Numbers of intervals that are tested; their common multiple, whose splines contain the splines of all of them.
 RESOLUTIONS: Final = (2, 3, 4, 6, 8, 12, 16, 24, 32)
 FINE: Final = 96
 _F: Final = FINE + polynomials.DEGREE
@@ -44,7 +46,7 @@ MOST_IMAGES: Final = 12
 
 
 class Strength(NamedTuple):
-    """Jitter of an angle: its number in the system, number of intervals, and strength (px)."""
+    """Jitter of an angle: number of the angle in the system, number of intervals, and strength (px)."""
 
     angle: int
     intervals: int
@@ -61,7 +63,7 @@ class Angle:
     name : str
         "roll" or "pitch".
     px_per_rad : float
-        Motion of image points, root mean square over the observations.
+        Motion of image points per rad, root mean square over the observations.
     raw : (99, 99) array
         Normal matrix of the splines over 96 intervals (rad) before ground points are eliminated.
     """
@@ -120,7 +122,7 @@ class JitterSystem:
         return np.linalg.qr(self.design)[0]
 
     def information(self, angle: int, intervals: int) -> tuple[Array, float, float]:
-        """Return the eigenvalues (k,) of jitter of 1 px, and shares that ground points and orientation absorb.
+        """Return the eigenvalues (k,) of jitter of 1 px, and the shares that ground points and orientation absorb.
 
         An eigenvalue is the squared ratio of jitter to noise along one of k independent shapes.
         """
@@ -136,7 +138,7 @@ class JitterSystem:
 
 @dataclass(frozen=True)
 class Fit:
-    """Estimate of a jitter system with chosen jitter: triangle, right-hand side, squares, restricted likelihood."""
+    """Estimate with chosen jitter: triangular factor, right-hand side, sum of squares, restricted likelihood."""
 
     system: JitterSystem
     chosen: tuple[Strength, ...]
@@ -171,7 +173,7 @@ def without_quadratic(tau: Array, values: Array) -> Array:
 
 @cache
 def mean_squares(intervals: int) -> Array:
-    """Return Q (k, k): ``z^T Q z`` is the mean square of unit jitter without its quadratic polynomial."""
+    """Return Q (k, k): ``z^T Q z`` is the mean square of jitter with unknowns z, without its quadratic polynomial."""
     tau = np.linspace(-1.0, 1.0, 8 * FINE + 1)
     values = without_quadratic(tau, polynomials.jitter_curves(tau, intervals))
     return np.asarray(values.T @ values / len(tau))
@@ -179,7 +181,7 @@ def mean_squares(intervals: int) -> Array:
 
 @cache
 def _shape(intervals: int) -> Array:
-    """Return the coefficients (99, k) over 96 intervals of unit jitter over k intervals without quadratics."""
+    """Return coefficients (99, k) over 96 intervals that represent unit jitter over k intervals without quadratics."""
     tau = np.linspace(-1.0, 1.0, 8 * FINE + 1)
     wanted = polynomials.jitter_curves(tau, intervals)
     return np.asarray(np.linalg.lstsq(polynomials.basis(tau, FINE), wanted, rcond=None)[0])  # exact: knots are common

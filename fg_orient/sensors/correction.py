@@ -1,4 +1,4 @@
-"""Corrections of a pushbroom's orientation, height surfaces, and polynomials fitted to the EOPs of the metadata.
+"""Correct the orientation of a pushbroom, describe height surfaces, and fit polynomials to the EOPs of the metadata.
 
 The publications describe each of the nine EOPs by a polynomial of the line, ``q0 + q1 l +
 q2 l^2`` (Terlemezoğlu 2019, eq. 2.34, Table 4.1). The adjustment does not use these
@@ -51,7 +51,8 @@ class HeightSurface(Protocol):
 class Wave:
     """Sine wave of one EOP over the lines of an image, as simulated jitter has it.
 
-    The value at tau is ``amplitude sin(pi cycles (tau + 1) + phase)``: ``phase`` is its phase at the first line.
+    The value at tau is ``amplitude sin(pi cycles (tau + 1) + phase)``: ``phase`` is its
+    phase at the first line.
 
     Parameters
     ----------
@@ -100,11 +101,11 @@ class Correction:
 
     @property
     def is_quadratic(self) -> bool:
-        """True if polynomials of degree 2 are the whole correction of the EOP."""
+        """True if the EOPs are corrected by polynomials of degree 2 only."""
         return not self.curve.shape[1] and not self.waves
 
     def curve_at(self, tau: Array) -> Array:
-        """Return the part of curves and waves in the corrections of the nine EOPs (N, 9) at N line times tau."""
+        """Return what curves and waves add to the corrections of the nine EOPs (N, 9) at N line times tau."""
         n = self.curve.shape[1]
         out = polynomials.curves(tau, n) @ self.curve.T if n else np.zeros((len(tau), 9))
         for wave in self.waves:
@@ -120,7 +121,7 @@ class Correction:
 def correction_by_code(
     values: Mapping[int, float], small_angle: bool, n_curves: int, *, is_jitter: bool = False
 ) -> Correction:
-    """Make a correction from the values of unknowns by code, in physical units; ``is_jitter``: kind of the curves."""
+    """Make a correction from values by code of the unknown, in physical units; ``is_jitter`` is the kind of curves."""
     eop, curve = np.zeros(N_EOP), np.zeros((9, n_curves))
     # the codes of psi_x and psi_y alternate: polynomials of both have an even number of codes
     highest = max((code for code in values if code < CURVE), default=0) - N_EOP

@@ -1,4 +1,4 @@
-"""Cells of an elevation model: groups of near positions, interpolation of a grid of knots, sizes of caches."""
+"""Group near positions by cells of an elevation model, interpolate between knots, and limit the sizes of caches."""
 
 from __future__ import annotations
 
@@ -29,6 +29,6 @@ def bilinear(knots: list[Array], values: Array, at: list[Array]) -> Array:
 
 
 def share(memory_limit_gb: float | None, usual_bytes: int) -> float:
-    """Return the share of the usual sizes of the caches that the memory limit allows, at most 1."""
+    """Return how much of the usual sizes of the caches the memory limit allows, as a share of at most 1."""
     allowed = allowed_bytes(memory_limit_gb)
     return 1.0 if allowed is None else min(1.0, MEMORY_SHARE * allowed / usual_bytes)

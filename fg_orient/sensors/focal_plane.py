@@ -82,7 +82,7 @@ class Distortion:
         return replace(self, coefficients=tuple(c.tolist()))
 
     def _distorted(self, xy: Array) -> Array:
-        """Measured coordinates of the models that lead from ideal ones, as in USGSCSM."""
+        """Compute measured coordinates, for models that are functions of the ideal coordinates, as in USGSCSM."""
         x, y = xy.T
         if self.model == "radtan":
             k1, k2, p1, p2, k3, focal = self.coefficients
@@ -111,7 +111,7 @@ class Distortion:
     def _solved(self, wanted: Array, function: Callable[[Array], Array]) -> Array:
         """Find the arguments (n, 2) of a function that give the values ``wanted`` (n, 2).
 
-        Newton with complex steps.
+        Newton's method is used, with derivatives by complex steps.
         """
         xy = np.array(wanted, float)
         enough = max(TOLERANCE_MM, ROUNDING * float(np.abs(wanted).max(initial=0.0)))

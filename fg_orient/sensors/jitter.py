@@ -1,4 +1,4 @@
-"""Unknowns of a pushbroom image with jitter curves."""
+"""Add jitter curves to the unknowns of a pushbroom image."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from fg_orient.model.parameters import CURVE, CURVES, ImageParameters, parameter
 def with_jitter(parameters: ImageParameters, curves: Sequence[JitterCurve]) -> ImageParameters:
     """Return the unknowns of a pushbroom image with its jitter curves.
 
-    The degree-2 coefficients of an angle represent the quadratics of its jitter. Their prior variances are sums of
-    both.
+    The degree-2 coefficients of an angle also represent the quadratic part of its jitter.
+    The prior variance of that part is therefore added to theirs.
     """
     sigma, codes, of_codes = parameters.sigma.copy(), list[int](), list[float]()
     for curve in curves:

@@ -3,7 +3,7 @@
 The line is at ``(x, y) = (d, y0 + b d)`` pixels of the focal plane, d = +-(sample - s0).
 The distortion leads to ideal coordinates, and the line of sight is ``R (x, y, focal)`` in
 body axes turned to the ground (x right of flight, y backward, z down). Look angles that
-are linear in the sample need neither distortion nor R. Others get the nearer of:
+are linear in the sample need neither distortion nor R. For others, the better of two is used:
 
 * radial distortion, ``ideal = (x, y) (1 - k0 - k1 r^2 - k2 r^4)``: degree 5, with one set of coefficients;
 * transverse distortion: d and y0 are polynomials of degree 3 in the ideal x, so each direction has its own degree 3.
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 EXACT_PX: Final = 1e-7
 #: Start values: distance of the line from the axis, and sample of the axis; the unit is half the length of the line.
 _STARTS: Final = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0))
-#: Residual, px, below which the transverse distortion is taken without a look at the radial one.
+#: Residual, px, below which the transverse distortion is used and no radial distortion is fitted.
 GOOD_PX: Final = 1e-6
-#: Number of samples to which the camera is fitted; below: number of samples at which it is compared.
+#: Number of samples to which the camera is fitted; ``COMPARED`` is the number at which it is compared.
 FITTED: Final = 201
 #: Maximum number of evaluations for each start value.
 MOST: Final = 1500
@@ -77,11 +77,11 @@ class LineDetector:
 
 
 def fit_detector(sample: Array, tangents: Array, *, band: bool = False) -> LineDetector:
-    """Camera whose directions at samples (n,) are nearest to tangents (n, 2): x right of flight, y backward.
+    """Return the camera whose directions at samples (n,) are nearest to tangents (n, 2): x right of flight, y backward.
 
-    ``band``: the samples are a part of a line, to which the transverse distortion is
-    fitted only: the search for a radial one takes seconds, and it did not find a better
-    one for bands of SPOT 5.
+    ``band`` is true if the samples are part of a line. Only transverse distortion is then
+    fitted: the search for radial distortion takes seconds and found nothing better for
+    bands of SPOT 5.
     """
     step = np.polyfit(sample, tangents[:, 0], 1)
     sign, focal = float(np.sign(step[0])), float(1.0 / abs(step[0]))
@@ -97,7 +97,7 @@ def fit_detector(sample: Array, tangents: Array, *, band: bool = False) -> LineD
 
 
 def _axis(tangents: Array) -> Rotation:
-    """Rotation of the camera whose axis is the mean line of sight."""
+    """Return the rotation of a camera whose axis is the mean line of sight."""
     from scipy.spatial.transform import Rotation
 
     mean = tangents.mean(axis=0)
@@ -105,7 +105,7 @@ def _axis(tangents: Array) -> Rotation:
 
 
 def _transverse(sample: Array, tangents: Array, sign: float, focal: float) -> LineDetector:
-    """Camera with transverse distortion: least squares in Chebyshev polynomials of the ideal x."""
+    """Fit a camera with transverse distortion by least squares in Chebyshev polynomials of the ideal x."""
     rotation = _axis(tangents).as_matrix()
     u = np.column_stack([tangents, np.ones(len(tangents))]) @ rotation
     x, y = (focal * u[:, :2] / u[:, 2:]).T

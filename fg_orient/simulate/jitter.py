@@ -1,4 +1,4 @@
-"""True jitter of simulated images: sine waves of roll and pitch, and their table."""
+"""Simulate the true jitter of images as sine waves of roll and pitch, and write the table of these waves."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fg_orient.sensors.correction import Correction, Wave
 from fg_orient.simulate.options import Jittered
 from fg_orient.simulate.scene import DETECTOR_M, FOCAL_LENGTH_M
 
-#: Angle of one detector element: unit of the amplitudes in pixels.
+#: Angle of one detector element, rad; it converts amplitudes in pixels to angles.
 PIXEL_RAD: Final = DETECTOR_M / FOCAL_LENGTH_M
 #: Columns of ``truth/jitter``.
 JITTER_COLUMNS: Final = ("image", "component", "amplitude_px", "amplitude_rad", "cycles", "phase_rad")
@@ -25,7 +25,8 @@ _AXES: Final = {"roll": (ROLL,), "pitch": (PITCH,), "both": (ROLL, PITCH)}
 def jitter_waves(options: Jittered, images: Sequence[str], rng: np.random.Generator) -> tuple[tuple[Wave, ...], ...]:
     """Return the waves of each image.
 
-    Random phases are drawn for roll and pitch of every image, so that a phase does not depend on the other options.
+    Random phases are drawn for roll and pitch of every image, so that a phase does not
+    depend on the other options.
 
     Raises
     ------
