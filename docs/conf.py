@@ -50,8 +50,9 @@ myst_update_mathjax = False
 html_math_renderer = "mathml"
 nitpicky = False
 
-# Reference pages, made at each build, of what users and extenders import: one for each package. Left out is what stands
-# behind the command line, the loops inside the backends and the printed values.
+# Reference pages, made at each build, of what users and extenders import: one for each
+# package. Left out is what stands behind the command line, the loops inside the backends
+# and the printed values.
 _ROOT = Path(__file__).resolve().parents[1]
 _INTERNAL = """
     fg_orient/__main__.py fg_orient/model/public.py
@@ -80,7 +81,10 @@ _IMPORTED = """
 
 
 def _paths(patterns):
-    """Files and folders of the source tree; a pattern that finds none is an error, its module has moved."""
+    """Files and folders of the source tree.
+
+    A pattern that finds none is an error, its module has moved.
+    """
     found = {pattern: set(_ROOT.glob(pattern)) for pattern in patterns}
     if missing := [pattern for pattern, paths in found.items() if not paths]:
         raise ValueError(f"docs/conf.py names what does not exist: {missing}")
@@ -103,7 +107,7 @@ apidoc_modules = [
     {"path": "../factors", "destination": "api/factors", **_common},
     {"path": "../fg_orient", "destination": "api/fg_orient", **_common},
 ]
-toc_object_entries = False  # each page copies the contents of all others: with objects in them 100 of 170 s of a build
+toc_object_entries = False  # with objects, the contents on each page took 100 of 170 s of a build
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_use_type_comments = False  # there are none, and looking for them parses every function once more

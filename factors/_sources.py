@@ -1,9 +1,9 @@
 """Digest of everything compiled into a kernel: its code, the code of all called functions, and their constants.
 
-A name is resolved to its value at run time. Therefore the form of an import does not matter:
-``import factors.x``, ``from factors.sub import x as y``, an import inside ``if`` or ``try``. The digest
-contains the byte code of functions, the used members of modules, and the values of other names. The code of
-libraries is not included.
+A name is resolved to its value at run time. Therefore the form of an import does not
+matter: ``import factors.x``, ``from factors.sub import x as y``, an import inside ``if``
+or ``try``. The digest contains the byte code of functions, the used members of modules,
+and the values of other names. The code of libraries is not included.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from typing import Any, Final
 
 import numpy as np
 
-#: Top-level packages that are not followed: numba's own cache checks its version, and numpy is not compiled into
-#: kernels.
+#: Top-level packages that are not followed: numba's own cache checks its version, and
+#: numpy is not compiled into kernels.
 LIBRARIES: Final = frozenset({"numba", "llvmlite", "numpy", "scipy", *sys.stdlib_module_names})
 
 
@@ -39,7 +39,7 @@ def stamp(function: FunctionType, options: object = None) -> bytes:
 
 @cache
 def _own() -> bytes:
-    """Return the digest of the modules that define the compilation."""
+    """Return the digest of the source files that determine how kernels are compiled."""
     here = Path(__file__)
     return hashlib.sha256(
         b"".join(here.with_name(f"_{n}.py").read_bytes() for n in ("compile", "kernel", "libraries"))

@@ -1,10 +1,11 @@
 """Attitudes applied to vectors, as a reference plus an exact difference.
 
-A vector of the orbital frame has 16 digits. Its rounding error is 1e-16 of the orbit radius. This causes a
-noise of 1e-9 sigma in each residual, which changes the 8th digit of a sum of squares. Therefore the attitude
-applied to ``v + dv`` with angles ``a + da`` is split into its value at the reference (a, v) and the exact
-difference, which is computed from small quantities only. The sum equals the plain product up to rounding; the
-difference has its own 16 digits.
+A vector of the orbital frame has 16 digits. Its rounding error is 1e-16 of the orbit
+radius. This causes a noise of 1e-9 sigma in each residual, which changes the 8th digit of
+a sum of squares. Therefore the attitude applied to ``v + dv`` with angles ``a + da`` is
+split into its value at the reference (a, v) and the exact difference, which is computed
+from small quantities only. The sum of both equals the attitude times ``v + dv`` up to
+rounding, but the difference alone has 16 correct digits.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Interpolation in time: Lagrange for the ephemeris, linear for angles, linear or polynomial for quaternions.
 
-Source: Terlemezoğlu 2019, eqs. 2.32 (with t_e in the denominator, as corrected), 2.33 (interval as corrected) and
-2.37-2.40.
+Source: Terlemezoğlu 2019, eqs. 2.32 (with t_e in the denominator, as corrected), 2.33
+(interval as corrected) and 2.37-2.40.
 """
 
 from __future__ import annotations
@@ -13,14 +13,15 @@ from factors.arrays import Array, Index
 
 #: Largest number of samples interpolated by one Lagrange polynomial.
 MAX_SAMPLES = 8
-#: A compiled loop is used for more times than this. It takes a fifth of numpy's time and gives the same bits.
+#: Above this number of times, a compiled loop is used. It takes a fifth of numpy's time and gives the same bits.
 MANY = 1024
 
 
 def lagrange(sample_time_s: Array, samples: Array, time_s: Array) -> Array:
     """Interpolate position and velocity samples (n, c) at N times: -> (N, c); uses up to eight nearest samples.
 
-    Nothing is extrapolated; the caller checks the span. The result is exact for polynomials up to degree min(n, 8) - 1.
+    Nothing is extrapolated; the caller checks the span. The result is exact for
+    polynomials up to degree min(n, 8) - 1.
     """
     use = min(len(sample_time_s), MAX_SAMPLES)
     window = np.arange(len(sample_time_s) - use + 1) + np.arange(use)[:, None]  # (use, W)
@@ -63,8 +64,8 @@ def _sums(sample_time_s: Array, samples: Array, time_s: Array, first: Index, div
 def centred(sample_time_s: Array, samples: Array, time_s: Array) -> Array:
     """Interpolate (n, c) samples at N times by polynomials through as many samples before as after the time: -> (N, c).
 
-    A polynomial uses eight samples; near the ends of the list it uses six, four or two. CSM line-scan states
-    are interpolated in this way.
+    A polynomial uses eight samples; near the ends of the list it uses six, four or two.
+    CSM line-scan states are interpolated in this way.
     """
     n = len(sample_time_s)
     before = np.clip(np.searchsorted(sample_time_s, time_s, side="right") - 1, 0, n - 2)
@@ -101,8 +102,9 @@ def sign_aligned(quaternion: Array) -> Array:
 def extended(sample_time_s: Array, samples: Array, before_s: float, after_s: float) -> tuple[Array, Array]:
     """Return samples (n, c), extended by ``before_s`` and ``after_s`` beyond the ends at the last rate (0: no sample).
 
-    Quaternions (with aligned signs) are extended along the line through two neighbours. In a few seconds the attitude
-    changes by less than 0.1 rad; the normalised line differs from the constant rate by the cube of that angle.
+    Quaternions (with aligned signs) are extended along the line through two neighbours.
+    In a few seconds the attitude changes by less than 0.1 rad; the normalised line
+    differs from the constant rate by the cube of that angle.
     """
     times, rows = [sample_time_s], [samples]
     for end, neighbour, seconds, at in ((0, 1, -before_s, 0), (-1, -2, after_s, 2)):
@@ -116,7 +118,8 @@ def extended(sample_time_s: Array, samples: Array, before_s: float, after_s: flo
 def quaternion_linear(sample_time_s: Array, quaternion: Array, time_s: Array) -> Array:
     """Return the normalised linear interpolation of sampled quaternions: (n, 4), (N,) -> (N, 4).
 
-    The samples must have the signs of :func:`sign_aligned`: values between q and a neighbour near -q are meaningless.
+    The samples must have the signs of :func:`sign_aligned`: values between q and a
+    neighbour near -q are meaningless.
     """
     q = linear(sample_time_s, quaternion, time_s)
     return np.asarray(q / np.linalg.norm(q, axis=1, keepdims=True))

@@ -1,11 +1,12 @@
-"""Built-in losses: functions of arrays of ``u >= 0``, and their table.
+"""Built-in losses as functions of arrays ``u >= 0``, and the table that lists them.
 
-The influence of Andrews' sine is the arch of a sine that ends at pi. Cauchy's (Lorentz's) loss grows with the
-logarithm. The Danish method has its continuous form here; in its original form the exponent depends on the cycle, which
-is an iteration (``fg_orient.adjustment.robust``). The weights of Geman and McClure and of Welsch never reach zero, but
-their losses are bounded. Hampel's influence is constant from a to b = 2a and zero from c = 5a; its u is in units of a.
-Only Huber's loss is convex. Truncated least squares has the weights 1 and 0 only. Tukey's biweight has no
-influence beyond c.
+The influence of Andrews' sine is the arch of a sine that ends at pi. Cauchy's (Lorentz's)
+loss grows with the logarithm. The Danish method has its continuous form here; in its
+original form the exponent depends on the cycle, which is an iteration
+(``fg_orient.adjustment.robust``). The weights of Geman and McClure and of Welsch never
+reach zero, but their losses are bounded. Hampel's influence is constant from a to b = 2a
+and zero from c = 5a; its u is in units of a. Only Huber's loss is convex. Truncated least
+squares has the weights 1 and 0 only. Tukey's biweight has no influence beyond c.
 """
 
 from __future__ import annotations

@@ -174,7 +174,7 @@ class Places:
     # --- vectors ----------------------------------------------------------------------------------
 
     def own_of(self, state: State) -> Array:
-        """Return the own unknowns (M, k) of a state; zeros where an image has fewer."""
+        """Return the own unknowns (M, k) of each image at a state, with zeros where an image has fewer than k."""
         return np.where(self.exists, np.take_along_axis(state.image, np.maximum(self.own, 0), axis=1), 0.0)
 
     def border_of(self, state: State) -> Array:

@@ -48,15 +48,19 @@ class ImageCofactors(Protocol):
         ...
 
     def selected(self, pairs: Index) -> Array:
-        """Return the joint cofactors (P, k, k) of pairs of images that share points; shorter blocks end with zeros."""
+        """Return the joint cofactors (P, k, k) of pairs of images that share points.
+
+        Shorter blocks end with zeros.
+        """
         ...
 
 
 @dataclass(frozen=True)
 class SummedSystem:
-    """Linearisation at the solution of an adjustment in parts, or by the graph; priors are included.
+    """Equations with priors, linearised at the solution of an adjustment in parts or by the factor graph.
 
-    ``reduced(damping)`` factorises the system by the method ``choice``; ``Singular`` if it is not positive definite.
+    ``reduced(damping)`` factorises the system by the method ``choice``. It raises
+    ``Singular`` if the system is not positive definite.
     """
 
     state: State

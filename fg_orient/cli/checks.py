@@ -46,7 +46,7 @@ def validate(
     crs: Annotated[str, option("CRS of the points, if the file does not state it.", "EPSG:N")] = "",
     office: Any = None,
 ) -> None:
-    """Check a project and all its files: errors (exit code 2) and remarks."""
+    """Check a project and all its files; report errors (exit code 2) and remarks."""
     if format_name:
         from fg_orient.formats.registry import Settings
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from fg_orient.model.block import Image
     from fg_orient.sensors.base import Sensor
 
-#: Share by which the major axes of a body may differ in images and in the CRS of points: spheres and ellipsoids.
+#: Share by which the major axis of a body may differ between images and the CRS of points: one may use a sphere.
 SAME_BODY: Final = 0.01
 
 

@@ -1,18 +1,20 @@
 """Reduced normal equations of the images, after elimination of the ground points.
 
-Two rays a, b of one ground point add ``J_a^T M J_b``, ``M = [a is b] I - Z_a Z_b^T``, ``Z = G R^T``
-(``fg_orient.kernels.batch_points``), to the block of their images. With J = basis kron components, the sum over many
-pairs is a sum of products ``basis_a basis_b`` times one small matrix of components. This takes half the arithmetic
-operations and a third of the memory traffic of the full columns.
+Two rays a, b of one ground point add ``J_a^T M J_b``, ``M = [a is b] I - Z_a Z_b^T``, ``Z
+= G R^T`` (``fg_orient.kernels.batch_points``), to the block of their images. With J =
+basis kron components, the sum over many pairs is a sum of products ``basis_a basis_b``
+times one small matrix of components. This takes half the arithmetic operations and a
+third of the memory traffic of the full columns.
 
-Points measured in the same images are adjacent and form a *piece*; all points of a piece have the same pairs.
-Pieces are grouped into *chunks*; their limits do not depend on the number of threads. Each chunk has its own
-sums, one *slot* for each block to which it contributes; :func:`gather_blocks` adds the slots of all chunks in
-a fixed order.
+Points measured in the same images are adjacent and form a *piece*; all points of a piece
+have the same pairs. Pieces are grouped into *chunks*; their limits do not depend on the
+number of threads. Each chunk has its own sums, one *slot* for each block to which it
+contributes; :func:`gather_blocks` adds the slots of all chunks in a fixed order.
 
-Eight rows at once are added to up to three sums. An element of a sum is loaded and stored once for eight rows; an
-element of a row is loaded once for three sums, whose weights remain in registers. The nine sums of a pair of rays take
-20 ns one by one and 16 ns in groups of three (measured).
+Eight rows at once are added to up to three sums. An element of a sum is loaded and stored
+once for eight rows; an element of a row is loaded once for three sums, whose weights
+remain in registers. The nine sums of a pair of rays take 20 ns one by one and 16 ns in
+groups of three (measured).
 """
 
 from __future__ import annotations
@@ -42,8 +44,8 @@ from fg_orient.kernels.vectors import (
     store,
 )
 
-#: Number of sums processed together. With narrower vectors there are not enough registers for the weights of
-#: three sums.
+#: Number of sums processed together. With narrower vectors there are not enough registers
+#: for the weights of three sums.
 TOGETHER: Final = 3 if LANES == 8 else 1
 _FUSED: Final = ("contract",)
 
@@ -101,10 +103,12 @@ def _adder(rows: int) -> Callable[..., None]:
     return compiled
 
 
-#: Only for compiled code; numba supplies the first argument. ``f(out, at, apart, t, begin, stride, weight, w, width,
-#: vectors, sums)`` adds eight, four, two rows or one row to sums. The rows begin at ``begin`` of ``t``, ``stride``
-#: apart; the sums begin at ``at`` of ``out``, ``apart`` from each other. The factors begin at ``w`` of ``weight``,
-#: ``width`` further for the next sum. A row has ``vectors`` times LANES elements.
+#: Only for compiled code; numba supplies the first argument. ``f(out, at, apart, t,
+#: begin, stride, weight, w, width, vectors, sums)`` adds eight, four, two rows or one row
+#: to sums. The rows begin at ``begin`` of ``t``, ``stride`` apart; the sums begin at
+#: ``at`` of ``out``, ``apart`` from each other. The factors of the first sum begin at
+#: ``w`` of ``weight``, those of each next sum ``width`` further. A row has ``vectors``
+#: times LANES elements.
 _eight, _four, _two, _one = _adder(8), _adder(4), _adder(2), _adder(1)
 
 
@@ -128,7 +132,10 @@ def _add(n: int, weight: Array, m: int, sums: int, t: Array, end: int, out: Arra
 
 @threaded
 def add_rows(n: int, weight: Array, m: int, sums: int, t: Array, end: int, out: Array, s: int) -> None:
-    """Add n rows of t, of ``end`` numbers each, times rows m ... m + sums - 1 of ``weight``, to ``out[s, m]`` ..."""
+    """Add n rows of t, of ``end`` numbers each, times rows m ..
+
+    M + sums - 1 of ``weight``, to ``out[s, m]`` ...
+    """
     for first in range(m, m + sums, TOGETHER):
         _add(n, weight, first, min(TOGETHER, m + sums - first), t, end, out, s)
 
@@ -216,13 +223,15 @@ def pair_blocks(
     chunks, slot_begin : (N + 1,) int arrays
         First piece and first slot of each chunk.
     pieces : (Q, 5) int array
-        First image point, first place, number of points, number of rays of each point, and first of its ``slots``.
+        First image point, first place, number of points, number of rays of each point,
+        and first of its ``slots``.
     slots : int array
         Slot of each pair of rays j <= k of a piece, ordered by j, then k; -1 if there is none.
     base : int
-        Number of the image point in row 0 of ``d_image`` (n, 2, c) and ``scaled`` (n, 8: Z, residuals reduced by the
-        point); ``basis`` and ``image`` contain all image points. At least :data:`fg_orient.kernels.vectors.SLACK`
-        further numbers must follow ``d_image`` in memory.
+        Number of the image point in row 0 of ``d_image`` (n, 2, c) and ``scaled`` (n, 8:
+        Z, residuals reduced by the point); ``basis`` and ``image`` contain all image
+        points. At least :data:`fg_orient.kernels.vectors.SLACK` further numbers must
+        follow ``d_image`` in memory.
     sums : (S, b^2, e) array
         Components c, d of a sum are at :func:`fg_orient.kernels.vectors.place_in_sum`.
     """

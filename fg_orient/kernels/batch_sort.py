@@ -37,8 +37,9 @@ def signatures(
 ) -> int:
     """Write a key and a hash of the images of each ground point of a sorted list; return the number of points.
 
-    The results for each point are ``key`` (first and last image, number of rays, constant or not), ``code`` (hash of
-    its images) and ``start`` (its first row in ``order``; the last entry is the end).
+    The results for each point are ``key`` (first and last image, number of rays, constant
+    or not), ``code`` (hash of its images) and ``start`` (its first row in ``order``; the
+    last entry is the end).
     """
     total = 0
     n = 0
@@ -86,8 +87,8 @@ def cut_pieces(
 ) -> tuple[int, int]:
     """Write the pieces (P, 5) and the first piece of each chunk (P + 1,); return both numbers.
 
-    A chunk begins at each point that ``fence`` (P,) marks, and at each point whose first image point reaches
-    a multiple of ``limit``.
+    A chunk begins at each point that ``fence`` (P,) marks, and at each point whose first
+    image point reaches a multiple of ``limit``.
     """
     n_pieces, n_chunks, entries = 0, 0, 0
     for p in range(len(first) - 1):
@@ -116,10 +117,10 @@ def cut_pieces(
 def list_entries(
     pieces: Index, chunks: Index, image: Small, free: Flags, n_images: int, block: Index, kind: Index
 ) -> None:
-    """Write the block (row times number of images plus column) and kind of each pair of rays of each piece.
+    """Write block and kind of each pair of rays in each piece. The block is row times number of images plus column.
 
-    The kind is twice the chunk, plus 1 for a ray with itself. It is -1 for two rays of a constant point, which have no
-    common unknown.
+    The kind is twice the chunk, plus 1 for a ray with itself. It is -1 for two rays of a
+    constant point, which have no common unknown.
     """
     for g in range(len(chunks) - 1):
         for q in range(chunks[g], chunks[g + 1]):

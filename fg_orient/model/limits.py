@@ -1,7 +1,8 @@
 """Limits of inputs: sizes, depths and memory above which a file is refused before its content is used.
 
-Real files are far below all limits. ``FG_ORIENT_LIMITS`` of the environment changes them, for files that the user
-trusts: ``FG_ORIENT_LIMITS="xml_bytes=500e6 memory_factor=100"``. Each message names the limit that was exceeded.
+Real files are far below all limits. ``FG_ORIENT_LIMITS`` of the environment changes them,
+for files that the user trusts: ``FG_ORIENT_LIMITS="xml_bytes=500e6 memory_factor=100"``.
+Each message names the limit that was exceeded.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from fg_orient.model.machine import in_gb
 VARIABLE: Final = "FG_ORIENT_LIMITS"
 #: Limits by name.
 LIMITS: Final = {
-    # Memory to read a file: factor times its size, plus bytes. A file whose content needs more memory is refused.
+    # Largest memory to read a file: memory_factor times its size plus memory_bytes. Files that need more are refused.
     "memory_factor": 20.0,
     "memory_bytes": 200e6,
     # Sizes of files, bytes.
@@ -50,7 +51,10 @@ LIMITS: Final = {
 
 @cache
 def _given(text: str) -> dict[str, float]:
-    """Return the limits in the environment variable; raise InputError for an unknown name or a value <= 0."""
+    """Return the limits in the environment variable.
+
+    Raise InputError for an unknown name or a value <= 0.
+    """
     found = {}
     for word in re.split(r"[\s,]+", text.strip()):
         name, _, number = word.partition("=")

@@ -53,8 +53,8 @@ class EopSet(NamedTuple):
     degrees: tuple[int, ...]
 
 
-#: EOP sets by number; add a row for a further set. 1 to 20: Terlemezoğlu 2019, Table 4.2 (1 to 19: Topan & Maktav 2010,
-#: Table 2). PU: position, V: velocity, A: attitude.
+#: EOP sets by number; add a row for a further set. 1 to 20: Terlemezoğlu 2019, Table 4.2
+#: (1 to 19: Topan & Maktav 2010, Table 2). PU: position, V: velocity, A: attitude.
 EOP_SETS: Final = dict(enumerate((
     EopSet("PU", POSITION, (0, 1, 2)),
     EopSet("PU0", POSITION, (0,)),
@@ -84,7 +84,7 @@ TIME_LIMIT_S: Final = 60.0
 
 
 class CellKey(NamedTuple):
-    """Position of a number in the published tables; fields that do not apply are empty.
+    """Where a number is printed in the published tables; fields that do not apply are empty.
 
     The values occur in the tables under ``fg_orient/studies/published``: for instance
     ``CellKey("4.28", "5", "bundle", "1", "gcp", "rmse_x", "pivot_inverse")``.

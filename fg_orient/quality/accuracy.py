@@ -1,19 +1,22 @@
 """Accuracy at control and check points: differences adjusted minus measured.
 
-Root mean square, mean (bias), standard deviation and maximum are computed for each axis, in East, North, Up
-of the point and in ECEF. CE90 and LE90 are 90 % quantiles of the horizontal length and of |Up|. They are also
-computed from the RMSE, for normal errors (NSSDA, FGDC-STD-007.3-1998, appendix 3-A). Circular values require
-that the smaller of the East and North RMSE is at least 0.6 of the larger. The difference at a check point is
-compared with ``sqrt(predicted + own variance)``, both in prior scale. Source: Terlemezoğlu 2019, eqs.
-2.72-2.73 (ECEF RMSE); the other quantities are common practice.
+Root mean square, mean (bias), standard deviation and maximum are computed for each axis,
+in East, North, Up of the point and in ECEF. CE90 and LE90 are 90 % quantiles of the
+horizontal length and of |Up|. They are also computed from the RMSE, for normal errors
+(NSSDA, FGDC-STD-007.3-1998, appendix 3-A). Circular values require that the smaller of
+the East and North RMSE is at least 0.6 of the larger. The difference at a check point is
+compared with ``sqrt(predicted + own variance)``, both in prior scale. Source:
+Terlemezoğlu 2019, eqs. 2.72-2.73 (ECEF RMSE); the other quantities are common practice.
 
-Test of the predicted accuracy. With e the differences of n check points (adjusted minus measured) and C the
-joint covariance of both, in prior scale, ``T = e^T C^-1 e`` is chi2(3n) distributed if model and sigmas are
-correct (normalised estimation error squared: Bar-Shalom et al. 2001, 5.4). The errors of the orientation
-affect all check points, so C is not block diagonal. A simpler sum, of the normalised errors of single points,
-also has the mean 3n, but a larger variance. A test of this sum by chi2(3n) would reject correct predictions.
-Four image coordinates of a point in two images determine three ground coordinates; the quantity that remains
-is the y-parallax, in pixels. It replaces the accuracy in a relative adjustment, which has no control points.
+The predicted accuracy is tested. With e the differences of n check points (adjusted minus
+measured) and C the joint covariance of both, in prior scale, ``T = e^T C^-1 e`` is
+chi2(3n) distributed if model and sigmas are correct (normalised estimation error squared:
+Bar-Shalom et al. 2001, 5.4). The errors of the orientation affect all check points, so C
+is not block diagonal. A simpler sum, of the normalised errors of single points, also has
+the mean 3n, but a larger variance. A test of this sum by chi2(3n) would reject correct
+predictions. Four image coordinates of a point in two images determine three ground
+coordinates; the quantity that remains is the y-parallax, in pixels. It replaces the
+accuracy in a relative adjustment, which has no control points.
 """
 
 from __future__ import annotations
@@ -68,9 +71,10 @@ CIRCULAR_RATIO = 0.6
 class Beyond:
     """Number of check coordinates above ``RATIO_LIMIT`` standard deviations, and its probability by chance.
 
-    Common errors of the images make several coordinates large at once. Therefore the number is compared with
-    its distribution under the joint covariance (:func:`numbers_by_chance`). Sidak's limit of the largest of n
-    is also valid for correlated coordinates.
+    Common errors of the images make several coordinates large at once. Therefore the
+    number is compared with its distribution under the joint covariance
+    (:func:`numbers_by_chance`). Sidak's limit of the largest of n is also valid for
+    correlated coordinates.
 
     Parameters
     ----------
@@ -83,8 +87,8 @@ class Beyond:
     probability : float or None
         Probability of this number or more. None (not tested) for the number 0 and without a joint covariance.
     largest_limit : float
-        Standard deviations that the largest of n normal differences exceeds with probability ``CHANCE`` at most; nan
-        for n = 0.
+        Standard deviations that the largest of n normal differences exceeds with
+        probability ``CHANCE`` at most; nan for n = 0.
     largest : float
         Largest ratio; 0 for n = 0.
     far : tuple of str
@@ -203,8 +207,8 @@ class PointDifferences:
 
         Keys: n, n_fixed, rmse_*, mean_*, sd_*, max_*, ce90*, le90*, ce95*, le95*.
 
-        In the keys ``horizontal`` means East and North together (2-D), ``3d`` all three axes. Statistics that need more
-        points (sd, CE90 and LE90 need two) are absent.
+        In the keys ``horizontal`` means East and North together (2-D), ``3d`` all three
+        axes. Statistics that need more points (sd, CE90 and LE90 need two) are absent.
         """
         out: dict[str, float | int] = {"n": len(self), "n_fixed": self.n_fixed}
         if not len(self):
@@ -365,8 +369,8 @@ class PredictionTest:
 def prediction_test(check: PointDifferences) -> PredictionTest:
     """Test the predicted covariance of the check points of a solution.
 
-    NoSolutionError: there are no check points, or they are not unknowns (``check_points = "exclude"``) and have no
-    joint covariance.
+    NoSolutionError: there are no check points, or they are not unknowns (``check_points =
+    "exclude"``) and have no joint covariance.
     """
     if not len(check):
         raise NoSolutionError.of("accuracy.no_check")
@@ -420,8 +424,8 @@ def y_parallaxes(problem: Problem, state: State) -> tuple[Index, Array]:
     points : (n,) int array
         Ground points.
     parallax_px : (n,) array, not negative
-        Parallax in one image with the other image held fixed: the root of twice the sum of squares of the four
-        residuals.
+        Parallax in one image with the other image held fixed: the root of twice the sum
+        of squares of the four residuals.
     """
     o = problem.observations
     rays = np.bincount(o.point, minlength=len(problem.active))

@@ -1,15 +1,17 @@
 """Suspects: observations that may have a common gross error, and the inputs of their tests.
 
-A suspect is an image point (line, sample), the position of a control point (East, North) or its height (Up); or a
-single coordinate; or a whole ground point. Its error may have any size and direction.
+A suspect is an image point (line, sample), the position of a control point (East, North)
+or its height (Up); or a single coordinate; or a whole ground point. Its error may have
+any size and direction.
 
-With whitened residuals v of the suspect's rows, their cofactors ``Q = I - J N^-1 J^T`` and the columns E of the error
-in these rows, the weighted sum of squares decreases by
+With whitened residuals v of the suspect's rows, their cofactors ``Q = I - J N^-1 J^T``
+and the columns E of the error in these rows, the weighted sum of squares decreases by
 
     T = (E^T v)^T (E^T Q E)^+ (E^T v)
 
-if the error becomes an unknown, and ``(E^T Q E)^+ E^T v`` is its estimate (Baarda 1968; Kok 1984). d, the rank of ``E^T
-Q E``, is the number of directions that the other observations check. If d is 0, the suspect cannot be tested.
+if the error becomes an unknown, and ``(E^T Q E)^+ E^T v`` is its estimate (Baarda 1968;
+Kok 1984). d, the rank of ``E^T Q E``, is the number of directions that the other
+observations check. If d is 0, the suspect cannot be tested.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ from fg_orient.quality.cofactors import Cofactors
 from fg_orient.quality.elimination import PointRows, eliminated_points, free_cofactors
 from fg_orient.quality.residuals import ResidualCofactors, by_parts
 
-#: Image points, positions and heights; single coordinates; ground points with all their observations.
+#: What a suspect is: an image point, a position or a height; a single coordinate; a ground point with all observations.
 Kind = Literal["groups", "coordinates", "points"]
 
 KINDS: Final = ("groups", "coordinates", "points")
@@ -36,14 +38,15 @@ KINDS: Final = ("groups", "coordinates", "points")
 
 @dataclass(frozen=True)
 class Suspects:
-    """Suspects of one part.
+    """Suspected observations of one part of the block.
 
     Parameters
     ----------
     part : str
         "image", "position", "height"; "line", "sample", "east", "north", "up"; "point".
     unit : str
-        Unit of the error: "px line, sample", "m East, North", ...; "" for a whole point, whose error has several units.
+        Unit of the error: "px line, sample", "m East, North", ...; "" for a whole point,
+        whose error has several units.
     point : (n,) int array
         Ground points.
     row : (n,) int array
@@ -91,8 +94,9 @@ def suspects(known: ResidualCofactors, kind: Kind = "groups") -> list[Suspects]:
     known : ResidualCofactors
         Residuals of a least-squares solution.
     kind : str
-        "groups": image points (line and sample), positions (East and North) and heights of weighted control points;
-        "coordinates": each coordinate alone; "points": a ground point with all its image points and its coordinates.
+        "groups": image points (line and sample), positions (East and North) and heights
+        of weighted control points; "coordinates": each coordinate alone; "points": a
+        ground point with all its image points and its coordinates.
     """
     if kind == "points":
         return _whole_points(known)
@@ -125,7 +129,10 @@ def suspects(known: ResidualCofactors, kind: Kind = "groups") -> list[Suspects]:
 
 
 def _whole_points(known: ResidualCofactors) -> list[Suspects]:
-    """Return ground points with all their observations; points with the same number of rows form one family."""
+    """Return ground points with all their observations.
+
+    Points with the same number of rows form one family.
+    """
     problem, cofactors = known.problem, known.cofactors
     v = np.concatenate([known.v_image.ravel(), known.v_control.ravel()])
     rays, named = linearised(problem, known.state), problem.named_points()

@@ -102,7 +102,7 @@ def _plane_measures(vertices: Array | None, pixel_m: float | None) -> dict[str, 
 def project_points(
     path: Path, projection: str, *, inverse: bool = False, out: Path | None = None, overwrite: bool = False
 ) -> dict[str, Any]:
-    """Return the plane coordinates of a table of longitudes and latitudes, or the inverse, with scale factors.
+    """Convert a table of longitudes and latitudes to plane coordinates, or back, and return it with scale factors.
 
     Parameters
     ----------

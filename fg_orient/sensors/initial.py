@@ -84,7 +84,7 @@ def nearest_points(centre_m: Array, direction: Array, point: Index, n_points: in
 
 
 def _projections(direction: Array, point: Index, n_points: int) -> Array:
-    """Sum I - u u^T over the rays of each point: (n_points, 3, 3).
+    """Return the sum of I - u u^T over the rays u of each point: (n_points, 3, 3).
 
     The elements are summed one by one, so that no matrix is stored for each ray.
     """

@@ -77,14 +77,17 @@ def _ground(sensor: GeneralPushbroom, line: Array, sample: Array) -> Array:
 
 
 def noted(sensor: GeneralPushbroom) -> GeneralPushbroom:
-    """Return the sensor with a note on the sizes of the effects. Only images of the Earth get the note."""
+    """Return the sensor with a note on the sizes of the effects.
+
+    Only images of the Earth get the note.
+    """
     if sensor.body is None:
         sensor.notes = (*sensor.notes, light_note(sensor.light_sizes))
     return sensor
 
 
 def light_note(sizes: list[dict[str, Any]]) -> Finding:
-    """Return a note on the sizes of the effects that are applied, and of those that are not."""
+    """Return a note that lists the sizes of the effects on light: first those that are applied, then the others."""
     words = [[f"{one['effect'].replace('_', ' ')} {one['largest_px']:.2f} px ({one['ground_m']:.2f} m)"
               for one in sizes if one["applied"] == applied] for applied in (True, False)]  # fmt: skip
     return finding("image.light (note): effects on light: applied: {applied}; not applied: {left_out}",

@@ -236,7 +236,8 @@ HADAMARD_LIMIT: Final = 1e-2
 def singular_values(matrix: Array) -> Array:
     """Return the singular values (u,) of a matrix (r, u), descending; u - r zeros are appended if r < u.
 
-    These zeros are singular values of N = A^T A. Without them a system with too few observations looks regular.
+    These zeros are singular values of N = A^T A: without the zeros, a system with too few
+    observations would look regular.
     """
     rows, u = matrix.shape
     return np.append(np.linalg.svd(matrix, compute_uv=False), np.zeros(max(u - rows, 0)))

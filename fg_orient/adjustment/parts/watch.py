@@ -61,7 +61,7 @@ class Watch:
                 return
 
     def _look(self) -> None:
-        """Count processes; start those again that dask has given up."""
+        """Count the processes that have run, and start again those that dask does not restart any more."""
         with suppress(RuntimeError):  # the dictionary changes at this moment
             own = dict(self._cluster.workers)
             self._processes |= {one.pid for one in own.values() if one.pid}

@@ -21,8 +21,8 @@ from fg_orient.sensors.rpc_sensor import RpcSensor
 BELOW_M, ABOVE_M = 1000.0, 3000.0
 #: Distance of pixels for numerical derivatives.
 STEP_PX: Final = 8.0
-#: Smallest length of a curve with a defined direction, pixels. If curves are shorter, both images see the
-#: ground from nearly the same direction.
+#: Smallest length of a curve with a defined direction, pixels. If curves are shorter,
+#: both images see the ground from nearly the same direction.
 LEAST_CURVE_PX: Final = 1e-3
 
 
@@ -105,11 +105,14 @@ class Pair:
         return Curves(centre, c1, c2, along, across, np.maximum(half, LEAST_CURVE_PX))
 
     def height_m(self, t: Array) -> Array:
-        """Return the heights (n,) for t."""
+        """Return the heights (n,) at parameters t of the curves.
+
+        T is -1 at the lowest and 1 at the highest height.
+        """
         return np.asarray(0.5 * (self.low_m + self.high_m) + 0.5 * (self.high_m - self.low_m) * t)
 
     def t_of(self, height_m: float) -> float:
-        """Return the parameter of a height."""
+        """Return the parameter t of a height."""
         return (2.0 * height_m - self.low_m - self.high_m) / (self.high_m - self.low_m)
 
     def matrix(self, line: float, sample: float, height_m: float) -> Array:
@@ -130,8 +133,8 @@ def height_range(sensors: tuple[Any, ...], low_m: float | None, high_m: float | 
     ----------
     sensors : tuple of Sensor
     low_m, high_m : float or None
-        Given limits, m above the ellipsoid; None: the heights of the RPC, otherwise a range about the mean height of
-        the scene.
+        Given limits, m above the ellipsoid; None: the heights of the RPC, otherwise a
+        range about the mean height of the scene.
 
     Returns
     -------

@@ -1,1 +1,1 @@
-"""Comparison of published and reproduced values; no other package reads both."""
+"""Compare published and reproduced values; only this package reads both."""
