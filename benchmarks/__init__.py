@@ -1,1 +1,1 @@
-"""Benchmarks of fg_orient against other software; run from the repository's folder (``make bench``)."""
+"""Benchmarks compare fg_orient with other software. Run them from the folder of the repository (``make bench``)."""

@@ -1,4 +1,4 @@
-"""The problems that are timed: synthetic SPOT-like blocks of fixed sizes, and a resection."""
+"""The module makes the problems that are timed: synthetic SPOT-like blocks of fixed sizes, and a resection."""
 
 from __future__ import annotations
 
@@ -17,15 +17,16 @@ from fg_orient.simulate.block import BlockOptions, grid_block
 
 @dataclass(frozen=True)
 class Size:
-    """Scenes along each side of the block, and its ground points."""
+    """A size states the number of scenes along each side of the block and the number of ground points."""
 
     rows: int
     columns: int
     points: int
 
 
-#: 27 unknowns per image; 2, 4, 16, 36 and 100 images with 2 to 4 rays per ground point. All names are orders of
-#: magnitude; "94" has the image points of a pair with 43 points.
+#: Each image has 27 unknowns. The blocks have 2, 4, 16, 36 and 100 images with 2 to 4 rays
+#: per ground point. A name is the order of magnitude of the number of image points; only "94"
+#: is exact: a pair of images with 43 points.
 SIZES: Final = {
     "94": Size(1, 2, 43),
     "1e3": Size(2, 2, 339),
@@ -38,7 +39,10 @@ RESECTION_POINTS: Final = 94
 
 
 def spot_block(size: str) -> Block:
-    """The block of a size: 2 % control points (6 or more), all others tie points, set 20."""
+    """Return the block of a size with set 20.
+
+    2 % of the points (6 or more) are control points, the others tie points.
+    """
     s = SIZES[size]
     options = BlockOptions(rows=s.rows, columns=s.columns, points=s.points, check_share=0.0)
     block, _ = grid_block(options)
@@ -46,7 +50,7 @@ def spot_block(size: str) -> Block:
 
 
 def resection_block() -> Block:
-    """One image and 94 control points that are constants: 27 unknowns."""
+    """Return a block of one image and 94 control points without errors; it has 27 unknowns."""
     full = BlockOptions(rows=1, columns=2, points=RESECTION_POINTS, control_share=1.0, check_share=0.0)
     block, _ = grid_block(full)
     known = block.points.known
@@ -61,13 +65,16 @@ def resection_block() -> Block:
 
 
 def resection_problem() -> Problem:
-    """The resection, compiled."""
+    """Return the compiled problem of the resection."""
     return compile_problem(resection_block())
 
 
 @dataclass(frozen=True)
 class Counts:
-    """What stands in every record. One image point gives two equations; a pair is one of the rays of one point."""
+    """Every record contains these numbers.
+
+    One image point gives two equations; a pair consists of two rays of one point.
+    """
 
     n_images: int
     n_ground_points: int
@@ -81,7 +88,7 @@ class Counts:
 
 
 def counts(problem: Problem) -> Counts:
-    """Count a problem; ``half_bandwidth`` is that of the reduced system with the images in their order."""
+    """Return the numbers of a problem; ``half_bandwidth`` belongs to the reduced system in the order of the images."""
     o = problem.observations
     free = problem.active[o.point]
     rays = np.bincount(o.point[free], minlength=len(problem.active))
@@ -96,5 +103,5 @@ def counts(problem: Problem) -> Counts:
 
 
 def note(text: str) -> None:
-    """Tell the one who waits."""
+    """Print a line of progress."""
     print(text, file=sys.stderr, flush=True)

@@ -1,28 +1,32 @@
-"""Gross errors against methods: check points, errors found, errors missed, and false alarms.
+"""The study of gross errors compares methods by check points, found errors, missed errors and false alarms.
 
     python -m benchmarks.contamination [--seeds N] [--cases ...] [--shares ...] [--methods ...] [--workers N]
         [--missing]
 
-writes results/contamination.json; ``python -m benchmarks.contamination_page`` makes the study of docs/robust.md of it.
+writes results/contamination.json. ``python -m benchmarks.contamination_page`` writes the
+study of docs/robust.md from this file.
 
-Cases, each with seeds 1 to 20 of the simulation:
+Each case is simulated with the seeds 1 to 20:
 
-* twin: the Zonguldak pair (47 points, H-10); errors in image points of its 37 control points;
-* block: 20 images in 4 rows of 5, 250 points, 40 of them control and 50 check; errors in image points of control
-  points and of tie points with 4 rays or more, and in coordinates of control points;
-* everywhere: the same block; errors in all image points but those of check points, and in coordinates of control
-  points.
+* twin: the Zonguldak pair (47 points, H-10) has errors in image points of its 37 control points;
+* block: 20 images in 4 rows of 5 show 250 points, of which 40 are control and 50 check
+  points. The errors are in image points of control points and of tie points with 4 rays or
+  more, and in coordinates of control points;
+* everywhere: the same block has errors in image points of all points except check points, and
+  in coordinates of control points.
 
-A share of these observations, drawn, is moved by 5 to 100 sigmas in a random direction (2 or 3 dimensions). Check
-points are clean, and judged by their true coordinates: the RMSE is that of the 3-D distance. ``--missing`` runs only
-what the file of results has not, and adds it after each seed.
+A random share of these observations is moved by 5 to 100 sigmas in a random direction (2 or 3
+dimensions). Check points have no gross errors. They are compared with their true coordinates,
+and the RMSE is that of the 3-D distance. With ``--missing`` only the runs that the file of
+results does not contain are made, and they are added to the file after each seed.
 
-An error of s sigmas in the direction e is *checkable* if the trace that it leaves in the residuals, ``s sqrt(e^T R e)``
-with the redundancy R of the clean block, exceeds 4.13: found with a power of 80 % at a level of 0.1 % (Baarda 1968).
-Errors in points that two rays alone determine are not checkable: neither ray is known to be the wrong one.
-
-Found is what lies beyond the 99.9 % quantile of its whitened residual, for all methods alike; snooping: what it left
-out.
+An error of s sigmas in the direction e is *checkable* if the trace that it leaves in the
+residuals, ``s sqrt(e^T R e)`` with the redundancy R of the clean block, exceeds 4.13: a test
+with the level 0.1 % finds this trace with a power of 80 % (Baarda 1968). Errors in points
+with only two rays are not checkable, because the data cannot show which of the two rays is
+wrong. For all methods except snooping, an error counts as found if the whitened residual
+exceeds its 99.9 % quantile. For snooping an error counts as found if its observation was
+rejected.
 """
 
 from __future__ import annotations
@@ -70,13 +74,15 @@ CASES: Final = ("twin", "block", "everywhere")
 SHARES: Final = (0.0, 0.05, 0.1, 0.2, 0.3)
 SEEDS: Final = 20
 SIZES_SIGMA: Final = (5.0, 100.0)
-#: Root of the non-centrality that a test at 0.1 % finds with 80 %.
+#: A test with the level 0.1 % finds an error with a power of 80 % if the square root of the
+#: non-centrality has this value.
 TRACE: Final = 4.13
 FOUND: Final = 0.999
 MAX_ITERATIONS: Final = 300
 SNOOPING: Final = "snooping"
 PLAIN: Final = "least squares"
-#: Options by method; all losses but Huber's start from Huber's unless they say otherwise.
+#: Options of each method. All losses except Huber's start from the result of Huber's loss
+#: unless the options state another start.
 METHODS: Final[dict[str, dict[str, Any]]] = {
     PLAIN: {},
     SNOOPING: {},
@@ -96,22 +102,22 @@ METHODS: Final[dict[str, dict[str, Any]]] = {
     "danish_original": {"loss": "danish_original"},
     "lad": {"loss": "lad"},
 }
-#: Shares of the case in which not all is checkable.
+#: Shares of gross errors in the case in which some errors are not checkable.
 EVERYWHERE_SHARES: Final = (0.2,)
 
 
 @dataclass(frozen=True)
 class Spoiled:
-    """A block with gross errors.
+    """A spoiled block contains gross errors.
 
     Parameters
     ----------
     block : Block
     truth : Truth
     image, control : (n,), (N,) bool arrays
-        Which image points and which control points have one.
+        They state which image points and which control points have a gross error.
     checkable_image, checkable_control : the same
-        Those of them that the others check.
+        They state which of these errors are checkable.
     """
 
     block: Block
@@ -124,7 +130,7 @@ class Spoiled:
 
 @dataclass(frozen=True)
 class Clean:
-    """A clean block, its truth, and the redundancy of its observations."""
+    """The clean block is stored with its truth and the redundancy of its observations."""
 
     block: Block
     truth: Truth
@@ -151,7 +157,7 @@ def clean(case: str, seed: int) -> Clean:
 
 
 def eligible(case: str, block: Block) -> tuple[Mask, Mask]:
-    """Image points (n,) and control points (N,) that an error may lie in."""
+    """Return the image points (n,) and control points (N,) that may get an error."""
     point = block.observations.point
     n = len(block.points.ids)
     rays = np.bincount(point, minlength=n)
@@ -191,14 +197,14 @@ def _mask(n: int, rows: Index) -> Mask:
 
 
 def _errors(rng: np.random.Generator, n: int, dimension: int) -> Array:
-    """Errors (n, dimension) in sigmas: size uniform, direction uniform."""
+    """Return errors (n, dimension) in sigmas; their size and their direction have uniform distributions."""
     direction = rng.standard_normal((n, dimension))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     return np.asarray(direction * rng.uniform(*SIZES_SIGMA, n)[:, None])
 
 
 def _trace(error: Array, q: Array) -> Mask:
-    """Whether the others check an error, whitened, whose residuals have these cofactors."""
+    """Return whether a whitened error is checkable, from the cofactors of its residuals."""
     return np.asarray(np.einsum("ni,nij,nj->n", error, q, error) > TRACE**2)
 
 
@@ -220,7 +226,7 @@ def _move_points(block: Block, points: Index, ecef_m: Array) -> Block:
 
 
 def measure(spoiled: Spoiled, method: str) -> dict[str, Any]:
-    """RMSE at the check points, m, and what was found of the errors."""
+    """Return the RMSE at the check points, m, and the numbers of errors that were found and missed."""
     start = time.perf_counter()
     run = _snooped if method == SNOOPING else partial(_adjusted, options=METHODS[method])
     ground_m, image, control, ended = run(spoiled.block)
@@ -239,7 +245,7 @@ def measure(spoiled: Spoiled, method: str) -> dict[str, Any]:
 
 
 def _adjusted(block: Block, options: dict[str, Any]) -> tuple[Array, Mask, Mask, bool]:
-    """Ground points (N, 3) ECEF m; image points and control points found; whether it converged."""
+    """Return the ground points (N, 3) ECEF m, the found errors, and whether the run converged."""
     problem = compile_problem(replace(block, options=replace(block.options, max_iterations=MAX_ITERATIONS, **options)))
     end = solve(problem)
     return _judged(problem, end.state, end.converged)
@@ -267,7 +273,7 @@ def _snooped(block: Block) -> tuple[Array, Mask, Mask, bool]:
 
 
 def wanted(case: str, share: float) -> bool:
-    """Whether a share of a case belongs to the study."""
+    """Return whether a share of a case belongs to the study."""
     return case != "everywhere" or share in EVERYWHERE_SHARES
 
 
@@ -277,7 +283,7 @@ Key = tuple[str, int, float, str]
 def runs(
     case: str, seed: int, shares: Iterable[float], methods: Iterable[str], known: Collection[Key] = ()
 ) -> list[dict[str, Any]]:  # fmt: skip
-    """Measure one seed of a case, but what is known of it; the same on any number of workers."""
+    """Run one seed of a case without the known runs. The result does not depend on the number of workers."""
     out = []
     for share in shares:
         asked = [m for m in methods if wanted(case, share) and (case, seed, share, m) not in known]
@@ -293,7 +299,7 @@ def study(
     methods: Iterable[str] = tuple(METHODS), known: Collection[Key] = (),
     tell: Callable[[str, list[dict[str, Any]]], object] = lambda text, records: None,
 ) -> list[dict[str, Any]]:  # fmt: skip
-    """All runs but what is known, sorted by case, seed, share, method; ``tell`` is given those of each seed."""
+    """Return all runs except the known ones, sorted. ``tell`` is called with the runs of each seed."""
     tasks = list(product(cases, range(1, seeds + 1)))
     one = partial(_task, shares=tuple(shares), methods=tuple(methods), known=frozenset(known))
     out: list[dict[str, Any]] = []
@@ -319,7 +325,7 @@ def _task(
 
 
 def gathered(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """One entry per case, share and method, lists over the seeds."""
+    """Return one entry per case, share and method, with lists over the seeds."""
     groups: dict[tuple[str, float, str], list[dict[str, Any]]] = {}
     for record in sorted(records, key=lambda r: r["seed"]):
         groups.setdefault((record["case"], record["share"], record["method"]), []).append(record)
@@ -331,7 +337,7 @@ def gathered(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def spread(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """One record per run again, of what :func:`gathered` made."""
+    """Convert the result of :func:`gathered` back to one record per run."""
     single = ("case", "share", "method")
     return [
         {**{name: e[name] for name in single}, **{name: e[name][n] for name in e if name not in single}}
@@ -341,7 +347,7 @@ def spread(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _ordered(record: dict[str, Any]) -> tuple[int, int, float, int]:
-    """Place of a run in the file."""
+    """Return the sort key of a run in the file."""
     return CASES.index(record["case"]), record["seed"], record["share"], list(METHODS).index(record["method"])
 
 
@@ -355,7 +361,7 @@ def write(out: Path, records: list[dict[str, Any]], minutes: float) -> None:
 
 
 def main(arguments: list[str]) -> None:
-    """Run the study and write its results."""
+    """Run the study and write the file of results."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.contamination")
     parser.add_argument("--seeds", type=int, default=SEEDS)
     parser.add_argument("--cases", nargs="+", choices=CASES, default=CASES)

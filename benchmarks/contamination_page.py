@@ -1,4 +1,4 @@
-"""The study in docs/robust.md and its figure, from results/contamination.json and nothing else.
+"""The module makes the study in docs/robust.md and its figure from results/contamination.json alone.
 
 python -m benchmarks.contamination_page
 """
@@ -20,7 +20,8 @@ PAGE: Final = Path(__file__).parents[1] / "docs" / "robust.md"
 FIGURE: Final = PAGE.parent / "robust.svg"
 BEGIN: Final = "<!-- study: made by benchmarks.contamination_page -->"
 END: Final = "<!-- end of the study -->"
-#: The mean RMSE of a method that withstands gross errors is within this of the clean least squares.
+#: A method withstands gross errors if its mean RMSE exceeds that of least squares without
+#: gross errors by at most this share.
 LIMIT: Final = 1.2
 CASES: Final = {
     "twin": "Image points of control points, SPOT-5 pair",
@@ -35,7 +36,7 @@ def _of(entries: list[Entry]) -> dict[Key, Entry]:
 
 
 def ratios(entries: list[Entry]) -> dict[Key, float]:
-    """Mean RMSE over that of least squares on the clean blocks of the same seeds."""
+    """Return the mean RMSE divided by that of least squares on the clean blocks of the same seeds."""
     known = _of(entries)
     out = {}
     for (case, share, method), entry in known.items():
@@ -51,14 +52,14 @@ def _share(entry: Entry, part: str, whole: str) -> str:
 
 
 def _method(method: str, entries: list[Entry]) -> str:
-    """Name of a method, with the number of its seeds where these are not all."""
+    """Return the name of a method, with its number of seeds if it did not run on all seeds."""
     most = max(len(e["seed"]) for e in entries)
     seeds = max((len(e["seed"]) for e in entries if e["method"] == method), default=0)
     return method if seeds == most else f"{method} ({seeds} seed{'s' if seeds > 1 else ''})"
 
 
 def case_table(case: str, entries: list[Entry]) -> str:
-    """Ratios by share, and what was found at 20 %."""
+    """Return the table of the ratios by share, and of the errors found at 20 %."""
     mine = [e for e in entries if e["case"] == case]
     known, found = _of(mine), ratios(entries)
     shares = sorted({e["share"] for e in mine})
@@ -75,7 +76,7 @@ def case_table(case: str, entries: list[Entry]) -> str:
 
 
 def everywhere_table(entries: list[Entry]) -> str:
-    """The case in which not all errors are checkable."""
+    """Return the table of the case in which some errors are not checkable."""
     mine = [e for e in entries if e["case"] == "everywhere"]
     found = ratios(entries)
     rows = [["method", "RMSE", "missed of the checkable", "false alarms"]]
@@ -88,30 +89,31 @@ def everywhere_table(entries: list[Entry]) -> str:
 
 
 def _everywhere(entries: list[Entry]) -> list[str]:
-    """What is said of errors that nothing checks."""
+    """Return the text about errors that are not checkable."""
     first = next(e for e in entries if e["case"] == "everywhere")
     no, yes = sum(first["not_checkable"]), sum(first["checkable"])
     return [
         "### Errors everywhere, 20 images",
-        "20 % of all image points but those of check points, and of control coordinates. "
-        f"{no} of {no + yes} errors ({100.0 * no / (no + yes):.0f} %) are **not checkable**: they lie in points that "
-        "two rays alone determine, or in a direction in which the other observations leave them less than 4.13 sigmas. "
-        "No method is credited with finding these; they spoil the points they lie in, whatever is done.",
+        "20 % of the image points of all points except check points have gross errors, and 20 % of the control "
+        f"coordinates. {no} of {no + yes} errors ({100.0 * no / (no + yes):.0f} %) are **not checkable**: they are in "
+        "points with only two rays, or the residuals contain less than 4.13 sigmas of the error. No method can find "
+        "these errors. They falsify their points with every method.",
         everywhere_table(entries),
     ]
 
 
 def study(results: dict[str, Any]) -> str:
-    """The text between the marks."""
+    """Return the text between the marks of the page."""
     entries = results["entries"]
     found, seeds = ratios(entries), results["head"]["seeds"]
     plain = {case: found[case, 0.2, PLAIN] for case in CASES}
     whole = {m for m in METHODS if all(len(e["seed"]) == seeds for e in entries if e["method"] == m)}
     keep = [m for m in METHODS if m in whole and all(found.get((c, 0.2, m), np.inf) <= LIMIT for c in CASES)]
     parts = [
-        f"Mean RMSE of the check points over {seeds} seeds, divided by that of least squares without gross errors. "
-        f"At 20 % least squares has {plain['twin']:.1f} and {plain['block']:.1f} times the clean RMSE. Within "
-        f"{LIMIT} in both cases, of the methods that ran on all seeds: {'; '.join(keep)}.",
+        f"The tables show the mean RMSE of the check points over {seeds} seeds, divided by that of least squares "
+        f"without gross errors. At 20 % least squares has {plain['twin']:.1f} and {plain['block']:.1f} times the clean "
+        "RMSE. Of the methods that ran on all seeds, these have at most "
+        f"{LIMIT} times the clean RMSE in both cases: {'; '.join(keep)}.",
         "![Check points under gross errors](robust.svg)",
     ]
     for case, title in CASES.items():
@@ -122,14 +124,14 @@ def study(results: dict[str, Any]) -> str:
 
 
 def with_study(text: str, results: dict[str, Any]) -> str:
-    """The page with the study between its marks."""
+    """Return the page with the study between its marks."""
     before, _, rest = text.partition(BEGIN)
     _, _, after = rest.partition(END)
     return f"{before}{BEGIN}\n\n{study(results)}\n\n{END}{after}"
 
 
 def figure(results: dict[str, Any], digest: str) -> None:
-    """Ratios by share, one panel per case."""
+    """Draw the ratios by share, with one panel for each case."""
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -156,7 +158,7 @@ def figure(results: dict[str, Any], digest: str) -> None:
 
 
 def main() -> None:
-    """Make page and figure."""
+    """Write the page and the figure."""
     text = RESULTS.read_text("utf-8")
     results = json.loads(text)
     PAGE.write_text(with_study(PAGE.read_text("utf-8"), results), encoding="utf-8")

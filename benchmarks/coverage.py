@@ -1,18 +1,24 @@
-"""Coverage of standard deviations after gross errors were rejected: search for gross errors, and GNC.
+"""The study measures whether the standard deviations are correct after gross errors were rejected by snooping or GNC.
 
     python -m benchmarks.coverage [--seeds N] [--json FILE]
 
-Two blocks of 200 points, a tenth of them control: four SPOT-5 images, in which two of the rays of each point with three
-are parallel; two strips of frame images. Gross errors of 5 to 50 px with any direction in a share of all rays. Judged
-by the true coordinates of the points that are not control, separately for points with unseen errors after the rejection
-(flagged: ``unseen_east_m`` of points.csv, ``fg_orient.quality.reliability.unseen_shifts``):
+Two blocks have 200 points each, of which a tenth are control points. The first block has four
+SPOT-5 images, and two of the rays of each point with three rays are parallel. The second
+block has two strips of frame images. A share of all rays has gross errors of 5 to 50 px with
+random directions. The points without control are compared with their true coordinates. Points
+that may have unseen errors after the rejection are counted separately; they are called
+flagged (``unseen_east_m`` of points.csv, ``fg_orient.quality.reliability.unseen_shifts``):
 
-* points with three and more remaining rays: flagged ones, those among them that rejection has made so (not flagged in
-  the block without errors); of the others the share inside the 95 % region of their three coordinates, and the mean of
-  ``e^T C^-1 e / 3`` (NEES), of all of them the mean, too; points with right rays only that lost a ray or their weight;
-* points with two remaining rays, and flagged points: share inside the 95 % interval across the plane of the rays. Along
-  the plane an error is seen by no other observation: number of points with two rays and such an error that passed the
-  test, and its prediction from the non-centrality of each error, with a 99 % interval.
+* points with three or more remaining rays: the number of flagged points, and the number of
+  those that only the rejection has made flagged (they are not flagged in the block without
+  errors). For the other points the share inside the 95 % region of their three coordinates.
+  The mean of ``e^T C^-1 e / 3`` (NEES) for the other points and for all points. The number of
+  points without errors that lost a ray or its weight;
+* points with two remaining rays, and flagged points: the share inside the 95 % interval
+  across the plane of the rays. Along the plane no other observation shows an error. Therefore
+  the study counts the points with two rays and such an error that passed the test, and
+  compares the number with its prediction from the non-centrality of each error, with a 99 %
+  interval.
 """
 
 from __future__ import annotations
@@ -55,7 +61,7 @@ BLOCKS: Final = {"spot": spot, "strips": strips}
 
 
 def spoiled(seed: int, share: float, kind: str = "spot") -> tuple[fg.Block, fg.Block, Array, Array]:
-    """Clean block, block with errors, true points (N, 3), errors (n, 2) of all rays in px."""
+    """Return the clean block, the block with errors, the true points (N, 3) and the errors (n, 2) of all rays in px."""
     block, true = BLOCKS[kind](seed)
     o, rng = block.observations, np.random.default_rng(seed)
     bad = rng.random(len(o)) < share
@@ -66,7 +72,7 @@ def spoiled(seed: int, share: float, kind: str = "spot") -> tuple[fg.Block, fg.B
 
 
 def kept_rays(block: fg.Block, solution: fg.Solution) -> npt.NDArray[np.bool_]:
-    """Whether each ray (n,) of the block is in the solution with full weight."""
+    """Return for each ray (n,) of the block whether the solution uses it with full weight."""
     if solution.weights is not None:
         return np.asarray(solution.weights.image > DOWN)
     own, o = solution.problem.observations, block.observations
@@ -75,7 +81,7 @@ def kept_rays(block: fg.Block, solution: fg.Solution) -> npt.NDArray[np.bool_]:
 
 
 def counts(seed: int, share: float, method: str, kind: str) -> dict[str, float]:
-    """Sums of one block."""
+    """Return the sums of one block."""
     clean, block, true, error = spoiled(seed, share, kind)
     first, solution = fg.adjust(clean), fg.adjust(block, **METHODS[method])
     o, n = block.observations, len(block.points.ids)
@@ -118,10 +124,7 @@ def _survivors(
     keep: npt.NDArray[np.bool_],
     control: npt.NDArray[np.bool_],
 ) -> tuple[float, float, int]:
-    """Wrong points with two rays that pass the test: predicted number and its variance; number.
-
-    ``first``: adjustment without errors.
-    """
+    """Return the predicted number, its variance, and the number of wrong points with two rays that pass the test."""
     cofactors = first.residual_cofactors.image
     o = block.observations
     sigma = np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)
@@ -136,7 +139,8 @@ def _survivors(
         pair = np.flatnonzero(o.point == j)
         if not error[pair].any():
             continue
-        left = np.linalg.svd(rows.ground[pair].reshape(4, 3))[0][:, 3]  # the one combination that two rays check
+        # two rays check only one combination of the errors
+        left = np.linalg.svd(rows.ground[pair].reshape(4, 3))[0][:, 3]
         share = np.sqrt(max(float(left[:2] @ cofactors[pair[0]] @ left[:2]) / float(left[:2] @ left[:2]) ** 2, 0.0))
         trace = float(left @ (error[pair] / sigma[pair]).ravel()) * share
         p = float(norm.cdf(limit - trace) - norm.cdf(-limit - trace))
@@ -146,7 +150,7 @@ def _survivors(
 
 
 def main() -> int:
-    """Print one line per method and share; always 0: a benchmark reports, it does not judge."""
+    """Print one line per method and share. The exit code is always 0, because a benchmark only reports."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--json", type=Path)

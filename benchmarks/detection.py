@@ -1,13 +1,16 @@
-"""Detection of mistakes: exit code 4 or worse, and the cause named first, against the power that theory predicts.
+"""The study of mistakes compares exit codes and the first named cause with the power that theory predicts.
 
     python -m benchmarks.detection [--runs N] [--workers N] [--blocks ...] [--minutes N]
 
-writes results/detection.json; ``python -m benchmarks.detection_page`` makes docs/detection.md of it. Blocks, mistakes
-and sizes are in ``benchmarks.mistakes``. A cell is a mistake of one size in one block. Each run draws a perfect block
-(``benchmarks.drawn``), plants the mistake and adjusts with default options. Runs that the file has are not repeated.
+writes results/detection.json.
+``python -m benchmarks.detection_page`` writes docs/detection.md from this file. ``benchmarks.mistakes``
+defines blocks, mistakes and sizes. A cell is a mistake of one size in one block. Each run
+draws a perfect block (``benchmarks.drawn``), plants the mistake and adjusts with default
+options. Runs in the file are not repeated.
 
-The power is predicted from the linear model at the truth: residuals ``-R (e + delta)`` with the error delta that the
-mistake makes in the observations, drawn 2000 times, and all doubts of docs/verdict.md, computed here from the formulas.
+The power is predicted from the linear model at the truth. The residuals are
+``-R (e + delta)``, where delta is the error that the mistake makes in the observations. They
+are drawn 2000 times, and all doubts of docs/verdict.md are computed from their formulas.
 """
 
 from __future__ import annotations
@@ -40,31 +43,31 @@ Array = npt.NDArray[np.float64]
 RESULTS: Final = Path(__file__).parent / "results" / "detection.json"
 RUNS: Final = 200
 DRAWS: Final = 2000
-#: Cells between two writings of the file.
+#: The file is written after this number of cells.
 PART: Final = 27
 Key = tuple[str, int, int]
 
 
 @lru_cache(maxsize=3)
 def source(block: str) -> Source:
-    """Source of the draws of a block."""
+    """Return the source of the draws of a block."""
     return Source(*base(block))
 
 
 def generator(key: Key, run: int) -> np.random.Generator:
-    """Random numbers of a run of a cell."""
+    """Return the random generator of a run of a cell."""
     return np.random.default_rng([list(BLOCKS).index(key[0]), key[1], key[2], run])
 
 
 def planted(key: Key, run: int, noise: float = 1.0) -> tuple[Drawn, Block]:
-    """A drawn block and the same with the mistake, which lies in the same points in all runs."""
+    """Return a drawn block without and with the mistake. The mistake is in the same points in all runs."""
     mistake = MISTAKES[key[1]]
     drawn = source(key[0]).draw(generator(key, run), noise=noise)
     return drawn, mistake.change(drawn, mistake.sizes[key[2]], np.random.default_rng([key[1], 17]))
 
 
 def named(findings: Iterable[Any]) -> str:
-    """What a user reads first about the cause: the likely cause, the gross error, else the first doubt."""
+    """Return what a user reads first about the cause: the likely cause, else the gross error, else the first doubt."""
     doubts = [f for f in findings if f.severity in DECISIVE or f.code in CAUSES]
     for one in doubts:
         if one.code in CAUSES:
@@ -76,7 +79,7 @@ def named(findings: Iterable[Any]) -> str:
 
 
 def run_of(key: Key, run: int) -> tuple[int, str]:
-    """Exit code of a run, and what is named first."""
+    """Return the exit code of a run and the text that is named first."""
     _, block = planted(key, run)
     try:
         solution = fg.adjust(block)
@@ -88,19 +91,19 @@ def run_of(key: Key, run: int) -> tuple[int, str]:
 
 
 def is_named(mistake: Mistake, text: str) -> bool:
-    """Whether the text names the mistake or its class."""
+    """Return whether the text names the mistake or its class."""
     return any(part in text for part in mistake.named)
 
 
 def predicted(key: Key) -> tuple[float, float]:
-    """Power that the linear model at the truth predicts, and the square root of the non-centrality."""
+    """Return the power predicted by the linear model at the truth, and the square root of the non-centrality."""
     drawn, block = planted(key, 0, noise=0.0)
     linear = linear_block(block, drawn)
     return linear.power(block, drawn, DRAWS, generator(key, 0)), linear.noncentrality(block, drawn)
 
 
 def linear_block(block: Block, drawn: Drawn) -> LinearBlock:
-    """Linear model with the stated sigmas of the block with the mistake, at the truth."""
+    """Return the linear model at the truth with the stated sigmas of the block with the mistake."""
     clean = replace(
         drawn.block,
         observations=replace(
@@ -114,7 +117,7 @@ def linear_block(block: Block, drawn: Drawn) -> LinearBlock:
 
 
 def cell(key: Key, known: dict[str, Any] | None, runs: int) -> dict[str, Any]:
-    """Record of a cell with this number of runs, with those that are known."""
+    """Return the record of a cell with this number of runs, including the known runs."""
     start = time.perf_counter()
     record = known or {"block": key[0], "mistake": key[1], "size": key[2], "codes": [], "named": [], "seconds": 0.0}
     if "predicted" not in record:
@@ -132,7 +135,7 @@ def cell(key: Key, known: dict[str, Any] | None, runs: int) -> dict[str, Any]:
 
 
 def cells(blocks: Iterable[str]) -> Iterator[Key]:
-    """All cells."""
+    """Return all cells."""
     for m in range(len(MISTAKES)):
         for block in blocks:
             for size in range(3):
@@ -140,7 +143,7 @@ def cells(blocks: Iterable[str]) -> Iterator[Key]:
 
 
 def loaded() -> dict[Key, dict[str, Any]]:
-    """Cells of the file of results."""
+    """Return the cells of the file of results."""
     if not RESULTS.exists():
         return {}
     records = json.loads(RESULTS.read_text("utf-8"))["cells"]
@@ -155,7 +158,7 @@ def store(records: dict[Key, dict[str, Any]]) -> None:
 
 
 def main() -> None:
-    """Run what is missing."""
+    """Make the runs that are missing."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=RUNS)
     parser.add_argument("--workers", type=int, default=1)
@@ -170,7 +173,7 @@ def main() -> None:
 
 
 def every(given: argparse.Namespace, mapped: Callable[..., Iterable[dict[str, Any]]]) -> None:
-    """Run all cells, first few runs of each, then more."""
+    """Run all cells in rounds: first a few runs of each cell, then more."""
     records, start = loaded(), time.perf_counter()
     for runs in sorted({min(2, given.runs), *range(4, given.runs, 4), given.runs}):
         todo = [k for k in cells(given.blocks) if len(records.get(k, {}).get("codes", ())) < runs]

@@ -1,4 +1,4 @@
-"""The page docs/detection.md, from results/detection.json and results/false_alarms.json and nothing else.
+"""The module makes the page docs/detection.md from results/detection.json and results/false_alarms.json alone.
 
 python -m benchmarks.detection_page
 """
@@ -25,22 +25,23 @@ from fg_orient.orientation.confirmation import CAUSES
 from fg_orient.quality.doubts import BUDGET
 
 PAGE: Final = Path(__file__).parents[1] / "docs" / "detection.md"
-#: Powers that are certain, and too small to see the mistake; share of runs wanted; share of right names wanted.
+#: The first power counts as certain; at the second one the mistake cannot be seen. Then the
+#: least shares of runs with a doubt and of right names.
 CERTAIN, UNSEEN, WANTED, NAMED = 0.99, 0.2, 0.95, 0.8
-#: Seconds of processor time of a run, measured.
+#: One run takes this measured processor time, s.
 RUN_S: Final = 0.14
-#: Probability that a cell, or a kind, deviates by chance: over the whole table 1 %.
+#: A cell or a kind deviates by chance with this probability; for the whole table it is 1 %.
 TABLE: Final = 0.01
 Record = dict[str, Any]
 
 
 def seen(record: Record) -> int:
-    """Runs that end with a doubt or worse."""
+    """Return the number of runs that end with a doubt or worse."""
     return sum(code != 0 for code in record["codes"])
 
 
 def deviates(record: Record, level: float) -> bool:
-    """Whether the number of runs with a doubt contradicts the prediction, itself from a number of draws."""
+    """Return whether the number of runs with a doubt contradicts the prediction, which also comes from random draws."""
     n, k, p = len(record["codes"]), seen(record), record["predicted"]
     spread = 3.0 * (max(p * (1.0 - p), 1.0 / DRAWS) / DRAWS) ** 0.5
     low, high = max(p - spread, 0.0), min(p + spread, 1.0)
@@ -48,13 +49,13 @@ def deviates(record: Record, level: float) -> bool:
 
 
 def right_names(record: Record) -> tuple[int, int]:
-    """Runs with a doubt that name the mistake or its class first, and runs with a doubt."""
+    """Return the number of runs that name the mistake or its class first, and the number of runs with a doubt."""
     doubted = [named for code, named in zip(record["codes"], record["named"], strict=True) if code != 0]
     return sum(doubted), len(doubted)
 
 
 def shown(record: Record | None) -> str:
-    """One cell of the table: predicted, measured, named."""
+    """Return the text of one cell of the table: predicted, measured, named."""
     if record is None or not record["codes"]:
         return "-"
     n, k, p = len(record["codes"]), seen(record), record["predicted"]
@@ -65,7 +66,7 @@ def shown(record: Record | None) -> str:
 
 
 def rows_of(records: dict[tuple[str, int, int], Record]) -> Iterator[list[str]]:
-    """Rows of the table: one per mistake and size."""
+    """Return the rows of the table, one for each mistake and size."""
     for m, mistake in enumerate(MISTAKES):
         for size, value in enumerate(mistake.sizes):
             words = f"{value:g}" if isinstance(value, float) else str(value)
@@ -77,7 +78,7 @@ def rows_of(records: dict[tuple[str, int, int], Record]) -> Iterator[list[str]]:
 
 
 def misses(records: list[Record]) -> list[str]:
-    """Cells that do not do what is wanted, in words."""
+    """Return texts about the cells that do not meet the requirement."""
     out = []
     for r in records:
         n, k, mistake = len(r["codes"]), seen(r), MISTAKES[r["mistake"]]
@@ -89,7 +90,7 @@ def misses(records: list[Record]) -> list[str]:
 
 
 def badly_named(records: list[Record]) -> list[str]:
-    """Cells with a doubt in most runs, of which fewer than 80 % name the mistake or its class first."""
+    """Return the cells with a doubt in most runs, of which fewer than 80 % name the mistake or its class first."""
     out = []
     for r in records:
         right, doubted = right_names(r)
@@ -102,7 +103,7 @@ def badly_named(records: list[Record]) -> list[str]:
 
 
 def summary(records: list[Record]) -> list[str]:
-    """Counts over the table."""
+    """Return the text with the counts over the table."""
     done = [r for r in records if r["codes"]]
     certain = [r for r in done if r["predicted"] >= CERTAIN]
     unseen = [r for r in done if r["predicted"] < UNSEEN]
@@ -119,30 +120,32 @@ def summary(records: list[Record]) -> list[str]:
         return sum(r["predicted"] * len(r["codes"]) for r in some)
 
     def away(some: list[Record]) -> float:
-        """Number found minus predicted, in standard deviations of both."""
+        """Return the number found minus the predicted number, in standard deviations of the difference."""
         spread = sum(
             p * (1.0 - p) * n * (1.0 + n / DRAWS) for p, n in ((r["predicted"], len(r["codes"])) for r in some)
         )
         return (sum(map(seen, some)) - expected(some)) / max(spread, 1e-9) ** 0.5
 
     return [
-        f"- Power of at least {CERTAIN} predicted: {len(certain)} cells; {sum(map(seen, certain))} of {runs(certain)} "
-        f"runs end with a doubt or worse, in {often} cells at least {100 * WANTED:.0f} %.",
-        f"- Power between {UNSEEN} and {CERTAIN}: {len(between)} cells; predicted {expected(between):.0f} runs with a "
-        f"doubt, found {sum(map(seen, between))} of {runs(between)} ({away(between):+.1f} standard deviations).",
-        f"- Power below {UNSEEN}: {len(unseen)} cells. Such a mistake cannot be seen here; predicted "
-        f"{expected(unseen):.0f} runs with a doubt, found {sum(map(seen, unseen))} of {runs(unseen)} "
-        f"({away(unseen):+.1f} standard deviations: the linear prediction is slightly low). "
-        "[Likely causes](causes.md#what-cannot-be-seen-here) states what is assumed.",
-        f"- Of {len(wanted)} cells with a power of at least {CERTAIN} and a cause in the list, {good} name the "
-        f"mistake or its class first in at least {100 * NAMED:.0f} % of the doubts.",
-        f"- Cells that contradict their prediction (level {100 * TABLE:g} % over the table): {len(strange)}.",
+        f"- In {len(certain)} cells the predicted power is at least {CERTAIN}. Of their {runs(certain)} runs "
+        f"{sum(map(seen, certain))} end with a doubt or worse. In {often} of these cells at least {100 * WANTED:.0f} % "
+        "of the runs do so.",
+        f"- In {len(between)} cells the power is between {UNSEEN} and {CERTAIN}. A doubt is predicted in "
+        f"{expected(between):.0f} of {runs(between)} runs and was found in {sum(map(seen, between))} "
+        f"({away(between):+.1f} standard deviations).",
+        f"- In {len(unseen)} cells the power is below {UNSEEN}, and the mistake cannot be seen. A doubt is predicted "
+        f"in {expected(unseen):.0f} of {runs(unseen)} runs and was found in {sum(map(seen, unseen))} "
+        f"({away(unseen):+.1f} standard deviations). The linear prediction is slightly low. "
+        "[Likely causes](causes.md#what-cannot-be-seen-here) states the assumptions.",
+        f"- A further count concerns the {len(wanted)} cells with a power of at least {CERTAIN} and a cause in the "
+        f"list. Of these {good} name the mistake or its class first in at least {100 * NAMED:.0f} % of the doubts.",
+        f"- {len(strange)} cells contradict their prediction at the level of {100 * TABLE:g} % over the table.",
         *strange,
     ]
 
 
 def alarm_rows(kinds: dict[str, Any]) -> Iterator[list[str]]:
-    """Rows of false alarms: one per kind."""
+    """Return the rows of the false alarms, one for each kind."""
     for name, kind in KINDS.items():
         record = kinds.get(name, {"runs": 0, "alarms": {}})
         codes = [code.partition(".")[2] for found in record["alarms"].values() for code in sorted(set(found))]
@@ -156,7 +159,7 @@ def alarm_rows(kinds: dict[str, Any]) -> Iterator[list[str]]:
 
 
 def budget_rows(kinds: dict[str, Any]) -> Iterator[list[str]]:
-    """Rows of the doubts over all kinds: share, runs expected at most, runs found, probability of so many."""
+    """Return the rows of the doubts: share, most runs expected, runs found, probability of this number."""
     n = sum(r["runs"] for r in kinds.values())
     found = Counter(c.partition(".")[2] for r in kinds.values() for codes in r["alarms"].values() for c in set(codes))
     for code, share in BUDGET.items():
@@ -171,7 +174,7 @@ def budget_rows(kinds: dict[str, Any]) -> Iterator[list[str]]:
 
 
 def page(detection: Record, alarms: Record) -> str:
-    """Text of the page."""
+    """Return the text of the page."""
     records = detection["cells"]
     by_key = {(r["block"], r["mistake"], r["size"]): r for r in records}
     runs = [len(r["codes"]) for r in records]
@@ -189,40 +192,47 @@ def page(detection: Record, alarms: Record) -> str:
         "<!-- Made by `python -m benchmarks.detection_page`. Do not edit. -->",
         "Do mistakes in data end with exit code 4, and are they named? Do perfect data end with exit code 0?",
         "## Detection of mistakes",
-        f"{len(MISTAKES)} kinds of mistakes, each of three sizes in three blocks: {cells} cells. Blocks, mistakes and "
-        "sizes (`benchmarks/mistakes.py`) were written down before the first run. A run draws orientation, image "
-        "points and ground coordinates of a perfect block from the sigmas of the adjustment, plants the mistake, and "
-        f"adjusts with default options. **{least if least == most else f'{least} to {most}'} runs of each cell** were "
-        f"made, {done} adjustments. `python -m benchmarks.detection --workers N` repeats nothing and adds what is "
-        f"missing of {ALL_RUNS} runs of each cell; all take about {hours:.1f} hours of processor time.",
+        f"{len(MISTAKES)} kinds of mistakes were planted, each in three sizes and in three blocks. This gives {cells} "
+        "cells. Blocks, mistakes and sizes (`benchmarks/mistakes.py`) were chosen before the first run. A run draws "
+        "orientation, image points and ground coordinates of a perfect block from the sigmas of the adjustment, plants "
+        f"the mistake, and adjusts with default options. **{least if least == most else f'{least} to {most}'} runs of "
+        f"each cell** were made, {done} adjustments. `python -m benchmarks.detection --workers N` makes only the runs "
+        f"that are missing. All {ALL_RUNS} runs of each cell take about {hours:.1f} hours of processor time.",
         markdown([["block", "contents"], *([name, words] for name, words in BLOCKS.items())]),
-        "Predicted power: the doubts of the [verdict](verdict.md), computed by separate code "
-        f"(`benchmarks/linear_doubts.py`) in the linear model at the truth, in {DRAWS} draws. Residuals are $-R (e + "
-        "\\delta)$ with the error $\\delta$ that the mistake makes in the observations; power depends on the "
-        "non-centrality $\\delta^T R\\, \\delta$ and its shares in the single tests. A cell shows the predicted "
-        "power, the runs that end with exit code 4 or worse, and in how many of these the mistake, or a cause that "
-        "no data can tell from it, is named first. Such classes are: heights of control points too low and of check "
-        "points too high; a shift of the control points and the opposite one of the check points; feet and US survey "
-        "feet.",
-        "Whether a mistake is doubted does not depend on the search for causes. That search was extended after first "
-        "runs had shown what it did not name (a part of a table, radians); these runs were repeated with the same "
-        "random numbers. The counts of right names are therefore those of data that the search was extended for.",
+        "The predicted power is the share of draws with one of the doubts of the [verdict](verdict.md). Separate code "
+        f"(`benchmarks/linear_doubts.py`) computes these doubts from {DRAWS} draws in the linear model at the truth. "
+        "The residuals are $-R (e + \\delta)$, where $\\delta$ is the error that the mistake makes in the "
+        "observations. The power depends on the non-centrality $\\delta^T R\\, \\delta$ and on its shares in the "
+        "single tests.",
+        "A cell shows the predicted power and the runs that end with exit code 4 or worse. It also shows in how many "
+        "of these runs the mistake, or a cause of the same class, is named first. The data cannot distinguish the "
+        "causes of a class. The classes are:",
+        "- heights of control points that are too low, and heights of check points that are too high;\n"
+        "- a shift of the control points, and the opposite shift of the check points;\n"
+        "- feet and US survey feet.",
+        "Whether a mistake is doubted does not depend on the search for causes. First runs showed mistakes that the "
+        "search did not name (a part of a table, radians). The search was extended for these mistakes, and the runs "
+        "were repeated with the same random numbers. The counts of right names therefore come from the data for which "
+        "the search was extended.",
         "### Summary",
         "\n".join(summary(records)),
         "### Table",
         markdown([["mistake", "size", *BLOCKS], *rows_of(by_key)]),
         "### Not named first",
-        f"Cells with a power of at least {CERTAIN} in which another cause or doubt comes first in more than a fifth "
-        "of the doubts. Where only a share of a table is wrong, no single cause of the list holds for it.",
+        f"The table lists the cells with a power of at least {CERTAIN} in which another cause or doubt comes first in "
+        "more than a fifth of the doubts. If only a share of a table is wrong, no cause of the list explains the whole "
+        "table.",
         *badly_named(records),
         "## False alarms",
-        f"Perfect blocks of ten kinds; {total} runs in all, in {clean / 60.0:.0f} minutes of a busy machine "
-        f"(`python -m benchmarks.false_alarms` adds what is missing of {ALL_ALARMS} runs of each kind). Exit "
-        'code 4 is allowed in 2 % of each kind; the shares of all doubts sum to 0.65 %. "At most": upper limit of '
-        "the share, which a larger one would undercut in 5 % of such studies.",
+        f"Perfect blocks of ten kinds were adjusted, {total} runs in all. The runs took {clean / 60.0:.0f} minutes on "
+        f"a machine with other work. `python -m benchmarks.false_alarms` makes only those of the {ALL_ALARMS} runs of "
+        "each kind that are missing. Exit code 4 is allowed in 2 % of the runs of each kind; the shares of all doubts "
+        'add up to 0.65 %. "At most" is the upper limit of the share: with a larger share only 5 % of such studies '
+        "would find so few alarms.",
         markdown([["kind", "runs", "exit 4", "share", "at most", "doubts"], *alarm_rows(kinds)]),
-        "Each doubt against its share, over all kinds. The last column is the probability of so many or more if the "
-        "share holds (`check_far` and `check_beyond` need check points, `beyond_prior` needs priors).",
+        "The next table compares the runs with each doubt, over all kinds, with the share of the doubt. The last "
+        "column is the probability of at least this number of runs if the share is correct. `check_far` and "
+        "`check_beyond` need check points, and `beyond_prior` needs priors.",
         markdown([["doubt", "share", "expected at most", "found", "probability"], *budget_rows(kinds)]),
         f"A cause was named in {caused} of these {len(found)} false alarms.",
     ]
@@ -230,7 +240,7 @@ def page(detection: Record, alarms: Record) -> str:
 
 
 def main() -> None:
-    """Make the page."""
+    """Write the page."""
     texts = (json.loads(path.read_text("utf-8")) for path in (RESULTS, ALARMS))
     PAGE.write_text(page(*texts), encoding="utf-8")
     sys.stdout.write(f"{PAGE}\n")

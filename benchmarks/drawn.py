@@ -1,8 +1,9 @@
-"""Blocks whose orientation, image points and ground coordinates are drawn from the sigmas of the adjustment.
+"""The module draws orientation, image points and ground coordinates of blocks from the sigmas of the adjustment.
 
-The given block has the metadata. True unknowns of the images are drawn from their priors, true image points follow by
-the sensor's own ``project``, and all observations get normal noise of their stated sigmas. Such a block is perfect: its
-model and all its sigmas hold.
+The given block contains the metadata. The true unknowns of the images are drawn from their
+priors, and the sensor's own ``project`` computes the true image points. All observations get
+normal noise with their stated sigmas. Such a block is perfect: its model and all its sigmas
+are correct.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """A drawn block with its true ground points (N, 3) ECEF m, corrections of the images, and true pixels (n, 2)."""
+    """A drawn block has true ground points (N, 3) ECEF m, true corrections of the images, and true pixels (n, 2)."""
 
     block: Block
     truth_m: Array
@@ -33,12 +34,12 @@ class Drawn:
 
 
 class Source:
-    """Draws blocks.
+    """The source draws blocks.
 
     Parameters
     ----------
     block : Block
-        Sensors with the metadata, sigmas, roles and options.
+        It has the sensors with the metadata, and the sigmas, roles and options.
     truth_m : (N, 3) array
         True ground points, ECEF m.
     """
@@ -50,7 +51,7 @@ class Source:
         self._rows = block.points.where(Role.CHECK)
 
     def draw(self, rng: np.random.Generator, *, noise: float = 1.0) -> Drawn:
-        """A block; ``noise``: factor of all random errors, 0 for the truth."""
+        """Return a drawn block; ``noise`` is the factor of all random errors, 0 for the truth."""
         problem, o, block = self._problem, self.block.observations, self.block
         image = problem.image_matrix(noise * rng.standard_normal(problem.n_free_unknowns))
         corrections = tuple(problem.corrections(State(image, problem.start.ground)))
@@ -74,7 +75,7 @@ class Source:
     def _measured(
         self, given: Coordinates, index: npt.NDArray[np.intp], rng: np.random.Generator, noise: float
     ) -> Array:
-        """True coordinates with errors of the stated sigmas; fixed points have none."""
+        """Return the true coordinates with errors of the stated sigmas; fixed points have no errors."""
         error = noise * np.nan_to_num(given.sigma_enu_m) * rng.standard_normal(given.sigma_enu_m.shape)
         place = self.truth_m[index]
         if not self.block.georeferenced:

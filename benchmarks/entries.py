@@ -1,4 +1,4 @@
-"""What is timed: an entry is one solver on one problem, and gives one record per repeat."""
+"""An entry is one solver on one problem; each repeat of it is timed and gives one record."""
 
 from __future__ import annotations
 
@@ -11,32 +11,34 @@ from typing import Any, Final
 from benchmarks.cases import Counts, note
 from fg_orient.model.machine import keep_freed_memory
 
-#: A peer that has not reached the common cost after this is a lower bound.
+#: If another program has not reached the common cost after this time, its time is a lower bound.
 LIMIT_S: Final = 1200.0
 MAX_EVALUATIONS: Final = 300
-#: All programs end on the pinhole problems when the cost falls by less than this share.
+#: On the pinhole problems all programs end when the cost decreases by less than this share.
 FUNCTION_TOLERANCE: Final = 1e-8
 
 
 @dataclass
 class Outcome:
-    """One run of an entry: seconds and what it reached.
+    """The outcome of one run of an entry contains its seconds and its cost.
 
     Parameters
     ----------
     solve : float
         Seconds from the start values to the end.
     structure : float
-        Seconds of what is made once per problem: arrays, ordering, sparsity, the peer's own objects.
+        Seconds of the preparation once per problem: arrays, ordering, sparsity, the objects
+        of another program.
     iterations, evaluations : int
     cost : float or None
-        Half the weighted sum of squares; None if the run is no whole solution (one iteration only).
+        Half the weighted sum of squares; None if the run has only one iteration.
     ended : str
-        Why it ended.
+        Reason for the end of the run.
     stages : dict
         Seconds of parts, by name.
     inner : int
-        Solutions that ran one after the other; the seconds are of the one of median duration.
+        Number of solutions that ran one after the other; the seconds belong to the solution
+        with the median duration.
     """
 
     solve: float
@@ -51,7 +53,7 @@ class Outcome:
 
 @dataclass
 class Entry:
-    """A solver on a problem.
+    """An entry is a solver on a problem.
 
     Parameters
     ----------
@@ -59,9 +61,9 @@ class Entry:
         Names; ``problem`` and ``size`` say together which records may be compared.
     counts : Counts
     run : callable
-        Solve once.
+        Function that solves the problem once.
     repeats : int
-        Runs of it at most.
+        Largest number of runs.
     """
 
     problem: str
@@ -74,11 +76,11 @@ class Entry:
 
     @property
     def label(self) -> str:
-        """Name for progress lines."""
+        """Return the name for lines of progress."""
         return f"{self.problem} {self.size} {self.solver}"
 
     def record(self, outcome: Outcome) -> dict[str, Any]:
-        """One JSON record."""
+        """Return one JSON record."""
         return {
             "problem": self.problem, "size": self.size, "solver": self.solver, "repeat": len(self.records),
             "repeats": self.repeats, **asdict(self.counts), **asdict(outcome),
@@ -87,9 +89,9 @@ class Entry:
 
 @contextmanager
 def quiet_memory() -> Iterator[None]:
-    """As the adjustment does while it solves: what exists is not searched for garbage, freed memory is kept.
+    """Keep freed memory and exclude existing objects from the garbage collection.
 
-    All programs run in it.
+    The adjustment does the same while it solves. All programs run in this context.
     """
     keep_freed_memory()
     gc.collect()
@@ -103,16 +105,17 @@ def quiet_memory() -> Iterator[None]:
 
 
 def run_rounds(entries: list[Entry], budget_s: float, between: Callable[[], None]) -> None:
-    """Run all entries in each round, so that a busy moment of the machine meets all alike.
+    """Run all entries in each round, so that other work on the machine delays all entries alike.
 
     Parameters
     ----------
     entries : list of Entry
-        Their ``records`` grow.
+        The records are appended to their ``records``.
     budget_s : float
-        Seconds for all repeats of one entry: those whose first run was long are repeated less often.
+        Seconds for all repeats of one entry; entries with a long first run are repeated less
+        often.
     between : callable
-        Called once a round: measures the machine.
+        Function that is called once in each round; it measures the machine.
     """
     for turn in range(max(e.repeats for e in entries)):
         between()
@@ -130,9 +133,10 @@ def run_rounds(entries: list[Entry], budget_s: float, between: Callable[[], None
 
 
 def ceres_outcome(summary: Any, structure_s: float, seconds: float, used: str, scale: float = 1.0) -> Outcome:
-    """Give what a Ceres summary tells; its preprocessor orders the unknowns: structure, not solution.
+    """Return the outcome of a Ceres summary.
 
-    ``scale`` turns its cost into ours.
+    The preprocessor orders the unknowns; its time belongs to the structure. ``scale``
+    converts the cost of Ceres to the cost of fg_orient.
     """
     ordering, n = summary.preprocessor_time_in_seconds, int(summary.num_linear_solves)
     stages = {

@@ -1,12 +1,14 @@
-"""Least squares, regularised, minimum-norm and prior-based estimates with known true parameters, over the 20 EOP sets.
+"""The study compares least-squares, regularised, minimum-norm and prior-based estimates for the 20 EOP sets.
 
     python -m benchmarks.estimators [--seeds N]   # run, write results/estimators.json and docs/estimators.md
     python -m benchmarks.estimators --page        # the page only, from the rows
 
-The SPOT-5 pair of the published experiments: H-20, 27 control and 20 check points, image noise 0.5 px. The
-true deviation of each EOP coefficient from the metadata is normal, with a standard deviation of 0.1, 1 or 3 prior
-sigmas. The image points are those of the true orientation and the true ground points, with noise. The model is
-therefore right, and only the estimator is judged:
+The block is the SPOT-5 pair of the published experiments: H-20, 27 control and 20 check
+points, image noise 0.5 px. The true parameters are known. The true deviation of each EOP
+coefficient from the metadata is normal, with a standard deviation of 0.1, 1 or 3 prior
+sigmas. The image points are computed from the true orientation and the true ground points,
+with noise. The model is therefore right, and the study judges only the estimator by these
+figures:
 
 * share of runs without a result (refused, not converged);
 * check points: RMSE of the largest axis of East, North, Up over all seeds, m; length of the mean error (bias), m; share
@@ -35,7 +37,7 @@ from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
 from fg_orient.model.names import EOP_SETS
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 
-#: Normal quantile of a two-sided interval of 95 %.
+#: A two-sided interval of 95 % has this normal quantile.
 INSIDE: Final = 1.959964
 NOISE_PX: Final = 0.5
 SPREADS: Final = (0.1, 1.0, 3.0)
@@ -92,7 +94,7 @@ MEASURES: Final = ("sets", "deviations", "method", "without result", "check RMSE
 
 @lru_cache(maxsize=128)
 def scene(seed: int, eop_set: int, spread: float) -> tuple[fg.Block, Array, Array]:
-    """Block, true deviations (u,) in prior sigmas, and true points (N, 3)."""
+    """Return the block, the true deviations (u,) in prior sigmas, and the true points (N, 3)."""
     block, truth = zonguldak_block(ZonguldakOptions(point_set="H-20", seed=seed, image_noise_px=0.0))
     block = replace(block, options=replace(block.options, eop_set=eop_set, statistics="basic"))
     problem, rng = compile_problem(block), np.random.default_rng([seed, eop_set])
@@ -106,7 +108,7 @@ def scene(seed: int, eop_set: int, spread: float) -> tuple[fg.Block, Array, Arra
 
 
 def run(seed: int, eop_set: int, spread: float, method: str) -> dict[str, Any] | None:
-    """Errors of one estimate; None without a result."""
+    """Return the errors of one estimate; None without a result."""
     block, true_x, true_m = scene(seed, eop_set, spread)
     try:
         with np.errstate(all="ignore"):
@@ -131,10 +133,10 @@ def run(seed: int, eop_set: int, spread: float, method: str) -> dict[str, Any] |
 
 
 def study(seeds: int) -> list[dict[str, Any]]:
-    """One row per EOP set, spread and method."""
+    """Return one row per EOP set, spread and method."""
     rows = []
     for eop_set, spread, method in product(EOP_SETS, SPREADS, METHODS):
-        found = [run(seed, eop_set, spread, method) for seed in range(1, seeds + 1)]  # scenes are kept for all methods
+        found = [run(seed, eop_set, spread, method) for seed in range(1, seeds + 1)]  # all methods use the same scenes
         good = [one for one in found if one is not None]
         row: dict[str, Any] = {"eop_set": eop_set, "name": EOP_SETS[eop_set].name, "spread": spread, "method": method,
                                "runs": seeds, "failed": seeds - len(good)}  # fmt: skip
@@ -152,7 +154,7 @@ def study(seeds: int) -> list[dict[str, Any]]:
 
 
 def page(rows: list[dict[str, Any]]) -> str:
-    """Page of the documentation: RMSE at check points by set and method, then all measures by kind of set."""
+    """Return the page: the RMSE at check points by set and method, then all measures by kind of set."""
     by_key = {(r["eop_set"], r["spread"], r["method"]): r for r in rows}
     solved = {n: sum(by_key[n, s, "least squares"]["failed"] for s in SPREADS) for n in EOP_SETS}
     runs = rows[0]["runs"]
@@ -200,7 +202,7 @@ def _summary(words: str, spread: float, method: str, rows: list[dict[str, Any]])
 
 
 def main() -> None:
-    """Run the study, and write its rows and the page."""
+    """Run the study, and write the rows and the page."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=6)
     parser.add_argument("--page", action="store_true")

@@ -1,10 +1,11 @@
-"""False alarms: perfect blocks of ten kinds that end with exit code 4, and each doubt against its share.
+"""The study counts false alarms: perfect blocks of ten kinds with exit code 4, and each doubt against its share.
 
     python -m benchmarks.false_alarms [--runs N] [--workers N] [--kinds ...] [--minutes N]
 
-writes results/false_alarms.json; ``python -m benchmarks.detection_page`` puts it in docs/detection.md. Blocks are drawn
-from the sigmas of the adjustment (``benchmarks.drawn``) and adjusted with default options but those of the kind. Runs
-that the file has are not repeated.
+writes results/false_alarms.json. ``python -m benchmarks.detection_page`` writes the counts to
+docs/detection.md. Blocks are drawn from the sigmas of the adjustment (``benchmarks.drawn``)
+and adjusted with default options and the options of the kind. Runs in the file are not
+repeated.
 """
 
 from __future__ import annotations
@@ -39,13 +40,13 @@ from fg_orient.simulate.strips import StripOptions, strip_block
 Array = npt.NDArray[np.float64]
 RESULTS: Final = Path(__file__).parent / "results" / "false_alarms.json"
 RUNS: Final = 1000
-#: Runs of a kind between two writings of the file.
+#: The file is written after this number of runs of a kind.
 STEP: Final = 25
 
 
 @dataclass(frozen=True)
 class Kind:
-    """Kind of block: words, block with its truth, options of the block and of the adjustment."""
+    """A kind of block has a description, a block with its truth, and options of the block and of the adjustment."""
 
     what: str
     made: Callable[[], tuple[Block, Array]]
@@ -54,7 +55,7 @@ class Kind:
 
 
 def with_control(block: Block, count: int) -> Block:
-    """Block with this number of control points; the others have no coordinates."""
+    """Return the block with this number of control points; the other points have no coordinates."""
     gone = np.zeros(len(block.points.ids), bool)
     gone[block.points.where(Role.CONTROL)[count:]] = True
     return replace(block, points=block.points.without_coordinates(gone, Role.TIE))
@@ -77,7 +78,7 @@ def grid(**options: Any) -> Callable[[], tuple[Block, Array]]:
 
 
 def rpc_alone() -> tuple[Block, Array]:
-    """RPC images without control and check points."""
+    """Return a block of RPC images without control and check points."""
     block, truth = base("rpc")
     points = block.points.without_coordinates(np.ones(len(block.points.ids), bool), Role.TIE)
     return replace(block, points=points, withheld=replace(block.withheld, ids=())), truth
@@ -117,14 +118,14 @@ KINDS: Final = {
 
 @lru_cache(maxsize=1)
 def source(kind: str) -> Source:
-    """Source of the draws of a kind."""
+    """Return the source of the draws of a kind."""
     block, truth = KINDS[kind].made()
     options = KINDS[kind].options | KINDS[kind].drawn_with
     return Source(replace(block, options=replace(block.options, **options)), truth)
 
 
 def run_of(kind: str, run: int) -> list[str]:
-    """Codes of the doubts and causes of a run; a refusal is one, too."""
+    """Return the codes of the doubts and causes of a run; a refusal also has a code."""
     block = source(kind).draw(np.random.default_rng([list(KINDS).index(kind), run])).block
     try:
         solution = fg.adjust(replace(block, options=replace(block.options, **KINDS[kind].options)))
@@ -135,17 +136,17 @@ def run_of(kind: str, run: int) -> list[str]:
 
 
 def some_runs(kind: str, first: int, count: int) -> list[list[str]]:
-    """Codes of some runs."""
+    """Return the codes of some runs."""
     return [run_of(kind, run) for run in range(first, first + count)]
 
 
 def loaded() -> dict[str, Any]:
-    """Kinds of the file of results."""
+    """Return the kinds of the file of results."""
     return json.loads(RESULTS.read_text("utf-8"))["kinds"] if RESULTS.exists() else {}  # type: ignore[no-any-return]
 
 
 def main() -> None:
-    """Run what is missing."""
+    """Make the runs that are missing."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=RUNS)
     parser.add_argument("--workers", type=int, default=1)

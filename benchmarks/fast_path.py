@@ -1,12 +1,16 @@
-"""Our backends against other software, in one run: raw records as JSON, one table.
+"""The benchmark compares the backends of fg_orient with other software in one run.
+
+It writes records as JSON and prints a table.
 
     python -m benchmarks.fast_path [--full] [--sizes 94 1e3 ...] [--pinhole 1e3 ...] [--repeats N] [--no-peers]
                                    [--budget S] [--json FILE] [--page]
 
-Without --full sizes up to 1e5, three repeats and the peers that end within seconds: some minutes. With --full all
-sizes, seven repeats and all peers: hours; it writes benchmarks/results/fast_path.json and docs/performance.md. All
-entries run once in each round, BLAS has one thread, what compiles is called before and reported apart.
-``FG_ORIENT_REAL_DATA`` names the folder with bal/problem-49-7776-pre.txt.gz, timed by --full as well.
+Without --full a run takes some minutes: sizes up to 1e5, three repeats, and only the other
+programs that end within seconds. With --full it takes hours: all sizes, seven repeats and all
+other programs. It then writes benchmarks/results/fast_path.json and docs/performance.md. All
+entries run once in each round, and BLAS has one thread. Functions that compile are called
+before; their time is reported separately. ``FG_ORIENT_REAL_DATA`` names the folder with
+bal/problem-49-7776-pre.txt.gz, which --full also times.
 """
 
 from __future__ import annotations
@@ -15,7 +19,7 @@ import os
 import sys
 
 if os.environ.get("OPENBLAS_NUM_THREADS") != "1" or os.environ.get("OMP_NUM_THREADS") != "1":
-    # read when numpy is loaded, so it cannot be set here for this process
+    # numpy reads the variable when it is loaded; therefore it cannot be set here for this process
     os.environ |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     os.execv(sys.executable, [sys.executable, "-m", "benchmarks.fast_path", *sys.argv[1:]])
 
@@ -44,17 +48,18 @@ from fg_orient.simulate.block import BlockOptions, simulate_block
 
 RESULTS: Final = Path(__file__).parent / "results" / "fast_path.json"
 PACKAGES: Final = ("fg-orient", "gtsam", "numpy", "scipy", "numba", "pyceres", "pycolmap")
-#: Image points above which a peer is left to --full, and left out: the graph needs 12 kB for each.
+#: Above the first number of image points the graph does not run, because it needs 12 kB for
+#: each. Above the second number other programs run only with --full.
 GRAPH_LIMIT, PEER_LIMIT = 200_000, 20_000
 FULL_PEER_LIMIT: Final = 200_000
-#: Ours: the threads that the backend takes by itself, one, two.
+#: The backends of fg_orient run with their default number of threads, with one and with two.
 THREADS: Final = {"schur": None, "schur-1": 1, "schur-2": 2}
-#: A run of the full set may take this long per entry for its repeats.
+#: In a full run the repeats of one entry may take this time, s.
 FULL_BUDGET_S, BUDGET_S = 900.0, 60.0
 
 
 def spot_entries(size: str, given: argparse.Namespace, folder: Path) -> list[Entry]:
-    """All solvers on the synthetic block of a size."""
+    """Return the entries of all solvers on the synthetic block of a size."""
     cases.note(f"simulating {size}")
     block = cases.spot_block(size)
     problem = compile_problem(block)
@@ -82,7 +87,7 @@ def spot_entries(size: str, given: argparse.Namespace, folder: Path) -> list[Ent
 
 
 def reading(size: str, folder: Path) -> Callable[[], Outcome]:
-    """``read_project`` of the block's files: metadata, tables, project."""
+    """Return the seconds that ``read_project`` takes for the files of the block: metadata, tables, project."""
     s = cases.SIZES[size]
     options = BlockOptions(rows=s.rows, columns=s.columns, points=s.points, check_share=0.0)
     project = simulate_block(folder / size, options)
@@ -96,7 +101,7 @@ def reading(size: str, folder: Path) -> Callable[[], Outcome]:
 
 
 def resection_entries(given: argparse.Namespace) -> list[Entry]:
-    """94 control points in one image."""
+    """Return the entries of the resection with 94 control points in one image."""
     problem = cases.resection_problem()
     flat = FlatProblem(problem)
     runs: dict[str, Callable[[], Outcome]] = {
@@ -111,7 +116,7 @@ def resection_entries(given: argparse.Namespace) -> list[Entry]:
 
 
 def pinhole_entries(given: argparse.Namespace) -> list[Entry]:
-    """The pinhole problems, ours and the compiled peers."""
+    """Return the entries of the pinhole problems for fg_orient and the compiled programs."""
     problems: dict[str, Problem | None] = {size: pinhole.pinhole_problem(size) for size in given.pinhole}
     if given.full:
         problems["ladybug-49"] = pinhole.ladybug_problem()
@@ -122,7 +127,7 @@ def pinhole_entries(given: argparse.Namespace) -> list[Entry]:
             continue
         arrays, counts = pinhole.as_pinhole(problem), cases.counts(problem)
         runs: dict[str, Callable[[], Outcome]] = {name: own.damped(problem, t) for name, t in THREADS.items()}
-        # their datum is free: Gauss-Newton's equations are singular
+        # the datum is free, so that the equations of Gauss-Newton are singular
         runs["graph-levenberg-marquardt"] = own.eliminated(problem, "levenberg-marquardt")
         if not given.no_peers:
             runs |= {f"ceres-{t}": peers_pinhole.ceres(arrays, t) for t in (1, 2)}
@@ -132,11 +137,11 @@ def pinhole_entries(given: argparse.Namespace) -> list[Entry]:
 
 
 def warm_up(given: argparse.Namespace) -> float:
-    """Compile or load everything that the timed runs call: seconds."""
+    """Compile or load everything that the timed runs call; return the seconds."""
     start = time.perf_counter()
     small = compile_problem(cases.spot_block("94"))
     frames = pinhole.pinhole_problem("1e3")
-    more = compile_problem(cases.spot_block("1e3"))  # the first calls with fewer points are plain Python
+    more = compile_problem(cases.spot_block("1e3"))  # with fewer points the first calls are plain Python
     for threads in (1, 2):
         own.schur(small, threads)()
         own.schur(more, threads)()
@@ -152,7 +157,7 @@ def warm_up(given: argparse.Namespace) -> float:
 
 
 def machine(given: argparse.Namespace) -> dict[str, Any]:
-    """What ran where."""
+    """Return versions of the programs and properties of the machine."""
     versions = {}
     for package in PACKAGES:
         try:
@@ -170,7 +175,7 @@ def machine(given: argparse.Namespace) -> dict[str, Any]:
 
 
 def run(given: argparse.Namespace) -> dict[str, Any]:
-    """Everything that is asked for."""
+    """Make the runs of all sizes and programs that are asked for."""
     results: dict[str, Any] = {"machine": machine(given), "jit_s": warm_up(given), "hardware": []}
     folder, meter = Path(tempfile.mkdtemp()), Meter()
     try:
@@ -188,7 +193,7 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Print the table; always 0: a benchmark reports, it does not judge."""
+    """Print the table. The exit code is always 0, because a benchmark only reports."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--full", action="store_true", help="all sizes and peers, seven repeats; writes the page")
     parser.add_argument("--sizes", nargs="+", choices=list(cases.SIZES))

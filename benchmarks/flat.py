@@ -1,7 +1,8 @@
-"""A problem as one vector of unknowns and one of residuals, for solvers that know nothing of images and points.
+"""The module writes a problem as a vector of unknowns and a vector of residuals for general solvers.
 
-Residuals and Jacobians come from the compiled scalar function that our factors call (``Equation.fill``), in the same
-units, from the same start: half the sum of squares is the cost that our backends report.
+Residuals and Jacobians come from the compiled scalar function that the factors call
+(``Equation.fill``), in the same units and from the same start. Therefore half the sum of
+squares is the cost that the backends of fg_orient report.
 """
 
 from __future__ import annotations
@@ -22,11 +23,11 @@ Array = npt.NDArray[np.float64]
 
 @cache
 def loop_over(fill: Any) -> Any:
-    """Compiled loop over the image points of a problem with one equation and one set of unknowns."""
+    """Return the compiled loop over the image points of a problem with one equation and one set of unknowns."""
 
     @njit
     def rows(records, setup, image, place, x, first_point, fixed, value, data, want):  # type: ignore[no-untyped-def]
-        """Write residuals (2 n) and, if wanted, the Jacobian's rows, image unknowns before point unknowns."""
+        """Write the residuals (2 n) and, if wanted, the Jacobian's rows; image unknowns stand before point unknowns."""
         k = setup.shape[1]
         out, ground, at = np.empty((2, k + 4)), np.empty(3), 0
         for a in range(len(image)):
@@ -47,12 +48,12 @@ def loop_over(fill: Any) -> Any:
 
 
 class FlatProblem:
-    """Unknowns: those of all images, then the coordinates of the unknown ground points (m, local).
+    """The unknowns are those of all images, followed by the coordinates of the unknown ground points (m, local).
 
     Parameters
     ----------
     problem : Problem
-        All images of one equation with the same unknowns; with priors or without.
+        All images have one equation and the same unknowns, with or without priors.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -83,11 +84,11 @@ class FlatProblem:
 
     @property
     def n_residuals(self) -> int:
-        """Equations: image points, control points, priors."""
+        """Number of equations of image points, control points and priors."""
         return 2 * len(self.image) + 3 * len(self.observed) + self.priors * self.n_image_unknowns
 
     def _pattern(self) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32], Array]:
-        """CSR columns and row starts, and the elements that never change: control points and priors."""
+        """Return the CSR columns and row starts, and the constant elements of control points and priors."""
         first = self.n_image_unknowns
         image = self.k * self.image[:, None] + np.arange(self.k)
         point = first + 3 * self.place[:, None] + np.arange(3)
@@ -102,7 +103,7 @@ class FlatProblem:
         return indices, indptr, np.concatenate([self.w.ravel(), np.ones(len(priors))])
 
     def residuals(self, x: Array) -> Array:
-        """All residuals."""
+        """Return all residuals."""
         return self._evaluate(x, np.empty(0), want=False)
 
     def _evaluate(self, x: Array, data: Array, *, want: bool) -> Array:
@@ -121,23 +122,23 @@ class FlatProblem:
         return value
 
     def jacobian(self, x: Array) -> sp.csr_matrix:
-        """All derivatives, sparse."""
+        """Return all derivatives as a sparse matrix."""
         data = np.empty(len(self._indices))
         self._evaluate(x, data, want=True)
         data[self._n_data :] = self._constant
         return sp.csr_matrix((data, self._indices, self._indptr), shape=(self.n_residuals, len(x)))
 
     def sparsity(self) -> sp.csr_matrix:
-        """Where the Jacobian may differ from zero."""
+        """Return the pattern of elements of the Jacobian that may differ from zero."""
         ones = np.ones(len(self._indices))
         return sp.csr_matrix((ones, self._indices, self._indptr), shape=(self.n_residuals, len(self.start)))
 
     def warm_up(self) -> None:
-        """Compile what the methods call."""
+        """Compile the functions that the methods call."""
         self.residuals(self.start)
         self.jacobian(self.start)
 
     def cost(self, x: Array) -> float:
-        """Half the sum of squares."""
+        """Return half the sum of squares."""
         value = self.residuals(x)
         return 0.5 * float(value @ value)

@@ -1,10 +1,11 @@
-"""Free networks of frame images: processor seconds and memory of an adjustment with all statistics.
+"""The benchmark measures processor seconds and memory of free networks of frame images with all statistics.
 
     python -m benchmarks.frames [--sizes NAME ...]
 
-Synthetic photos around an object, one shared camera, scale bars, no control, start values with errors. Each size runs
-in a process of its own, once before it is measured, so that nothing is compiled or loaded in the second run.
-Statistics: covariance of all points and images, redundancy numbers, reliability and tests of all observations,
+Synthetic photos around an object share one camera. There are scale bars and no control, and
+the start values have errors. Each size runs twice in a process of its own; the second run is
+measured, so that nothing is compiled or loaded in it. The statistics are the covariance of
+all points and images, redundancy numbers, reliability and tests of all observations, and the
 significance of the camera parameters.
 """
 
@@ -35,7 +36,7 @@ from fg_orient.sensors.frame import FrameCamera, FrameSensor
 
 NOISE_PX: Final = 0.3
 FOCAL_PX: Final = 2400.0
-#: Exterior and camera parameters with units that move an image point by about a pixel.
+#: If an exterior or camera parameter changes by its unit, an image point moves by about a pixel.
 POSE: Final = {
     "rotation_x": 1e-3, "rotation_y": 1e-3, "rotation_z": 1e-3, "centre_x": 0.01, "centre_y": 0.01, "centre_z": 0.01,
 }  # fmt: skip
@@ -47,7 +48,7 @@ CAMERA: Final = {
 
 @dataclass(frozen=True)
 class Size:
-    """A network; ``views``: photos that see a point, 0 for all; ``limit_s``: processor seconds that it may take."""
+    """A size of a network; ``views``: photos that see a point, 0 for all; ``limit_s``: largest processor seconds."""
 
     photos: int
     points: int
@@ -68,7 +69,7 @@ SIZES: Final = {
 
 
 def network(size: Size, seed: int = 0) -> tuple[fg.Block, Array]:
-    """Block of photos on a ring that look at an object of 6 m, and the true points (N, 3), m."""
+    """Return a block of photos on a ring that look at an object of 6 m, and the true points (N, 3), m."""
     rng, n = np.random.default_rng(seed), size.photos
     angle = 2.0 * np.pi * np.arange(n) / n
     centre = np.column_stack([12.0 * np.cos(angle), 12.0 * np.sin(angle), rng.uniform(-4.0, 4.0, n)])
@@ -124,7 +125,7 @@ def network(size: Size, seed: int = 0) -> tuple[fg.Block, Array]:
 
 
 def statistics(solution: fg.Solution) -> Array:
-    """Everything that is asked of a network: cofactors of all points."""
+    """Compute all statistics of a network; return the cofactors of all points."""
     q = solution.cofactors.points(np.arange(len(solution.block.points.ids)))
     solution.reliability()
     solution.suspicious()
@@ -133,7 +134,7 @@ def statistics(solution: fg.Solution) -> Array:
 
 
 def measured(name: str) -> dict[str, Any]:
-    """Second run of a size."""
+    """Measure the second run of a size."""
     size = SIZES[name]
     block, _ = network(size)
     statistics(fg.adjust(network(replace(size, points=min(size.points, max(300, 20 * size.photos))), 1)[0]))  # compiles
@@ -153,7 +154,7 @@ def measured(name: str) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Print one line per size; always 0: a benchmark reports, it does not judge."""
+    """Print one line per size. The exit code is always 0, because a benchmark only reports."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--sizes", nargs="+", choices=list(SIZES), default=list(SIZES))
     parser.add_argument("--one", help=argparse.SUPPRESS)

@@ -1,4 +1,4 @@
-"""The goals of the fast path and what a run measured of them; every row is measured or says why it is not."""
+"""The module lists the goals of the fast path. Each row has the measured figure or the reason why there is none."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Final
 
 from benchmarks.summary import Record, Summary, Value, iteration_seconds, steady_seconds, whole_seconds
 
-#: The Schur backend with the threads that it takes by itself.
+#: The goals are measured on the Schur backend with its default number of threads.
 OURS: Final = "schur"
 LARGE: Final = ("1e4", "1e5", "1e6")
 PINHOLE: Final = ("1e3", "1e4", "1e5", "340 mixed")
@@ -20,10 +20,10 @@ Figure = Callable[[Record], float]
 
 @dataclass(frozen=True)
 class Goal:
-    """One row: limits in the row's unit, and how to measure it.
+    """A goal is one row, with limits in its unit and the function that measures it.
 
-    ``limit`` is required; ``target`` and ``stretch`` are targets; without any the figure is reported. ``more``: larger
-    is better.
+    ``limit`` must be met; ``target`` and ``stretch`` are targets. Without any of them the
+    figure is only reported. ``more`` states that larger figures are better.
     """
 
     name: str
@@ -35,7 +35,7 @@ class Goal:
     digits: int = 2
 
     def verdict(self, found: Value | None) -> str:
-        """The furthest mark that was met; a lower bound that misses leaves it open."""
+        """Return the most demanding limit that was met. A lower bound that misses a limit leaves it undecided."""
         if found is None:
             return "not measured"
         marks = [("limit", self.limit), ("target", self.target), ("stretch", self.stretch)]
@@ -55,23 +55,23 @@ def _exact(value: float | None) -> Value | None:
 
 
 def _worst(values: list[Value | None]) -> Value | None:
-    """The largest of those that were measured, if all were."""
+    """Return the largest value if all were measured, else None."""
     found = [v for v in values if v is not None]
     return max(found, key=lambda v: v.median) if len(found) == len(values) else None
 
 
 def _us(size: str, solver: str, of: Figure) -> Measure:
-    """Microseconds per image point of the SPOT problem."""
+    """Return the function for the microseconds per image point of the SPOT problem."""
     return lambda s: s.per_point_us("spot", size, solver, of)
 
 
 def _whole(peer: str, size: str) -> Measure:
-    """Peer / fg_orient, structure and solution."""
+    """Return the function for the ratio of another program to fg_orient: structure and solution."""
     return lambda s: s.ratio("spot", size, peer, OURS, whole_seconds)
 
 
 def _iteration(peer: str, size: str, problem: str = "spot") -> Measure:
-    """Peer / fg_orient, solution over iterations."""
+    """Return the function for the ratio of another program to fg_orient: solution divided by iterations."""
     return lambda s: s.ratio(problem, size, peer, OURS, iteration_seconds)
 
 
@@ -80,7 +80,7 @@ def _resection(peer: str) -> Measure:
 
 
 def _linear_solver(own: str) -> Measure:
-    """Ceres' linear solver, once, over the same work of ours: all of an iteration but to linearise."""
+    """Return the function for the ratio of Ceres' linear solver to an iteration of fg_orient without linearising."""
 
     def theirs(record: Record) -> float:
         return float(record["stages"]["linear_solver"] / record["stages"]["linear_solves"])
@@ -97,7 +97,7 @@ def _stage(name: str) -> Figure:
 
 
 def _large(of: Figure, factor: float = 1.0) -> Measure:
-    """Seconds of ours at 1e6."""
+    """Return the function for the seconds of fg_orient at 1e6."""
 
     def measure(s: Summary) -> Value | None:
         found = s.value("spot", "1e6", OURS, of)
@@ -136,12 +136,12 @@ def _must(name: str, measure: Measure, limit: float, *, more: bool = False, digi
 
 
 def _least(name: str, measure: Measure, target: float, stretch: float | None = None, digits: int = 0) -> Goal:
-    """Larger is better."""
+    """Return a goal for which larger figures are better."""
     return Goal(name, measure, target=target, stretch=stretch, more=True, digits=digits)
 
 
 def _optimizers(size: str, factor: float, dogleg: float) -> tuple[Goal, ...]:
-    """GTSAM's optimisers over factors with eliminated points, against our own loop: structure and solution."""
+    """Return goals: GTSAM's optimisers over factors with eliminated points against the loop of fg_orient."""
     own = {"gauss-newton": OURS, "levenberg-marquardt": "schur-levenberg-marquardt", "dogleg": OURS}
 
     def measure(kind: str) -> Measure:
@@ -152,16 +152,16 @@ def _optimizers(size: str, factor: float, dogleg: float) -> tuple[Goal, ...]:
 
 
 def _pinhole(peer: str, size: str) -> Measure:
-    """Peer / GTSAM's Levenberg-Marquardt over factors with eliminated points: structure and solution."""
+    """Return the ratio of another program to GTSAM's Levenberg-Marquardt over factors with eliminated points."""
     return lambda s: s.ratio("pinhole", size, peer, "graph-levenberg-marquardt", whole_seconds)
 
 
 def _most(name: str, measure: Measure, target: float, stretch: float | None = None, digits: int = 2) -> Goal:
-    """Smaller is better."""
+    """Return a goal for which smaller figures are better."""
     return Goal(name, measure, target=target, stretch=stretch, digits=digits)
 
 
-#: What the fast path must reach, in one run.
+#: The fast path must meet these limits in one run.
 MUST: Final = (
     *(_must(f"iteration at {n} / hardware bound", _over_bound(n, False), 2.5) for n in LARGE),
     *(_must(f"iteration at {n} / bound with a banded factorisation", _over_bound(n, True), 2.5) for n in LARGE),
@@ -177,7 +177,7 @@ MUST: Final = (
     _must("three iterations at 1e6, s", _large(steady_seconds, 3.0), 1.65),
 )
 
-#: What GTSAM's optimisers must reach, in one run.
+#: GTSAM's optimisers must meet these limits in one run.
 GRAPH: Final = (
     *_optimizers("1e4", 2.5, 2.5),
     *_optimizers("1e5", 1.5, 2.5),
@@ -186,7 +186,7 @@ GRAPH: Final = (
         _must(f"Ceres C++ (2 threads) / graph, pinhole, {n}", _pinhole("ceres-2", n), 1.0, more=True)
         for n in PINHOLE[:-1]
     ),
-    # GTSAM solves one factor of 3060 unknowns there, which takes most of the time
+    # here GTSAM solves one factor of 3060 unknowns, which takes most of the time
     Goal("Ceres C++ (2 threads) / graph, pinhole, 340 mixed", _pinhole("ceres-2", "340 mixed")),
     *(_must(f"GTSAM C++ / graph, pinhole, {n}", _pinhole("gtsam", n), 1.0, more=True) for n in PINHOLE),
     _must("working set of the graph at 1e6, B per image point", _graph_memory, 350.0, digits=0),
@@ -221,5 +221,5 @@ WISHED: Final = (
 
 
 def shown(value: float, digits: int) -> str:
-    """A number with its decimals, or a dash."""
+    """Return the text of a number with its decimals, or a dash."""
     return "-" if math.isnan(value) else f"{value:.{digits}f}"

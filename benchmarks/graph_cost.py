@@ -1,12 +1,13 @@
-"""Cost of the graph path per image point and iteration, and against empty Python factors.
+"""The benchmark measures the graph backend per image point and iteration, and compares it with empty Python factors.
 
     OPENBLAS_NUM_THREADS=1 python benchmarks/graph_cost.py [--sizes 1000 3000 10000] [--repeats 5] [--json FILE]
 
-One block (3 x 3 scenes, set 20, 27 unknowns per image) at several numbers of image points. An
-iteration is what the Gauss-Newton loop does: linearise, error, eliminate, retract. The same
-graph with *empty* Python factors (constant Jacobians, no arithmetic) costs what GTSAM and its
-Python callback cost; the ratio is what our equation adds. Runs of both alternate; medians.
-Targets: largest to smallest cost per image point <= 1.3, ratio <= 1.5.
+One block (3 x 3 scenes, set 20, 27 unknowns per image) is measured with several numbers of
+image points. An iteration consists of the steps of the Gauss-Newton loop: linearise, error,
+eliminate, retract. The same graph with *empty* Python factors (constant Jacobians, no
+arithmetic) takes the time of GTSAM and its Python callbacks. The ratio therefore shows the
+time of the equation. Runs of both alternate, and the medians are compared. Targets: the
+largest cost per image point is at most 1.3 times the smallest, and the ratio is at most 1.5.
 """
 
 from __future__ import annotations
@@ -29,11 +30,11 @@ from fg_orient.model.block import Block
 from fg_orient.model.machine import calm_memory
 from fg_orient.simulate.block import BlockOptions, grid_block
 
-IMAGE_POINTS_PER_POINT = 3.0  # of a 3 x 3 block, for the first guess
+IMAGE_POINTS_PER_POINT = 3.0  # first estimate for a 3 x 3 block
 
 
 def block_of(image_points: int) -> Block:
-    """A 3 x 3 block with close to this many image points."""
+    """Return a 3 x 3 block with about this number of image points."""
     guess = round(image_points / IMAGE_POINTS_PER_POINT)
     block, _ = grid_block(BlockOptions(rows=3, columns=3, points=guess))
     second = round(guess * image_points / len(block.observations))
@@ -42,7 +43,7 @@ def block_of(image_points: int) -> Block:
 
 
 def empty_graph(problem: Problem, backend: ExplicitBackend) -> gtsam.NonlinearFactorGraph:
-    """The same graph with constant Jacobians: callbacks that compute nothing."""
+    """Return the same graph with constant Jacobians, whose callbacks compute nothing."""
     _, j_image, j_ground = linearised(problem, problem.start)
     graph, unit, zero = gtsam.NonlinearFactorGraph(), gtsam.noiseModel.Unit.Create(2), np.zeros(2)
     j_image_mean, j_ground_mean = np.mean(j_image, axis=0), np.mean(j_ground, axis=0)
@@ -53,19 +54,19 @@ def empty_graph(problem: Problem, backend: ExplicitBackend) -> gtsam.NonlinearFa
         return zero
 
     o = problem.observations
-    for row in np.argsort(o.point, kind="stable"):  # the order of our graph
+    for row in np.argsort(o.point, kind="stable"):  # the same order as in the graph of fg_orient
         keys = [image_key(int(o.image[row])), point_key(int(o.point[row]))]
         graph.add(gtsam.CustomFactor(unit, keys, empty))
     for k in range(len(o), backend.graph.size()):
         graph.add(backend.graph.at(k))
-    # a tight prior on every point keeps the averaged Jacobians solvable
+    # a strong prior on every point makes the system of averaged Jacobians solvable
     for j in np.flatnonzero(problem.active):
         graph.addPriorPoint3(point_key(int(j)), problem.start.ground[j], gtsam.noiseModel.Isotropic.Sigma(3, 1.0))
     return graph
 
 
 def iteration_seconds(backend: ExplicitBackend, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> float:
-    """One iteration: linearise, error, eliminate, retract."""
+    """Return the seconds of one iteration: linearise, error, eliminate, retract."""
     start = time.perf_counter()
     linear = graph.linearize(values)
     linear.error(backend.zero)
@@ -74,7 +75,7 @@ def iteration_seconds(backend: ExplicitBackend, graph: gtsam.NonlinearFactorGrap
 
 
 class Case:
-    """One size: the problem, its graph and the empty one, and the seconds measured so far."""
+    """A case is one size with its problem, its graph, the empty graph, and the seconds measured so far."""
 
     def __init__(self, image_points: int) -> None:
         problem = compile_problem(block_of(image_points))
@@ -85,13 +86,17 @@ class Case:
         self.seconds: list[tuple[float, float]] = []
 
     def run(self) -> tuple[float, float]:
-        """Seconds of one iteration of ours and of the empty graph."""
-        iteration_seconds(self.backend, self.empty, self.values)  # memory is grown before either is timed
+        """Measure the seconds of one iteration of the graph and of the empty graph."""
+        # both graphs allocate their memory before they are timed
+        iteration_seconds(self.backend, self.empty, self.values)
         ours = iteration_seconds(self.backend, self.backend.graph, self.values)
         return ours, iteration_seconds(self.backend, self.empty, self.values)
 
     def row(self) -> dict[str, float]:
-        """Medians in microseconds per image point and iteration; the ratio pair by pair."""
+        """Return the medians in microseconds per image point and iteration.
+
+        The ratio is computed for each pair of runs.
+        """
         pairs = np.array(self.seconds)
         ours, nothing = np.median(pairs, axis=0) / self.n * 1e6
         ratio = float(np.median(pairs[:, 0] / pairs[:, 1]))
@@ -99,7 +104,7 @@ class Case:
 
 
 def main() -> int:
-    """Print the table; always 0: a benchmark reports, it does not judge."""
+    """Print the table. The exit code is always 0, because a benchmark only reports."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sizes", type=int, nargs="+", default=[1000, 3000, 10000])
     parser.add_argument("--repeats", type=int, default=5)
@@ -110,8 +115,9 @@ def main() -> int:
         case.run()  # warms up
     gc.collect()
     gc.freeze()
-    with calm_memory():  # as the adjustment does while it solves
-        for _ in range(given.repeats):  # all sizes in each round: a busy moment of the machine meets all alike
+    with calm_memory():  # the adjustment does the same while it solves
+        # all sizes run in each round, so that other work on the machine delays all alike
+        for _ in range(given.repeats):
             for case in cases:
                 case.seconds.append(case.run())
     rows = [case.row() for case in cases]

@@ -1,9 +1,10 @@
-"""What this machine can do, measured in the same run, and the least time of an iteration that follows from it.
+"""The module measures the rates of this machine and computes the least time of an iteration from them.
 
-Bytes and flops per image point are counted by hand (+-30 %): to linearise moves 450 B and takes 330 flop; the point
-blocks move 192 B; a pair of rays of one point takes 1458 flop for its block of the reduced system (components times
-basis, 27 unknowns per image). The reduced system is charged at the rate of matrix products, which a factorisation does
-not reach. Back-substitution, gradients and priors are not charged: the bound is low.
+Bytes and flops per image point are counted by hand (+-30 %). To linearise moves 450 B and
+takes 330 flop; the point blocks move 192 B. A pair of rays of one point takes 1458 flop for
+its block of the reduced system (components times basis, 27 unknowns per image). The bound is
+low for two reasons: the factorisation is counted at the rate of matrix products, which it
+does not reach, and back-substitution, gradients and priors are not counted.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ PAIR_FLOP: Final = 1458.0
 TRIAD_LENGTH: Final = 20_000_000
 PRODUCT_SIZE: Final = 1200
 CHOLESKY_SIZE: Final = 2000
-#: Bytes that a triad moves per element: two are read, one is written.
+#: A triad moves these bytes per element: it reads two numbers and writes one.
 TRIAD_BYTES: Final = 24.0
 
 
@@ -44,7 +45,7 @@ def _triad(a: Array, b: Array, c: Array, factor: float) -> None:
 
 @dataclass(frozen=True)
 class Hardware:
-    """Rates of one or two threads: bytes/s of a triad, flop/s of matrix products and of Cholesky (one thread)."""
+    """Rates for one or two threads: bytes/s of a triad, flop/s of matrix products and of Cholesky (one thread)."""
 
     triad: dict[int, float]
     product: dict[int, float]
@@ -52,7 +53,7 @@ class Hardware:
 
 
 def this_machine() -> dict[str, Any]:
-    """Processor, bits of its vectors, cores, Python and load."""
+    """Return the processor, the bits of its vectors, cores, Python and load."""
     return {
         "processor": processor_name(), "cores": os.cpu_count(), "vector_bits": 64 * LANES,
         "python": platform.python_version(), "load": os.getloadavg()[0],
@@ -60,7 +61,7 @@ def this_machine() -> dict[str, Any]:
 
 
 class Meter:
-    """Measures the machine again and again, between everything else that is timed."""
+    """The meter measures the machine repeatedly between the timed runs."""
 
     def __init__(self) -> None:
         rng = np.random.default_rng(0)
@@ -73,7 +74,7 @@ class Meter:
         _triad(*(a[:2] for a in self._arrays), 2.0)
 
     def measure(self) -> dict[str, float]:
-        """One record: rates in bytes/s and flop/s."""
+        """Return one record with the rates in bytes/s and flop/s."""
         out = {}
         for threads in (1, 2):
             cuts = np.linspace(0, TRIAD_LENGTH, threads + 1).astype(int)
@@ -94,7 +95,7 @@ class Meter:
 
 
 def best(records: list[dict[str, float]]) -> Hardware:
-    """The highest rates of all records: a bound must not profit from a busy moment."""
+    """Return the highest rates of all records, so that other work on the machine does not raise the bound."""
     top = {name: max(r[name] for r in records) for name in records[0]}
     return Hardware({n: top[f"triad_{n}"] for n in (1, 2)}, {n: top[f"product_{n}"] for n in (1, 2)}, top["cholesky_1"])
 
@@ -102,17 +103,18 @@ def best(records: list[dict[str, float]]) -> Hardware:
 def iteration_bound(
     machine: Hardware, threads: int, image_points: int, pairs: int, unknowns: int, half_bandwidth: int | None = None
 ) -> float:
-    """Least seconds of one iteration.
+    """Return the least seconds of one iteration.
 
     Parameters
     ----------
     machine : Hardware
     threads : int
-        1 or 2; the reduced system is solved by one.
+        Number of threads, 1 or 2; the reduced system is solved by one thread.
     image_points, pairs, unknowns : int
-        Image points, pairs of rays, unknowns of all images.
+        Numbers of image points, of pairs of rays, and of unknowns of all images.
     half_bandwidth : int, optional
-        Of the reduced system: charges the factorisation of a band where that is less than the full matrix.
+        Half bandwidth of the reduced system; the factorisation of the band is counted if it
+        takes less than that of the full matrix.
     """
     memory, arithmetic = machine.triad[threads], machine.product[threads]
     per_point = max(LINEARISE_BYTES / memory, LINEARISE_FLOP / arithmetic) + POINT_BYTES / memory
@@ -123,5 +125,5 @@ def iteration_bound(
 
 
 def pair_bound(machine: Hardware, threads: int, pairs: int) -> float:
-    """Least seconds of the blocks of the reduced system."""
+    """Return the least seconds of the blocks of the reduced system."""
     return pairs * PAIR_FLOP / machine.product[threads]

@@ -1,7 +1,8 @@
-"""The doubts of docs/verdict.md in a linear model, from their formulas: no code of the tests of fg_orient.
+"""The module computes the doubts of docs/verdict.md in a linear model from their formulas, without code of fg_orient.
 
-With the whitened Jacobian A of observations and priors at the truth, ``Q = (A^T A)^-1``, ``R = I - A Q A^T`` and errors
-e of the observations, in sigmas, the residuals are ``v = -R e``; check points move by ``J Q A^T e``.
+A is the whitened Jacobian of observations and priors at the truth,
+``Q = (A^T A)^-1`` and ``R = I - A Q A^T``. Errors e of the observations, in sigmas, make the
+residuals ``v = -R e`` and move the check points by ``J Q A^T e``.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from fg_orient.model.names import Role
 from fg_orient.quality.deficiency import compiled_problem
 
 Array = npt.NDArray[np.float64]
-#: Shares of docs/verdict.md, Baarda's level, least factor of sigmas.
+#: The shares are those of docs/verdict.md; then follow Baarda's level and the least factor of sigmas.
 SHARE: Final = {"sigma0": 0.0005, "gross": 0.002, "prior": 0.001, "far": 0.001, "beyond": 0.001, "sigmas": 0.001}
 BAARDA: Final = 0.001
 MATTERS: Final = 1.25
@@ -29,18 +30,19 @@ MATTERS: Final = 1.25
 
 @dataclass(frozen=True, eq=False)
 class LinearBlock:
-    """Linear model of a block at the truth.
+    """A linear block is the linear model of a block at the truth.
 
     Parameters
     ----------
     problem : Problem
     n_image, n_control : int
-        Rows of image points, of control points (East, North, Up); the priors follow.
+        Numbers of rows of image points and of control points (East, North, Up); the priors
+        follow.
     q, r : (u, u), (n, n) arrays
     effect : (u, n) array
         ``Q A^T``.
     check : (3k, u) array
-        Check coordinates East, North, Up by unknowns.
+        Derivatives of the check coordinates East, North, Up by the unknowns.
     check_sigma : (3k,) array
     """
 
@@ -55,7 +57,7 @@ class LinearBlock:
 
     @classmethod
     def of(cls, block: Block, drawn: Drawn) -> LinearBlock:
-        """Linear model of a block without errors."""
+        """Return the linear model of a block without errors."""
         problem = compiled_problem(block)
         state = State(np.zeros_like(problem.start.image), drawn.truth_m - problem.origin_m)
         _, a = assemble(problem, state)
@@ -76,11 +78,11 @@ class LinearBlock:
                    check, sigma)  # fmt: skip
 
     def errors(self, block: Block, drawn: Drawn) -> tuple[Array, Array]:
-        """Errors (n,) of all rows in stated sigmas, and (3k,) of check coordinates in metres, by a mistake."""
+        """Return the errors of a mistake: (n,) of all rows in stated sigmas, and (3k,) of check coordinates, m."""
         o, e = block.observations, np.zeros(len(self.r))
         shown = drawn.pixels
         given = np.stack([o.line, o.sample], axis=1)
-        if block.images is not drawn.block.images:  # other metadata: by how much their projections differ
+        if block.images is not drawn.block.images:  # with other metadata the projections differ by this amount
             other = np.empty_like(shown)
             for k, (image, correction) in enumerate(zip(block.images, drawn.corrections, strict=True)):
                 rows = o.image == k
@@ -100,20 +102,23 @@ class LinearBlock:
         return e, np.einsum("nij,nj->ni", self.problem.axes(drawn.truth_m[rows]), away).ravel()
 
     def noncentrality(self, block: Block, drawn: Drawn) -> float:
-        """Root of the sum of squares that the mistake makes in residuals and differences at check points."""
+        """Return the root of the sum of squares that the mistake makes in residuals and differences at check points."""
         e, check = self.errors(block, drawn)
         k = self.check @ (self.effect @ e) - check
         s = self.check @ self.q @ self.check.T + np.diag(self.check_sigma**2)
         return float(np.sqrt(max(e @ self.r @ e, 0.0) + (k @ np.linalg.solve(s, k) if len(k) else 0.0)))
 
     def power(self, block: Block, drawn: Drawn, draws: int, rng: np.random.Generator) -> float:
-        """Share of draws with any doubt; the random errors have the sigmas of the block without the mistake."""
+        """Return the share of draws with a doubt.
+
+        The random errors have the sigmas of the block without the mistake.
+        """
         e, check = self.errors(block, drawn)
         alarms = self.doubts(e, check, self._true_sigmas(block, drawn), draws, rng)
         return float(np.mean(np.any(np.stack(list(alarms.values())), axis=0)))
 
     def _true_sigmas(self, block: Block, drawn: Drawn) -> Array:
-        """True over stated sigma of each row."""
+        """Return the true sigma divided by the stated sigma of each row."""
         out, o, true = np.ones(len(self.r)), block.observations, drawn.block.observations
         pairs = ((true.sigma_line_px, o.sigma_line_px), (true.sigma_sample_px, o.sigma_sample_px))
         out[: self.n_image] = np.stack([t / s for t, s in pairs], axis=1).ravel()
@@ -125,7 +130,7 @@ class LinearBlock:
     def doubts(
         self, delta: Array, check: Array, factor: Array, draws: int, rng: np.random.Generator
     ) -> dict[str, npt.NDArray[np.bool_]]:
-        """Whether each doubt arises in each draw."""
+        """Return whether each doubt arises in each draw."""
         e = delta[:, None] + factor[:, None] * rng.standard_normal((len(delta), draws))
         v, x = -self.r @ e, self.effect @ e
         f = round(float(np.trace(self.r)))
@@ -159,7 +164,7 @@ class LinearBlock:
         return [*rays, *(row[:2] for row in control), *(row[2:] for row in control)]
 
     def _gross(self, v: Array, chi2: Array, f: int) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.intp]]:
-        """Whether the most unlikely suspect is beyond both limits, and its number."""
+        """Return whether the most unlikely suspect exceeds both limits, and the number of this suspect."""
         t, d = [], []
         for rows in self._suspects():
             size, axes = np.linalg.eigh(self.r[np.ix_(rows, rows)])
@@ -171,12 +176,12 @@ class LinearBlock:
         squares, dimension = squares[tested], of[tested][:, None]
         rest = np.maximum(chi2 - squares, 1e-12 * chi2)
         p = stats.f.sf(squares / dimension / (rest / (f - dimension)), dimension, f - dimension)
-        apart = len(np.unique(np.round(squares[:, 0], 6)))  # suspects with the same T cannot be separated
+        apart = len(np.unique(np.round(squares[:, 0], 6)))  # suspects with the same T cannot be distinguished
         above = (p <= _sidak(SHARE["gross"], apart)) & (stats.chi2.sf(squares, dimension) <= BAARDA)
         return above.any(axis=0), np.flatnonzero(tested)[np.argmin(np.where(above, p, 2.0), axis=0)]
 
     def _sigmas(self, v: Array, worst: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
-        """Doubt on the sigmas of a group; the suspect of a gross error does not count."""
+        """Return whether the sigmas of a group are doubted; the suspect of a gross error does not count."""
         n, m = self.n_image, self.n_control
         control = n + np.arange(m).reshape(-1, 3)
         groups = [np.arange(n), control[:, :2].ravel(), control[:, 2]]
@@ -210,7 +215,7 @@ def _sidak(level: float, n: int) -> float:
 
 
 def power_of(linear: LinearBlock, block: Block, drawn: Drawn, draws: int, rng: np.random.Generator) -> dict[str, Any]:
-    """Share of draws with each doubt, and with any."""
+    """Return the share of draws with each doubt, and with any doubt."""
     e, check = linear.errors(block, drawn)
     alarms = linear.doubts(e, check, np.ones(len(e)), draws, rng)
     shares = {name: float(a.mean()) for name, a in alarms.items()}

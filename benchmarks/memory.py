@@ -1,8 +1,10 @@
-"""Working set of a solution, in a process of its own: ``python -m benchmarks.memory SIZE THREADS BACKEND``.
+"""The benchmark measures the working set of a solution: ``python -m benchmarks.memory SIZE THREADS BACKEND``.
 
-The peak of the resident memory while solving (structure and iterations) minus the resident memory before the block
-existed, minus the arrays of the problem: observations, records, control records, start values, known coordinates,
-metadata. What compilation and first calls of the kernels need was taken before by a small block.
+The working set is the peak of the resident memory during the solution (structure and
+iterations), minus the resident memory before the block was made, minus the arrays of the
+problem: observations, records, control records, start values, known coordinates, metadata. A
+small block is solved before, so that the memory for compilation and for the first calls of
+the kernels is not counted.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ from fg_orient.model.machine import release, reset_peak, status_bytes
 
 
 def _arrays(thing: Any) -> Iterator[np.ndarray]:
-    """Arrays in the fields of a dataclass, and in dataclasses in them."""
+    """Yield the arrays in the fields of a dataclass and of dataclasses in its fields."""
     for f in fields(thing):
         value = getattr(thing, f.name)
         if isinstance(value, np.ndarray):
@@ -38,14 +40,17 @@ def _arrays(thing: Any) -> Iterator[np.ndarray]:
 
 
 def input_bytes(problem: Problem) -> tuple[int, int]:
-    """Bytes of the arrays of problem, block and metadata, and of the records alone; shared arrays count once."""
+    """Return the bytes of all arrays of problem, block and metadata, and of the records alone.
+
+    Shared arrays count once.
+    """
     parts = (problem, *(image.sensor.metadata for image in problem.block.images))
     found = {a.ctypes.data: a.nbytes for part in parts for a in _arrays(part)}
     return sum(found.values()), problem.records.nbytes + problem.control_records.nbytes
 
 
 def solved(problem: Problem, threads: int, backend: str) -> int:
-    """Iterations of Gauss-Newton on the "schur" or the "graph" backend."""
+    """Solve by Gauss-Newton on the "schur" or the "graph" backend; return the iterations."""
     if backend == "schur":
         own = SchurBackend(problem, threads=threads)
         return len(gauss_newton(own, own.initial(), 50).log)
@@ -53,7 +58,7 @@ def solved(problem: Problem, threads: int, backend: str) -> int:
 
 
 def measure(size: str, threads: int, backend: str) -> dict[str, Any]:
-    """One record."""
+    """Return one record."""
     with one_blas_thread():
         solved(compile_problem(spot_block("1e3")), threads, backend)
         release()
@@ -76,7 +81,7 @@ def measure(size: str, threads: int, backend: str) -> dict[str, Any]:
 
 
 def measure_apart(size: str, threads: int, backend: str = "schur") -> dict[str, Any]:
-    """:func:`measure` in a new process."""
+    """Run :func:`measure` in a new process."""
     command = [sys.executable, "-m", "benchmarks.memory", size, str(threads), backend]
     done = subprocess.run(command, check=True, capture_output=True, text=True)
     found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])

@@ -1,4 +1,4 @@
-"""Mistakes of the detection study, each with its three sizes, and the three blocks. Fixed before any run."""
+"""The mistakes of the detection study, their sizes and the three blocks were fixed before any run."""
 
 from __future__ import annotations
 
@@ -27,19 +27,20 @@ BOTH: Final = (Role.CONTROL, Role.CHECK)
 
 @dataclass(frozen=True)
 class Mistake:
-    """A mistake.
+    """A mistake of the study.
 
     Parameters
     ----------
     what : str
     sizes : tuple
-        Three sizes, in words of the table: ``unit`` follows each.
+        Three sizes; the table writes ``unit`` after each.
     unit : str
     change : callable
-        Gives the block with the mistake from a drawn block, a size and random numbers.
+        Function that returns the block with the mistake from a drawn block, a size and random
+        numbers.
     named : tuple of str
-        Parts of the text of the first cause, or of the gross error, that name the mistake or its class: causes that no
-        data can tell apart.
+        Parts of the text of the first cause or of the gross error that name the mistake or
+        its class; the causes of a class cannot be distinguished by any data.
     """
 
     what: str
@@ -54,7 +55,7 @@ class Mistake:
 
 @lru_cache(maxsize=3)
 def base(name: str) -> tuple[Block, Array]:
-    """Block of the study and its true ground points: a SPOT-5 pair, four SPOT-5 images, a pair of RPC images."""
+    """Return a block and its true ground points: a SPOT-5 pair, four SPOT-5 images or a pair of RPC images."""
     if name == "pair":
         block, truth = zonguldak_block(ZonguldakOptions(errors="none"))
     elif name == "four":
@@ -78,14 +79,14 @@ BLOCKS: Final = {
 
 
 def some(share: float, rng: np.random.Generator, n: int) -> npt.NDArray[np.bool_]:
-    """A drawn share of n, at least one."""
+    """Return a random share of n indices, at least one."""
     return np.isin(np.arange(n), rng.permutation(n)[: max(1, round(share * n))])
 
 
 def tables(
     roles: tuple[Role, ...], change: Callable[[Array, Any], Array], *, share: bool = False
 ) -> Change:  # fmt: skip
-    """Mistake in the coordinates of control or check points; with ``share`` the size is the share of the points."""
+    """Return a mistake in coordinates of control or check points. With ``share`` the size is the share of points."""
 
     def made(drawn: Drawn, size: Any, rng: np.random.Generator) -> Block:
         seed = int(rng.integers(2**32))
@@ -102,7 +103,7 @@ def tables(
 
 
 def geodetic(reading: Callable[..., tuple[Array, Array, Array]]) -> Callable[[Array, Any], Array]:
-    """Change of longitude, latitude and height by ``reading(lon, lat, height, size)``."""
+    """Return a change of longitude, latitude and height by ``reading(lon, lat, height, size)``."""
     return lambda ecef_m, size: geodetic_to_ecef(*reading(*ecef_to_geodetic(ecef_m), size))
 
 
@@ -115,7 +116,7 @@ def lower(ecef_m: Array, size: float) -> Array:
 
 
 def moved(direction: tuple[float, float, float]) -> Callable[[Array, Any], Array]:
-    """Constant shift by the size along a direction East, North, Up."""
+    """Return a constant shift by the size along a direction East, North, Up."""
 
     def change(ecef_m: Array, size: float) -> Array:
         lon, lat, _ = ecef_to_geodetic(ecef_m)
@@ -125,7 +126,7 @@ def moved(direction: tuple[float, float, float]) -> Callable[[Array, Any], Array
 
 
 def turned(ecef_m: Array, _: Any) -> Array:
-    """East and North exchanged, counted from 1 km south-west of the points, as in a local map system."""
+    """Exchange East and North in a local map system whose origin is 1 km south-west of the points."""
     middle = ecef_m.mean(axis=0)
     axes = enu_from_ecef(*(float(a[0]) for a in ecef_to_geodetic(middle)[:2]))[0]
     place = (ecef_m - middle) @ axes.T
@@ -135,7 +136,7 @@ def turned(ecef_m: Array, _: Any) -> Array:
 
 
 def packed(decimals: int) -> Callable[[Array, Any], Array]:
-    """Degrees with minutes (2) or minutes and seconds (4) in the decimals."""
+    """Return degrees whose decimals are minutes (2) or minutes and seconds (4)."""
 
     def one(angle: Array) -> Array:
         degrees = np.floor(angle)
@@ -147,7 +148,7 @@ def packed(decimals: int) -> Callable[[Array, Any], Array]:
 
 
 def ed50(ecef_m: Array, _: Any) -> Array:
-    """ED50 read as WGS84: EPSG:1784 gives 31.2 m East and 105.4 m North at these blocks."""
+    """Read ED50 as WGS84: at these blocks EPSG:1784 shifts the points by 31.2 m East and 105.4 m North."""
     return moved((31.2, 105.4, 0.0))(ecef_m, 1.0)
 
 
@@ -155,7 +156,7 @@ def ed50(ecef_m: Array, _: Any) -> Array:
 
 
 def pixels(reading: Callable[[Array, Array, Any], tuple[Array, Array]]) -> Change:
-    """Another reading of line and sample for a share of the image points of the first image."""
+    """Return a mistake that changes line and sample for a share of the image points of the first image."""
 
     def made(drawn: Drawn, size: float, rng: np.random.Generator) -> Block:
         block = drawn.block
@@ -177,14 +178,14 @@ def mirrored_sample(sample: Array, sensor: Any) -> Array:
 
 
 def origin(every: bool) -> Change:
-    """Lines and samples of all images, or of the first one, too large by the size."""
+    """Return a mistake that adds the size to lines and samples of all images or of the first one."""
     return lambda drawn, size, rng: mended.with_shifted_pixels(
         drawn.block, range(len(drawn.block.images)) if every else (0,), (size, size)
     )
 
 
 def pair_of(drawn: Drawn, size: str) -> tuple[int, int]:
-    """The nearest, a middle, or the farthest pair of control points."""
+    """Return the nearest, a middle or the farthest pair of control points."""
     control = drawn.block.points.where(Role.CONTROL)
     place = drawn.truth_m[control]
     a, b = np.triu_indices(len(control), 1)
@@ -207,7 +208,7 @@ def copied(drawn: Drawn, size: str, rng: np.random.Generator) -> Block:
 
 
 def exchanged_in_image(drawn: Drawn, size: str, rng: np.random.Generator) -> Block:
-    """Two control points exchanged in the first image that shows both."""
+    """Exchange two control points in the first image that shows both."""
     o, (a, b) = drawn.block.observations, pair_of(drawn, size)
     line, sample = o.line.copy(), o.sample.copy()
     for k in range(len(drawn.block.images)):
@@ -220,7 +221,7 @@ def exchanged_in_image(drawn: Drawn, size: str, rng: np.random.Generator) -> Blo
 
 
 def measured_again(drawn: Drawn, size: str, rng: np.random.Generator) -> Block:
-    """The image points of one control point are those of another one, where an image shows both."""
+    """Give one control point the image points of another one in each image that shows both."""
     o, (a, b) = drawn.block.observations, pair_of(drawn, size)
     line, sample = o.line.copy(), o.sample.copy()
     for k in range(len(drawn.block.images)):
@@ -232,7 +233,7 @@ def measured_again(drawn: Drawn, size: str, rng: np.random.Generator) -> Block:
 
 
 def two_points(drawn: Drawn, size: float, rng: np.random.Generator) -> Block:
-    """Half of the rays of the point with the most rays, no control point, show another point, the size away."""
+    """Move half of the rays of the point with the most rays, no control point, to a point at this distance."""
     block, o = drawn.block, drawn.block.observations
     rays = np.bincount(o.point, minlength=len(block.points.ids))
     rays[block.points.where(Role.CONTROL)] = 0
@@ -252,7 +253,7 @@ def shown_elsewhere(drawn: Drawn, rows: Index, away_m: Array) -> Block:
 
 
 def image_names(drawn: Drawn, size: float, rng: np.random.Generator) -> Block:
-    """A share of the points that the first two images show has the names of these images exchanged."""
+    """Exchange the names of the first two images for a share of the points that both show."""
     o = drawn.block.observations
     common = np.intersect1d(o.point[o.image == 0], o.point[o.image == 1])
     wrong = common[some(size, rng, len(common))]
@@ -264,7 +265,7 @@ def image_names(drawn: Drawn, size: float, rng: np.random.Generator) -> Block:
 
 
 def metadata(drawn: Drawn, size: str, rng: np.random.Generator) -> Block:
-    """The metadata of the first two images exchanged, of the second for the first, of the first for the second."""
+    """Exchange the metadata of the first two images, or give one of them the metadata of the other."""
     one, two, *rest = drawn.block.images
     first = replace(one, sensor=two.sensor) if size != "in the second" else one
     second = replace(two, sensor=one.sensor) if size != "in the first" else two
@@ -275,7 +276,7 @@ def metadata(drawn: Drawn, size: str, rng: np.random.Generator) -> Block:
 
 
 def in_control(direction: tuple[float, float, float], count: int = 1) -> Change:
-    """Gross error of the size, in sigmas, in drawn control points."""
+    """Return a gross error of the size, in sigmas, in randomly drawn control points."""
 
     def made(drawn: Drawn, size: float, rng: np.random.Generator) -> Block:
         known = drawn.block.points.known
@@ -290,7 +291,7 @@ def in_control(direction: tuple[float, float, float], count: int = 1) -> Change:
 
 
 def in_image(role: Role, most_rays: bool = False) -> Change:
-    """Gross error of the size, in sigmas, in a drawn ray of a point of a role."""
+    """Return a gross error of the size, in sigmas, in a randomly drawn ray of a point with this role."""
 
     def made(drawn: Drawn, size: float, rng: np.random.Generator) -> Block:
         o, points = drawn.block.observations, drawn.block.points
@@ -308,7 +309,7 @@ def in_image(role: Role, most_rays: bool = False) -> Change:
 
 
 def stated(group: str, image: int | None = None) -> Change:
-    """Stated sigmas of a group divided by the size; of the image points of one image only."""
+    """Return a mistake that divides the stated sigmas of a group by the size, or those of one image."""
 
     def made(drawn: Drawn, size: float, rng: np.random.Generator) -> Block:
         if image is None:

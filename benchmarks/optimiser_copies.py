@@ -1,11 +1,13 @@
-"""Copies of all values that GTSAM's optimisers make for Python factors: the graph with a factor for each image point.
+"""The benchmark counts how often GTSAM's optimisers copy all values for the Python factors of the image points.
 
-    python -m benchmarks.optimiser_copies    # writes results/optimiser_copies.json; then python docs/scale.py
+    python -m benchmarks.optimiser_copies    # writes results/optimiser_copies.json; run python docs/scale.py afterwards
 
-Each row has the processor seconds of one call by Python (linearise, error, elimination), of one copy of
-``gtsam.Values``, and of one ``iterate()`` of GTSAM's Gauss-Newton on the same graph. ``iterate()`` linearises,
-eliminates and evaluates the error once. What it takes beyond these parts, divided by the time of a copy and by the
-number of factors, is the number of copies for each factor. The least of some repetitions.
+Each row has the processor seconds of one call by Python (linearise, error, elimination), of
+one copy of
+``gtsam.Values``, and of one ``iterate()`` of GTSAM's Gauss-Newton on the same graph. ``iterate()``
+linearises, eliminates and evaluates the error once. Its time without these parts, divided by
+the time of a copy and by the number of factors, is the number of copies for each factor. Each
+time is the least of some repetitions.
 """
 
 from __future__ import annotations
@@ -32,7 +34,7 @@ SIZES: Final = (100, 200, 500, 1000, 2000, 5000, 10_000)
 
 
 def seconds(call: Callable[[], Any], repeats: int) -> float:
-    """Least processor seconds of some calls."""
+    """Return the least processor seconds of some calls."""
     found = []
     for _ in range(repeats):
         start = time.process_time()
@@ -42,7 +44,7 @@ def seconds(call: Callable[[], Any], repeats: int) -> float:
 
 
 def row_of(size: int) -> dict[str, Any]:
-    """Times of a block of this many image points."""
+    """Return the times of a block with this number of image points."""
     problem = compile_problem(block_of(size))
     run = ExplicitRun(problem, "gauss-newton")
     graph, values = run.graph, run.values

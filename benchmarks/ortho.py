@@ -1,11 +1,13 @@
-"""Orthorectification against rasterio.warp: time and memory, one thread each.
+"""The benchmark compares time and memory of orthorectification with rasterio.warp; each uses one thread.
 
-Both fill the same map raster from the same image with the same DEM and kernel: we through the rigorous model, GDAL
-through the RPC fitted to it (the nearest thing it knows). Each runs in a process of its own, after a small run that
-loads and compiles everything; peak memory is above what is held by then. GDAL widens its bilinear kernel where it
-thinks the map coarser than the image: XSCALE and YSCALE of 1 forbid that. With an RPC and a DEM rasterio has GDAL
-compute every pixel's place (its ``tolerance`` changes neither a grey value nor the time); we interpolate. The files are
-uncompressed, so that no compressor is timed.
+Both fill the same map raster from the same image with the same DEM and kernel. fg_orient uses
+the rigorous model. GDAL has no rigorous model and uses the RPC fitted to it. Each runs in a
+process of its own after a small run that loads and compiles everything; peak memory is the
+increase after this small run. GDAL widens its bilinear kernel if it estimates that the map is
+coarser than the image; XSCALE and YSCALE of 1 prevent this. With an RPC and a DEM rasterio
+lets GDAL compute the position of every pixel (its ``tolerance`` changes neither a grey value
+nor the time); fg_orient interpolates positions. The files are uncompressed, so that the time
+of a compressor is not included.
 
     python -m benchmarks.ortho --size 12000
 """
@@ -32,7 +34,7 @@ WAYS = ("ours", "gdal")
 
 
 def prepare(folder: Path) -> None:
-    """Write metadata, DEM and a whole image of smooth noise: its grey values do not matter for the time."""
+    """Write metadata, DEM and an image of smooth noise; the grey values do not influence the time."""
     import rasterio
 
     from fg_orient.simulate.render import RasterOptions
@@ -48,7 +50,7 @@ def prepare(folder: Path) -> None:
 
 
 def bounds_of(size: int) -> tuple[float, float, float, float]:
-    """A square of the map about the middle of the scene."""
+    """Return a square of the map around the middle of the scene."""
     left, bottom = 404_000.0 - 0.5 * size * RESOLUTION_M, 4_572_500.0 - 0.5 * size * RESOLUTION_M
     return left, bottom, left + size * RESOLUTION_M, bottom + size * RESOLUTION_M
 
@@ -90,7 +92,7 @@ def gdal(folder: Path, size: int, out: Path) -> dict[str, Any]:
 
 
 def fit_rpc(folder: Path) -> float:
-    """Fit the RPC to the model of the metadata, over the heights of the DEM; largest error at check points, px."""
+    """Fit the RPC to the model for the heights of the DEM; return the largest error at check points, px."""
     import rasterio
     from rasterio.rpc import RPC
 
@@ -104,13 +106,13 @@ def fit_rpc(folder: Path) -> float:
         values |= {f"{axis}_off": float(model.offsets[k]), f"{axis}_scale": float(model.scales[k])}
     for name, row in zip(("line_num", "line_den", "samp_num", "samp_den"), model.coefficients, strict=True):
         values[f"{name}_coeff"] = row.tolist()
-    with rasterio.open(folder / "image.tif", "r+") as image:  # GDAL's warper looks for it in the file
+    with rasterio.open(folder / "image.tif", "r+") as image:  # GDAL's warper reads the RPC from the file
         image.rpcs = RPC(**values)
     return max(record["check"]["max_line_px"], record["check"]["max_sample_px"])
 
 
 def measure(way: str, folder: Path, size: int) -> dict[str, Any]:
-    """In this process: a small run, then the real one; seconds, and peak memory (MB) above that of the small one."""
+    """Make a small and the real run; return the real run's seconds and its increase of peak memory (MB)."""
     _run(way, folder, WARM, folder / "warm.tif")
     held = _peak_kb()
     start = time.perf_counter()
@@ -120,7 +122,7 @@ def measure(way: str, folder: Path, size: int) -> dict[str, Any]:
 
 
 def _peak_kb() -> int:
-    """Largest resident memory of this process so far (the one of getrusage starts with that of the parent)."""
+    """Return the largest resident memory of this process so far; getrusage includes that of the parent process."""
     found = re.search(r"VmHWM:\s+(\d+)", Path("/proc/self/status").read_text(encoding="ascii"))
     return int(found[1]) if found else 0
 
@@ -130,12 +132,12 @@ def _run(way: str, folder: Path, size: int, out: Path) -> dict[str, Any]:
 
 
 def raster_of(way: str, folder: Path) -> Path:
-    """Where a way puts its result."""
+    """Return the file for the result of a program."""
     return folder / f"{way}.tif"
 
 
 def differences(folder: Path, way: str) -> float:
-    """Share of pixels whose grey values differ from ours by more than 3."""
+    """Return the share of pixels whose grey values differ from those of fg_orient by more than 3."""
     import rasterio
 
     different = pixels = 0
@@ -153,7 +155,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3, help="of each way, in turn; the fastest counts")
     parser.add_argument("--measure", nargs=2, metavar=("WAY", "FOLDER"), help=argparse.SUPPRESS)
     options = parser.parse_args()
-    warnings.filterwarnings("ignore", message="Dataset has no geotransform")  # an image in sensor geometry
+    warnings.filterwarnings("ignore", message="Dataset has no geotransform")  # the image is in sensor geometry
     if options.measure:
         sys.stdout.write(json.dumps(measure(options.measure[0], Path(options.measure[1]), options.size)))
         return

@@ -1,4 +1,4 @@
-"""Our backends on a compiled problem: structure, whole solution, stages of one iteration."""
+"""The entries of fg_orient run its backends on a compiled problem: structure, solution, stages of one iteration."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from fg_orient.adjustment.solve import solve
 from fg_orient.kernels.batch_pairs import pair_blocks
 from fg_orient.model.block import Block
 
-#: Solutions shorter than this run several times in a row for one record.
+#: Solutions that take less than this time run several times in a row for one record.
 SHORT_S = 0.1
 
 
 def repeated(once: Callable[[], Outcome]) -> Callable[[], Outcome]:
-    """Run a short solution several times more: the first finds cold memory.
+    """Repeat a short solution several times, because the first run is slower in unused memory.
 
-    The outcome is the one of median duration, each of its stages the median of all.
+    Return the outcome with the median duration; each of its stages is the median of all runs.
     """
 
     def seconds(outcome: Outcome) -> float:
@@ -48,13 +48,13 @@ def repeated(once: Callable[[], Outcome]) -> Callable[[], Outcome]:
 
 
 def _loop(make: Callable[[], Any], optimizer: str, max_iterations: int) -> tuple[Outcome, Any]:
-    """Backend made, adjusted to the end: what it took, and the backend."""
+    """Make the backend and adjust to the end; return the outcome and the backend."""
     marks = [time.perf_counter()]
     backend = make()
     marks.append(time.perf_counter())
     result = OPTIMIZERS[optimizer](backend, backend.initial(), max_iterations, None)
     marks.append(time.perf_counter())
-    taken = sum(record.accepted for record in result.log)  # refused steps cost us time, but are no iteration
+    taken = sum(record.accepted for record in result.log)  # refused steps take time, but are no iterations
     outcome = Outcome(
         marks[2] - marks[1], marks[1] - marks[0], taken, len(result.log), float(result.error), result.reason
     )
@@ -62,7 +62,7 @@ def _loop(make: Callable[[], Any], optimizer: str, max_iterations: int) -> tuple
 
 
 class _TimedWorkers:
-    """The threads of a backend, with the seconds of each kernel summed by its name."""
+    """The class runs the threads of a backend and adds up the seconds of each kernel by its name."""
 
     def __init__(self, workers: Any) -> None:
         self._workers, self.seconds = workers, dict[str, float]()
@@ -79,7 +79,7 @@ class _TimedWorkers:
 
 
 def _stages(backend: Any, state: Any) -> dict[str, float]:
-    """Seconds of one iteration at a state, when all memory has been used before: linearise, solve, retract."""
+    """Return the seconds of linearise, solve and retract at a state, in memory that was used before."""
     marks = [time.perf_counter()]
     system = backend.linearise(state)
     marks.append(time.perf_counter())
@@ -92,7 +92,7 @@ def _stages(backend: Any, state: Any) -> dict[str, float]:
 
 
 def _kernels(backend: SchurBackend) -> None:
-    """Run what a thread does in one go kernel by kernel: threads meet after each, and rows come from far."""
+    """Run the kernels of a thread one by one. The threads wait after each kernel, and rows come from distant memory."""
     s, b, state, stages = backend.structure, backend.buffers, backend.initial(), backend.stages
     run, wide = backend.workers.run, s.widened(state.image)
     for tile in s.tiles:
@@ -106,7 +106,7 @@ def _kernels(backend: SchurBackend) -> None:
 def schur(
     problem: Problem, threads: int | None, *, reduced: str = "auto", optimizer: str = "gauss-newton"
 ) -> Callable[[], Outcome]:
-    """Our own loop on the Schur backend; stages: those of one more iteration, and its kernels."""
+    """Return the loop of fg_orient on the Schur backend. The stages and kernels are those of one more iteration."""
 
     def once() -> Outcome:
         outcome, backend = _loop(lambda: SchurBackend(problem, threads=threads, reduced=reduced), optimizer, 50)
@@ -122,13 +122,13 @@ def schur(
 
 
 class _Enough(Exception):
-    """Raised by the callback where a peer's rule would end the iterations."""
+    """The callback raises this exception where the rule of another program would end the iterations."""
 
 
 def damped(problem: Problem, threads: int | None) -> Callable[[], Outcome]:
-    """Levenberg-Marquardt on the Schur backend, ended by the rule of the peers: the cost hardly falls.
+    """Return Levenberg-Marquardt on the Schur backend, ended by the rule of other programs: the cost hardly decreases.
 
-    Our own rule looks at the step and takes one or two iterations more.
+    The rule of fg_orient uses the step and needs one or two more iterations.
     """
 
     def once() -> Outcome:
@@ -156,7 +156,7 @@ def damped(problem: Problem, threads: int | None) -> Callable[[], Outcome]:
 
 
 def eliminated(problem: Problem, optimizer: str) -> Callable[[], Outcome]:
-    """Graph backend: GTSAM's optimiser over factors with eliminated points, to the end of ``adjust``."""
+    """Return GTSAM's optimiser over factors with eliminated points (graph backend), to the end of ``adjust``."""
 
     def once() -> Outcome:
         marks = [time.perf_counter()]
@@ -172,7 +172,7 @@ def eliminated(problem: Problem, optimizer: str) -> Callable[[], Outcome]:
 
 
 def graph(problem: Problem) -> Callable[[], Outcome]:
-    """Explicit graph: one Python factor per image point, driven from Python."""
+    """Return the explicit graph: one Python factor per image point, with a loop in Python."""
 
     def once() -> Outcome:
         outcome, backend = _loop(lambda: ExplicitBackend(problem), "gauss-newton", 50)
@@ -183,7 +183,7 @@ def graph(problem: Problem) -> Callable[[], Outcome]:
 
 
 def public(problem: Problem) -> Callable[[], Outcome]:
-    """What ``fg_orient.adjust`` calls, with the backend that "auto" chooses."""
+    """Return the solution that ``fg_orient.adjust`` calls, with the backend that "auto" chooses."""
 
     def once() -> Outcome:
         start = time.perf_counter()
@@ -197,7 +197,7 @@ def public(problem: Problem) -> Callable[[], Outcome]:
 
 
 def compilation(block: Block) -> Callable[[], Outcome]:
-    """``compile_problem``: start coordinates, whitened records. No solution."""
+    """Return ``compile_problem`` without a solution: start coordinates and whitened records."""
 
     def once() -> Outcome:
         start = time.perf_counter()
@@ -208,7 +208,7 @@ def compilation(block: Block) -> Callable[[], Outcome]:
 
 
 def native_iteration(problem: Problem) -> Callable[[], Outcome]:
-    """One ``iterate`` of GTSAM's own Gauss-Newton optimiser on our factors."""
+    """Return one ``iterate`` of GTSAM's own Gauss-Newton optimiser on the factors of fg_orient."""
 
     def once() -> Outcome:
         marks = [time.perf_counter()]
@@ -225,7 +225,7 @@ def native_iteration(problem: Problem) -> Callable[[], Outcome]:
 
 
 def native(problem: Problem) -> Callable[[], Outcome]:
-    """GTSAM's own Gauss-Newton optimiser on our factors, to the end."""
+    """Return GTSAM's own Gauss-Newton optimiser on the factors of fg_orient, run to the end."""
 
     def once() -> Outcome:
         marks = [time.perf_counter()]

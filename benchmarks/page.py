@@ -1,4 +1,4 @@
-"""The page docs/performance.md and its figure, from the results file and nothing else.
+"""The module makes the page docs/performance.md and its figure from the files of results alone.
 
 python -m benchmarks.page
 """
@@ -18,14 +18,14 @@ from benchmarks.table import NAMES, Rows, all_tables, goal_rows, solver_rows
 
 ROOT: Final = Path(__file__).parents[1]
 RESULTS: Final = ROOT / "benchmarks" / "results" / "fast_path.json"
-#: Figures of a run on a processor without vectors of 512 bits.
+#: The file has the figures of a run on a processor without vectors of 512 bits.
 OTHER: Final = ROOT / "benchmarks" / "results" / "narrow_vectors.json"
 SECOND: Final = "A processor with vectors of 256 bits"
 PAGE: Final = ROOT / "docs" / "performance.md"
 FIGURE: Final = ROOT / "docs" / "performance.svg"
-#: Run of GTSAM's optimisers: ``fast_path`` without --full, all pinhole problems, sizes from 1e4.
+#: The file has the run of GTSAM's optimisers: ``fast_path`` without --full, all pinhole problems, sizes from 1e4.
 GRAPH_RESULTS: Final = ROOT / "benchmarks" / "results" / "graph.json"
-#: Words before a table.
+#: These texts stand before the tables.
 TEXTS: Final = {
     "Limits": """\
 A ratio is the time of another program divided by the time of fg_orient with its default number of threads.""",
@@ -58,14 +58,14 @@ records of the equations. Solve only: the peak minus the resident memory immedia
 
 
 def markdown(rows: Rows) -> str:
-    """A table; first column left, the others right."""
+    """Return a Markdown table; the first column is aligned left, the others right."""
     head, *body = rows
     lines = ["| " + " | ".join(head) + " |", "|" + "|".join(["---"] + ["---:"] * (len(head) - 1)) + "|"]
     return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in body)])
 
 
 def page(results: dict[str, Any]) -> str:
-    """The text of the page."""
+    """Return the text of the page."""
     m, s = results["machine"], Summary(results)
     h = s.hardware
     versions = ", ".join(f"{name} {version}" for name, version in m["versions"].items() if version)
@@ -101,7 +101,7 @@ def page(results: dict[str, Any]) -> str:
 
 
 def graph_run() -> list[str]:
-    """Section on GTSAM's optimisers, from a run of its own."""
+    """Return the section on GTSAM's optimisers, from a separate run."""
     results = json.loads(GRAPH_RESULTS.read_text("utf-8"))
     m, s = results["machine"], Summary(results)
     text = (
@@ -113,7 +113,7 @@ def graph_run() -> list[str]:
 
 
 def measured_by(script: str, results: dict[str, Any]) -> str:
-    """Command of a run of its own, and the machine."""
+    """Return a line with the command of a separate run and its machine."""
     m = results["machine"]
     return (
         f"`python -m benchmarks.{script}` on {m['processor']}, {m['cores']} cores, vectors of {m['vector_bits']} bits, "
@@ -122,7 +122,7 @@ def measured_by(script: str, results: dict[str, Any]) -> str:
 
 
 def wide_run() -> list[str]:
-    """Section on wide networks, from a run of its own."""
+    """Return the section on wide networks, from a separate run."""
     results = json.loads(wide.RESULTS.read_text("utf-8"))
     text = (
         "Pinhole cameras that see points at random, four rays each, nine unknowns per camera, no priors: 340 cameras "
@@ -138,7 +138,7 @@ def wide_run() -> list[str]:
 
 
 def whole_runs() -> list[str]:
-    """Section on what a user waits for, from a run of its own."""
+    """Return the section on whole commands, from a separate run."""
     results = json.loads(whole_run.RESULTS.read_text("utf-8"))
     text = (
         "From the command `adjust` to its last file, with report: processor seconds and peak of the resident memory of "
@@ -151,7 +151,7 @@ def whole_runs() -> list[str]:
 
 
 def snooping_runs() -> list[str]:
-    """Section on the search for gross errors, from a run of its own."""
+    """Return the section on the search for gross errors, from a separate run."""
     results = json.loads(snooping.RESULTS.read_text("utf-8"))
     text = (
         "The command `adjust --snoop` with report on the blocks of the last section, with gross errors of 5 to 50 px "
@@ -169,7 +169,7 @@ def snooping_runs() -> list[str]:
 
 
 def second_run(rows: Rows) -> list[str]:
-    """Section with the figures of another processor beside those of this run."""
+    """Return the section that compares the figures of another processor with those of this run."""
     other = json.loads(OTHER.read_text("utf-8"))
     measured = {row[0]: row[1] for row in rows}
     limits = {row[0]: row[2] for row in reversed(rows)}
@@ -179,12 +179,12 @@ def second_run(rows: Rows) -> list[str]:
 
 
 def digest(text: str) -> str:
-    """What ties the figure to the results."""
+    """Return the digest of the results that the figure contains."""
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def draw(results: dict[str, Any], mark: str, path: Path) -> None:
-    """Microseconds per image point and iteration over the number of image points, with the bound."""
+    """Draw the microseconds per image point and iteration over the number of image points, with the bound."""
     import matplotlib as mpl
 
     mpl.use("svg")

@@ -1,14 +1,16 @@
-"""Cost of a block in parts: in one piece, in parts in this process, on workers of this machine.
+"""The benchmark measures a block in one piece, in parts in this process, and in parts on workers of this machine.
 
     OPENBLAS_NUM_THREADS=1 python benchmarks/parallel_cost.py [--image-points 100000] [--parts N] [--workers 1 2 4]
     OPENBLAS_NUM_THREADS=1 python benchmarks/parallel_cost.py --fronts [--parts N]
 
-Seconds per Gauss-Newton iteration (least and median, the first one apart: workers compile and open their parts in
-it), kB of partial normal equations and arguments per iteration, and whether all runs in parts have the same bits.
+It prints the seconds per Gauss-Newton iteration (least and median), the kB of partial normal
+equations and arguments per iteration, and whether all runs in parts have the same bits. The
+first iteration is listed separately, because workers compile and open their parts in it.
 
-``--fronts`` compares the sum of all parts with the fronts of a dissected block: a strip of 400 frame images, and a grid
-of 200 satellite images. For one iteration: data transferred and written, largest memory of the main process with two
-workers (tracemalloc), processor seconds without workers.
+``--fronts`` compares the sum of all parts with the fronts of a dissected block: a strip of
+400 frame images, and a grid of 200 satellite images. For one iteration it prints the data
+transferred and written, the largest memory of the main process with two workers
+(tracemalloc), and the processor seconds without workers.
 """
 
 from __future__ import annotations
@@ -38,13 +40,13 @@ from fg_orient.simulate.strips import StripOptions, strip_block
 
 
 class Counting(Pool):
-    """Counts what would travel: arguments and results, pickled."""
+    """The pool counts the bytes of pickled arguments and results that workers would receive and send."""
 
     def __init__(self) -> None:
         self.kilobytes: list[float] = []
 
     def total(self, task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Any:
-        """Sum without a tree."""
+        """Return the sum, added one by one."""
         found = [task(*argument) for argument in arguments]
         self._count(found, arguments)
         return sum(found[1:], start=found[0])
@@ -60,7 +62,7 @@ class Counting(Pool):
 
 
 def run(problem: Problem, make: Callable[[], Any], name: str) -> tuple[bytes, bytes]:
-    """Adjust, print the times, give the bits of the solution."""
+    """Adjust, print the times, and return the bits of the solution."""
     start = time.perf_counter()
     backend = make()
     marks = [time.perf_counter()]
@@ -69,7 +71,7 @@ def run(problem: Problem, make: Callable[[], Any], name: str) -> tuple[bytes, by
             backend, backend.initial(), 50, lambda record: marks.append(time.perf_counter())
         )
     state, each = State(result.state.image, result.state.ground), np.diff(marks)
-    later = each[1:-1]  # the last one is not linearised again
+    later = each[1:-1]  # the last state is not linearised again
     print(
         f"{name:24s} structure {marks[0] - start:5.2f} s   first {each[0]:5.2f} s   then least {later.min():6.3f}, "
         f"median {np.median(later):6.3f} s   loop {marks[-1] - marks[0]:5.2f} s, {len(each)} iterations",
@@ -85,7 +87,7 @@ def in_parts(problem: Problem, pool: Pool, parts: int, name: str) -> tuple[bytes
 
 
 def travel(problem: Problem, parts: int) -> float:
-    """KB per iteration."""
+    """Return the kB per iteration."""
     pool = Counting()
     with work_folder(Execution(), pool) as folder:
         backend = PartedBackend(problem, pool, folder, parts)

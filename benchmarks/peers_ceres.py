@@ -1,4 +1,4 @@
-"""Ceres through pyceres: the same compiled function as the cost of each image point, sparse Schur complement."""
+"""Ceres runs through pyceres with the same compiled function for each image point and a sparse Schur complement."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 
 @cache
 def _evaluation(fill: Any) -> Any:
-    """Compiled: residual and Jacobians of one image point into the arrays of Ceres."""
+    """Return the compiled function that writes residual and Jacobians of one image point to the arrays of Ceres."""
 
     @njit
     def evaluate(records, row, setup, x, ground, out, residual, d_image, d_ground, want):  # type: ignore[no-untyped-def]
@@ -41,13 +41,13 @@ def _evaluation(fill: Any) -> Any:
 
 
 def _point_cost(flat: FlatProblem) -> type[pyceres.CostFunction]:
-    """Class of the costs of image points; all share the scratch arrays (Ceres runs one thread)."""
+    """Return the class of the costs of image points; all share the working arrays, because Ceres runs one thread."""
     fill = flat.problem.models[0].equation.fill
     evaluate, records, setup, k = _evaluation(fill), flat.problem.records, flat.setup, flat.k
     out, none = np.empty((2, k + 4)), np.empty(0)
 
     class ImagePoint(pyceres.CostFunction):
-        """Whitened conditions of one image point."""
+        """The cost has the whitened conditions of one image point."""
 
         def __init__(self, row: int) -> None:
             pyceres.CostFunction.__init__(self)
@@ -66,7 +66,7 @@ def _point_cost(flat: FlatProblem) -> type[pyceres.CostFunction]:
 
 
 class Linear(pyceres.CostFunction):
-    """``w (x - known)``: a control point, or the priors of an image."""
+    """The cost of a control point or of the priors of an image is ``w (x - known)``."""
 
     def __init__(self, w: Array, known: Array) -> None:
         pyceres.CostFunction.__init__(self)
@@ -83,7 +83,7 @@ class Linear(pyceres.CostFunction):
 
 
 def _problem(flat: FlatProblem) -> tuple[pyceres.Problem, Array, Array, list[Any]]:
-    """Ceres' problem, the arrays of its unknowns, and the costs that must not be collected."""
+    """Return Ceres' problem, the arrays of its unknowns, and the costs, which Python must not delete."""
     images = flat.start[: flat.n_image_unknowns].reshape(flat.n_images, flat.k).copy()
     points = flat.start[flat.n_image_unknowns :].reshape(-1, 3).copy()
     if (flat.place < 0).any():
@@ -104,7 +104,7 @@ def _problem(flat: FlatProblem) -> tuple[pyceres.Problem, Array, Array, list[Any
 
 
 def sparse_schur(flat: FlatProblem) -> Callable[[], Outcome]:
-    """Levenberg-Marquardt with Ceres' defaults and SPARSE_SCHUR, one thread: Python costs hold the interpreter."""
+    """Return Levenberg-Marquardt with Ceres' defaults and SPARSE_SCHUR. Costs in Python allow only one thread."""
 
     def once() -> Outcome:
         start = time.perf_counter()

@@ -1,4 +1,4 @@
-"""Compiled bundle adjustment of the pinhole problem: Ceres through pycolmap, GTSAM's GeneralSFMFactor."""
+"""Compiled programs adjust the pinhole problem: Ceres through pycolmap, and GTSAM's GeneralSFMFactor."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from benchmarks.entries import FUNCTION_TOLERANCE, LIMIT_S, MAX_EVALUATIONS, Out
 from benchmarks.own import repeated
 from benchmarks.pinhole import Pinhole
 
-#: Side of the images; only a check of the program looks at it.
+#: The images have this side, px; only a check of the program uses it.
 SIDE_PX = 10_000
 
 
 def reconstruction(p: Pinhole) -> pycolmap.Reconstruction:
-    """Cameras (model RADIAL: f, cx, cy, k1, k2; the principal point stays), images, points with their tracks."""
+    """Return cameras (RADIAL: f, cx, cy, k1, k2; fixed principal point), images, and points with their tracks."""
     scene = pycolmap.Reconstruction()
     order = np.argsort(p.image, kind="stable")
     first = np.searchsorted(p.image[order], np.arange(len(p.rotation) + 1))
@@ -45,7 +45,7 @@ def reconstruction(p: Pinhole) -> pycolmap.Reconstruction:
 
 
 def ceres(p: Pinhole, threads: int) -> Callable[[], Outcome]:
-    """Ceres with the costs and the choice of linear solver of COLMAP; ended by the decrease of the cost."""
+    """Return Ceres with COLMAP's costs and choice of linear solver; the decrease of the cost ends it."""
 
     def once() -> Outcome:
         start = time.perf_counter()
@@ -72,9 +72,10 @@ def ceres(p: Pinhole, threads: int) -> Callable[[], Outcome]:
 def adjuster(
     p: Pinhole, scene: pycolmap.Reconstruction, threads: int, limit_s: float, linear_solver: str, eta: float
 ) -> Any:
-    """Ceres' problem with the costs of COLMAP and this linear solver; its log goes to the standard output.
+    """Return Ceres' problem with the costs of COLMAP and this linear solver.
 
-    ``eta``: relative accuracy of an iterative solver.
+    Its log goes to the standard output. ``eta`` is the relative accuracy of an iterative
+    solver.
     """
     config, options = pycolmap.BundleAdjustmentConfig(), pycolmap.BundleAdjustmentOptions()
     for i in range(len(p.rotation)):
@@ -83,7 +84,7 @@ def adjuster(
     ceres.min_num_residuals_for_cpu_multi_threading = 0
     ceres.auto_select_solver_type = False
     solver = ceres.solver_options
-    # names of enumerations: pycolmap does not export their classes
+    # the enumerations are given by name because pycolmap does not export their classes
     solver.linear_solver_type = linear_solver
     if linear_solver == "ITERATIVE_SCHUR":
         solver.preconditioner_type, solver.eta = "SCHUR_JACOBI", eta
@@ -95,7 +96,7 @@ def adjuster(
 
 
 def gtsam_sfm(p: Pinhole) -> Callable[[], Outcome]:
-    """Levenberg-Marquardt of GTSAM on GeneralSFMFactorCal3Bundler, points eliminated first."""
+    """Return GTSAM's Levenberg-Marquardt on GeneralSFMFactorCal3Bundler; it eliminates the points first."""
 
     def once() -> Outcome:
         start = time.perf_counter()

@@ -1,4 +1,4 @@
-"""scipy.optimize.least_squares on the same residuals, twice."""
+"""scipy.optimize.least_squares solves the same residuals in two ways."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ from benchmarks.own import repeated
 
 
 class _TimeUp(Exception):
-    """Raised by the residuals when the limit has passed."""
+    """The residuals raise this exception after the limit of time."""
 
 
 def trf(flat: FlatProblem, *, analytic: bool) -> Callable[[], Outcome]:
-    """Trust region reflective.
+    """Return the trust-region-reflective solver.
 
-    Without ``analytic`` as sat-bundleadjust calls it: two-point differences over the sparsity of the Jacobian,
-    ``x_scale="jac"``, linear loss, ftol 1e-4, xtol 1e-10, 300 evaluations. With it our CSR Jacobian and ftol 1e-8.
+    Without ``analytic`` it is called as sat-bundleadjust calls it: two-point differences with
+    the sparsity of the Jacobian, ``x_scale="jac"``, linear loss, ftol 1e-4, xtol 1e-10, 300
+    evaluations. With ``analytic`` it gets the CSR Jacobian of fg_orient and ftol 1e-8.
     """
 
     def once() -> Outcome:

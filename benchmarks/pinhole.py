@@ -1,4 +1,4 @@
-"""The pinhole problem: nine unknowns per camera (rotation, centre, focal length, k1, k2), no priors, no control."""
+"""The pinhole problem has no priors and no control, and nine unknowns per camera: pose, focal length, k1 and k2."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from tests.support.pinhole import pinhole_block
 
 Array = npt.NDArray[np.float64]
 
-#: Cameras and ground points with four rays each; the name is the order of the number of image points. "340 mixed": the
-#: four images of a point are drawn at random.
+#: Numbers of cameras and of ground points with four rays each; a name is the order of the
+#: number of image points. In "340 mixed" the four images of a point are drawn at random.
 PINHOLE_SIZES: Final = {"1e3": (9, 250), "1e4": (36, 2_500), "1e5": (100, 25_000), "340 mixed": (340, 50_000)}
-#: The same for the comparison of wide networks (``benchmarks.wide``).
+#: These sizes are for the comparison of wide networks (``benchmarks.wide``).
 WIDE_SIZES: Final = {"340 mixed": (340, 50_000), "1000 mixed": (1000, 100_000), "3000 mixed": (3000, 200_000)}
 VIEWS: Final = 4
-#: In the folder named by FG_ORIENT_REAL_DATA.
+#: The file is in the folder named by FG_ORIENT_REAL_DATA.
 LADYBUG: Final = "bal/problem-49-7776-pre.txt.gz"
 
 
 def pinhole_problem(size: str) -> Problem:
-    """The synthetic problem of a size, without the priors of its simulation."""
+    """Return the synthetic problem of a size, without the priors of its simulation."""
     images, points = (PINHOLE_SIZES | WIDE_SIZES)[size]
     block, _ = pinhole_block(images, points, VIEWS, mixed=size.endswith("mixed"))
     return compile_problem(replace(block, options=replace(block.options, datum="free", priors=False)))
 
 
 def ladybug_problem() -> Problem | None:
-    """BAL Ladybug-49 from the folder of the real data; None if it is not there."""
+    """Return BAL Ladybug-49 from the folder of the real data; None if the file does not exist."""
     folder = os.environ.get("FG_ORIENT_REAL_DATA")
     path = Path(folder, LADYBUG) if folder else None
     return compile_problem(read_bal(path)) if path and path.is_file() else None
@@ -42,7 +42,7 @@ def ladybug_problem() -> Problem | None:
 
 @dataclass(frozen=True)
 class Pinhole:
-    """Start values and observations as arrays, for programs that have a pinhole camera of their own.
+    """Start values and observations are arrays for programs with their own pinhole camera.
 
     ``rotation`` (M, 3, 3) camera from ground, X right, Y down, Z forward; ``centre`` (M, 3) and ``ground`` (N, 3) m,
     local; ``interior`` (M, 3) focal length (px), k1, k2; ``image``, ``point`` (n,); ``pixel`` (n, 2) sample and line
@@ -60,12 +60,12 @@ class Pinhole:
 
 
 def as_pinhole(problem: Problem) -> Pinhole:
-    """Arrays of a problem of frame images with these nine unknowns.
+    """Return the arrays of a problem of frame images with these nine unknowns.
 
     Raises
     ------
     ValueError
-        The cameras are of another kind, or the sigmas differ.
+        The cameras have other parameters, or the sigmas differ.
     """
     cameras = [image.sensor.camera for image in problem.block.images]
     o = problem.observations

@@ -1,10 +1,10 @@
-"""The report of a large block in a browser: size of the file, seconds to the map, milliseconds of a frame.
+"""The benchmark opens the report of a large block in a browser: size of the file, seconds to the map, ms per frame.
 
     python -m benchmarks.report_browser RESULTDIR [--runs 5] [--every 50] [--hovered 0]
 
-RESULTDIR is a result folder of ``adjust``; without one a block of 16 images with 1e5 image points is simulated and
-adjusted.
-A frame is the time from one pan or zoom to the second animation frame after it, when its picture has been shown.
+RESULTDIR is a result folder of ``adjust``; without it a block of 16 images with 1e5 image
+points is simulated and adjusted. The time of a frame ends at the second animation frame after
+a pan or zoom, when the new picture is visible.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from fg_orient.report import write_report
 from fg_orient.simulate.block import BlockOptions, simulate_block
 from tests.support.browser import Page, executable, open_browser
 
-#: Image points per ground point in this block are 3.2.
+#: This block has 3.2 image points per ground point.
 BLOCK = BlockOptions(rows=4, columns=4, points=31_200, seed=1)
-#: Pans and zooms that are timed.
+#: This number of pans and zooms is timed.
 STEPS = 40
 _FRAMES = """new Promise((done) => {
   const canvas = document.querySelector('#live-map canvas');
@@ -38,7 +38,8 @@ _FRAMES = """new Promise((done) => {
   };
   step(0);
 })"""
-#: Goes to a point by its id, lets go of it, and tells the middle of the map, where it stands, and what is told.
+#: The script searches a point by its id, deselects it, and returns the middle of the map,
+#: where the point is, and its text.
 _GO = """(() => {
   const box = document.querySelector('#live-map input[type=search]');
   const canvas = document.querySelector('#live-map canvas');
@@ -48,9 +49,9 @@ _GO = """(() => {
   const b = canvas.getBoundingClientRect();
   return [b.x + b.width / 2, b.y + b.height / 2, document.querySelector('#live-map .tip').textContent];
 })()"""
-#: Ids that are searched in one call: the browser answers after seconds, not minutes.
+#: One call searches this number of ids, so that the browser answers after seconds, not minutes.
 CHUNK = 200
-#: Searches some ids of those at each so manieth place, and counts the tips that name them.
+#: The script searches every n-th id, or some of these, and counts the tips that name the id.
 _SEARCH = """(() => {
   window.sought ??= JSON.parse(document.getElementById('report-data').textContent).points.id;
   const some = window.sought.filter((_, k) => k %% %d === 0).slice(%d, %d);
@@ -65,7 +66,7 @@ _SEARCH = """(() => {
 
 
 def search(page: Page, every: int) -> tuple[int, int, int]:
-    """Give the number of points, of those sought, and of those found."""
+    """Return the numbers of all points, of the points searched, and of the points found."""
     points, sought, found, start = 0, 0, 0, 0
     while start == sought:
         points, tried, right = page.value(_SEARCH % (every, start, start + CHUNK))
@@ -74,7 +75,7 @@ def search(page: Page, every: int) -> tuple[int, int, int]:
 
 
 def hover(page: Page, number: int, seed: int = 1) -> int:
-    """Give how many points of a random sample are told when the mouse comes to where they stand."""
+    """Return how many points of a random sample show their text when the mouse is moved to them."""
     ids = page.value("JSON.parse(document.getElementById('report-data').textContent).points.id")
     page.value("document.querySelector('#live-map canvas').scrollIntoView({block: 'center'})")
     told = 0
@@ -88,7 +89,7 @@ def hover(page: Page, number: int, seed: int = 1) -> int:
 
 
 def measure(page: Page, report: Path, runs: int, every: int = 50, hovered: int = 0) -> dict[str, Any]:
-    """Open a report some times and time it.
+    """Open a report several times and measure the times.
 
     Parameters
     ----------
@@ -96,11 +97,11 @@ def measure(page: Page, report: Path, runs: int, every: int = 50, hovered: int =
     report : Path
         The HTML file.
     runs : int
-        Loads; medians are given.
+        Number of loads; the result has the medians.
     every : int
-        Each so manieth id is searched.
+        Every n-th id is searched, where n is this number.
     hovered : int
-        So many points, drawn at random with a seed, are touched by the mouse.
+        The mouse is moved to this number of points, drawn at random with a seed.
     """
     page.size(1100, 900)
     loads, frames = [], []
@@ -119,7 +120,7 @@ def measure(page: Page, report: Path, runs: int, every: int = 50, hovered: int =
 
 
 def large_result(folder: Path) -> Path:
-    """Simulate and adjust the block; give its result folder."""
+    """Simulate and adjust the block; return its result folder."""
     project = simulate_block(folder / "block", BLOCK)
     run_project(project, folder / "result")
     return folder / "result"

@@ -1,11 +1,12 @@
-"""Projection of ground points through an RPC, ours against rasterio's RPCTransformer (GDAL), one core each.
+"""The benchmark compares the RPC projection with rasterio's RPCTransformer (GDAL); each uses one core.
 
     OPENBLAS_NUM_THREADS=1 GDAL_NUM_THREADS=1 python benchmarks/rpc_projection.py [--points 1000000] [--repeats 5]
 
-Both get the same longitudes, latitudes and heights as arrays, in one run, alternating; the smallest time of
-each counts. rasterio keeps fractions by ``op=np.positive``, without a Python call per point; its pixels have
-(0.5, 0.5) at the centre of the first one, so half a pixel is taken off before the results are compared.
-Targets: ratio >= 8, difference <= 1e-6 pixels.
+Both get the same longitudes, latitudes and heights as arrays. They alternate in one run, and
+the smallest time of each counts. With ``op=np.positive`` rasterio returns fractions without a
+Python call per point. It places the centre of the first pixel at (0.5, 0.5); therefore half a
+pixel is subtracted before the results are compared. Targets: ratio >= 8, difference <= 1e-6
+pixels.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from fg_orient.sensors.rpc_sensor import RpcSensor
 
 
 def model() -> RpcModel:
-    """A model with the sizes of a metre-resolution scene; all 80 coefficients count."""
+    """Return a model of a scene with a resolution of a metre; no coefficient of the 80 is zero."""
     rng = np.random.default_rng(1)
     c = rng.normal(scale=1e-3, size=(4, 20))
     c[1::2, 0] = 1.0
@@ -36,7 +37,7 @@ def model() -> RpcModel:
 
 
 def transformer(rpc: RpcModel) -> RPCTransformer:
-    """Give rasterio the same model."""
+    """Return rasterio's transformer with the same model."""
     values: dict[str, Any] = {"err_bias": None, "err_rand": None}
     for k, axis in enumerate(("line", "samp", "long", "lat", "height")):
         values |= {f"{axis}_off": rpc.offsets[k], f"{axis}_scale": rpc.scales[k]}
@@ -46,7 +47,7 @@ def transformer(rpc: RpcModel) -> RPCTransformer:
 
 
 def best(function: Callable[[], Any], seconds: list[float]) -> Any:
-    """Call once and keep the time."""
+    """Call once, append the time, and return the result."""
     start = time.perf_counter()
     result = function()
     seconds.append(time.perf_counter() - start)
@@ -63,7 +64,7 @@ def main() -> int:
     u = np.random.default_rng(2).uniform(-1.0, 1.0, (3, options.points))
     lon, lat, h = (np.ascontiguousarray(rpc.offsets[2 + k] + rpc.scales[2 + k] * u[k]) for k in range(3))
     ecef = geodetic_to_ecef(lon, lat, h)
-    rpc.project(lon[:2], lat[:2], h[:2])  # compiled or loaded before the clock starts
+    rpc.project(lon[:2], lat[:2], h[:2])  # the function is compiled or loaded before the time is measured
     sensor.project(ecef[:2])
     ours, theirs, from_ecef = [], [], []
     with transformer(rpc) as peer:

@@ -1,13 +1,14 @@
-"""Cost of the Schur backend per image point and iteration, against the graph backend in the same run.
+"""The benchmark compares the Schur backend with the graph backend per image point and iteration in one run.
 
     OPENBLAS_NUM_THREADS=1 python benchmarks/schur_cost.py [--sizes 1000 10000] [--repeats 5] [--json FILE]
 
-Blocks of 2 x 2, 4 x 4 and 6 x 6 scenes with set 20 (27 unknowns per image). An iteration is what the Gauss-Newton
-loop does: linearise, solve, retract. Compilation, the structure (arrays, pairs; the graph's factors) and the first
-iteration are not counted in it; the structure has its own column. Runs of all alternate; medians, and the least
-seconds as well in the JSON file: on a shared machine they are the steadier figure. ``bytes``: arrays of the
-backend per image point, the problem's own records not counted. ``--reduced`` also times both solvers of the
-reduced camera system.
+The blocks have 2 x 2, 4 x 4 and 6 x 6 scenes with set 20 (27 unknowns per image). An
+iteration consists of the steps of the Gauss-Newton loop: linearise, solve, retract.
+Compilation, the structure (arrays, pairs, factors of the graph) and the first iteration are
+not included; the structure has its own column. The runs alternate, and the table has the
+medians. The JSON file also has the least seconds, which vary less on a shared machine.
+``bytes`` are the arrays of the backend per image point without the records of the problem.
+``--reduced`` also times both solvers of the reduced camera system.
 """
 
 from __future__ import annotations
@@ -30,21 +31,22 @@ from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.cli.checks import self_test
 from fg_orient.simulate.block import BlockOptions, grid_block
 
-#: The graph needs 12 kB per image point: it is left out above this size.
+#: Above this size the graph does not run, because it needs 12 kB per image point.
 GRAPH_LIMIT = 200_000
-#: Image points from which a block has so many scenes along each side, and image points per ground point there.
+#: From the first number of image points a block has the second number of scenes along each
+#: side, and the third number of image points per ground point.
 GRIDS = ((0, 2, 2.6), (3_000, 4, 3.3), (50_000, 6, 3.6), (500_000, 10, 4.0))
 
 
 def problem_of(image_points: int) -> Problem:
-    """A block with about this many image points."""
+    """Return a block with about this number of image points."""
     side, rays = next((side, rays) for least, side, rays in reversed(GRIDS) if image_points >= least)
     block, _ = grid_block(BlockOptions(rows=side, columns=side, points=round(image_points / rays)))
     return compile_problem(replace(block, options=replace(block.options, eop_set=20)))
 
 
 def iteration_seconds(backend: Backend) -> float:
-    """One iteration at the start values: linearise, solve, retract."""
+    """Return the seconds of one iteration at the start values: linearise, solve, retract."""
     state = backend.initial()
     start = time.perf_counter()
     backend.retract(state, backend.linearise(state).solve(0.0))
@@ -52,7 +54,7 @@ def iteration_seconds(backend: Backend) -> float:
 
 
 def n_bytes(backend: SchurBackend) -> int:
-    """Bytes of the arrays of a backend."""
+    """Return the bytes of the arrays of a backend."""
     structure = [getattr(backend.structure, f.name) for f in fields(backend.structure)]
     arrays = [a for a in [*structure, *vars(backend.buffers).values()] if isinstance(a, np.ndarray)]
     rows = [array for pair in (backend.buffers._kept, backend.buffers._again) for array in pair]
@@ -61,7 +63,7 @@ def n_bytes(backend: SchurBackend) -> int:
 
 
 class Case:
-    """One size: its backends and the seconds measured so far."""
+    """A case is one size with its backends and the seconds measured so far."""
 
     def __init__(self, image_points: int, reduced: bool) -> None:
         problem = problem_of(image_points)
@@ -79,14 +81,14 @@ class Case:
         self.seconds: dict[str, list[float]] = {name: [] for name in self.backends}
 
     def run(self, count: bool = True) -> None:
-        """One iteration of each."""
+        """Measure one iteration of each backend."""
         for name, backend in self.backends.items():
             seconds = iteration_seconds(backend)
             if count:
                 self.seconds[name].append(seconds)
 
     def row(self) -> dict[str, object]:
-        """Microseconds per image point and iteration: medians, least, and all."""
+        """Return the microseconds per image point and iteration: medians, least, and all."""
         micro = {name: np.array(values) / self.n * 1e6 for name, values in self.seconds.items()}
         return {
             "image_points": self.n, "image_unknowns": self.unknowns,
@@ -109,14 +111,14 @@ def table(rows: list[dict], names: list[str]) -> None:
 
 
 def exponent(rows: list[dict]) -> float:
-    """Slope of log(time per iteration) on log(image points), two threads."""
+    """Return the slope of log(time per iteration) over log(image points) for two threads."""
     n = np.array([row["image_points"] for row in rows], dtype=float)
     seconds = n * np.array([row["median_us"]["schur_2"] for row in rows])
     return float(np.polyfit(np.log(n), np.log(seconds), 1)[0])
 
 
 def main() -> int:
-    """Print the table; always 0: a benchmark reports, it does not judge."""
+    """Print the table. The exit code is always 0, because a benchmark only reports."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sizes", type=int, nargs="+", default=[1000, 10_000, 100_000])
     parser.add_argument("--repeats", type=int, default=5)
@@ -130,8 +132,9 @@ def main() -> int:
             case.run(count=False)
         gc.collect()
         gc.freeze()
-        gc.disable()  # as the adjustment does while it solves
-        for _ in range(given.repeats):  # all sizes in each round: a busy moment of the machine meets all alike
+        gc.disable()  # the adjustment does the same while it solves
+        # all sizes run in each round, so that other work on the machine delays all alike
+        for _ in range(given.repeats):
             for case in cases:
                 case.run()
     rows = [case.row() for case in cases]

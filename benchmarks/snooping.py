@@ -1,17 +1,19 @@
-"""Search for gross errors: time of the command, the same rejections as one by one, missed and false ones.
+"""The benchmark measures the search for gross errors: the time of the command, and missed and false rejections.
 
     python -m benchmarks.snooping [--cases C ...] [--repeats N] [--folder F]
 
-writes results/snooping.json, of which ``python -m benchmarks.page`` makes a section of docs/performance.md. Blocks are
-those of ``benchmarks.whole_run``. Gross errors of 5 to 50 px with any direction are planted in random image points of
-the table. Processor seconds are those of the whole command ``adjust --snoop``; the first run is not counted.
+writes results/snooping.json, and ``python -m benchmarks.page`` makes a section of
+docs/performance.md from it. The blocks are those of ``benchmarks.whole_run``. Gross errors of
+5 to 50 px with random directions are planted in random image points of the table. Processor
+seconds are those of the whole command ``adjust --snoop``; the first run is not counted. The
+search is also made one by one, with one gross error and one restored observation in each
+round, and must reject the same observations.
 
-One by one: the same search with one gross error in each round and one observation put back.
-
-The power to find an error is predicted in the adjustment without errors: with the error e in sigmas and the cofactors Q
-of the residuals of its image point, T has the non-centrality ``e^T Q e``, d degrees of freedom and the limit of the
-last round. An error is missed if its image point stays. The prediction holds for one error in a point; errors in points
-with several are counted apart.
+The power to find an error is predicted in the adjustment without errors: with the error e in
+sigmas and the cofactors Q of the residuals of its image point, T has the non-centrality
+``e^T Q e``, d degrees of freedom and the limit of the last round. An error is missed if its
+image point is not rejected. The prediction holds for one error in a point; errors in points
+with several errors are counted separately.
 """
 
 from __future__ import annotations
@@ -40,14 +42,18 @@ from fg_orient.quality.hypotheses import CHECKED
 
 RESULTS: Final = Path(__file__).parent / "results" / "snooping.json"
 SEED: Final = 1
-#: Exit codes of runs: an error along a line of sight that no ray shows may make a check point contradict the result.
+#: Runs may end with these exit codes: an error along a line of sight, which no other ray
+#: shows, may make a check point contradict the result.
 ACCEPTED: Final = (0, 4)
 Key = tuple[str, str]
 
 
 @dataclass(frozen=True)
 class Case:
-    """Ground points of a block, number or share of gross errors, limit in processor seconds; compared one by one."""
+    """A case has a number of ground points, a number or share of gross errors, and a limit in processor seconds.
+
+    ``one_by_one`` cases are also searched with one error in each round.
+    """
 
     points: int
     errors: float
@@ -63,7 +69,7 @@ CASES: Final = {
 
 
 def planted(table: Path, errors: float) -> dict[Key, tuple[float, float]]:
-    """Plant errors in a table of image points; errors by image and point."""
+    """Plant errors in a table of image points; return the errors by image and point."""
     lines = table.read_text("utf-8").splitlines()
     head = next(k for k, line in enumerate(lines) if not line.startswith("#"))
     names, *rows = csv.reader(lines[head:])
@@ -83,7 +89,10 @@ def planted(table: Path, errors: float) -> dict[Key, tuple[float, float]]:
 def missed_probabilities(
     solution: fg.Solution, errors: dict[Key, tuple[float, float]], level: float
 ) -> dict[Key, float]:
-    """Predicted probability that each error passes its test; ``solution``: of the block without errors."""
+    """Return the predicted probability that each error passes its test.
+
+    ``solution`` is that of the block without errors.
+    """
     o, block = solution.problem.observations, solution.block
     q = solution.residual_cofactors.image
     row = {(block.images[i].id, block.points.ids[j]): k
@@ -100,14 +109,14 @@ def missed_probabilities(
 
 
 def rejections(record: dict[str, Any]) -> list[list[str]]:
-    """Observations that stay out: part, image, point; sorted."""
+    """Return the rejected observations, sorted by part, image and point."""
     return sorted([f["part"], f["image"] or "", f["id"]] for f in record["found"] if f["readmitted"] is None)
 
 
 def judged(
     clean: Path, record: dict[str, Any], tests: dict[str, Any], errors: dict[Key, tuple[float, float]]
 ) -> dict[str, Any]:
-    """Missed and false rejections against the planted errors, and the prediction."""
+    """Return the missed errors and false rejections, from the planted errors, and the prediction."""
     named = {(image, point) for part, image, point in rejections(record) if part == "image"}
     words = (text.removeprefix("point ").split(" in image ") for text in record["went_with"])
     partners = {(image, point) for point, image in words}
@@ -129,7 +138,7 @@ def judged(
 
 
 def measured(name: str, folder: Path, repeats: int) -> dict[str, Any]:
-    """Simulate a block, plant errors and search for them; medians."""
+    """Simulate a block, plant errors and search for them; return the medians."""
     case, number = CASES[name], list(CASES).index(name)
     clean, block, out = (folder / f"{kind}-{number}" for kind in ("clean", "block", "result"))
     grid = ["--rows", "4", "--columns", "4", "--points", str(case.points), "--seed", str(SEED), "--quiet"]
@@ -158,7 +167,7 @@ def measured(name: str, folder: Path, repeats: int) -> dict[str, Any]:
 
 
 def rows(results: dict[str, Any]) -> list[list[str]]:
-    """Table of the times, rows of text."""
+    """Return the table of the times as rows of text."""
     out = [
         ["image points", "gross errors", "processor s", "limit", "without `--snoop`", "peak MB", "rounds", "left out",
          "put back", "the same one by one", "verdict"],
@@ -178,7 +187,7 @@ def rows(results: dict[str, Any]) -> list[list[str]]:
 
 
 def truth_rows(results: dict[str, Any]) -> list[list[str]]:
-    """Table of missed and false rejections against the planted errors."""
+    """Return the table of missed errors and false rejections."""
     out = [
         ["image points", "errors alone in their point", "missed", "predicted", "errors in points with several",
          "missed", "right image points left out: in points without an error", "beside an error",

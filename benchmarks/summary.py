@@ -1,4 +1,4 @@
-"""What the records of a run say: medians, quartiles, ratios, the bound. Pure arithmetic on the JSON file."""
+"""The module computes medians, quartiles, ratios and the bound from the JSON file of a run."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 
 from benchmarks.hardware import Hardware, best, iteration_bound, pair_bound
 
-#: A run counts if its cost is within this share of the lowest one found on the same problem.
+#: A run counts if its cost exceeds the lowest cost found on the same problem by at most this share.
 SAME_COST: Final = 1e-6
-#: Image points from which the exponent is fitted.
+#: The exponent is fitted to sizes from this number of image points.
 EXPONENT_FROM: Final = 800
 
 Record = dict[str, Any]
@@ -20,7 +20,10 @@ Record = dict[str, Any]
 
 @dataclass(frozen=True)
 class Value:
-    """Median and quartiles of the repeats; ``bound``: the truth is at least this, the peer did not get there."""
+    """Median and quartiles of the repeats.
+
+    ``bound`` marks a lower bound, if the other program did not reach the cost.
+    """
 
     median: float
     low: float
@@ -30,38 +33,38 @@ class Value:
 
     @classmethod
     def of(cls, values: Iterable[float], bound: bool = False) -> Value:
-        """Of all repeats."""
+        """Return the value of all repeats."""
         all_of = list(values)
         low, median, high = np.percentile(all_of, [25.0, 50.0, 75.0])
         return cls(float(median), float(low), float(high), len(all_of), bound)
 
     def times(self, factor: float) -> Value:
-        """In another unit."""
+        """Return the value in another unit."""
         return Value(self.median * factor, self.low * factor, self.high * factor, self.repeats, self.bound)
 
 
 def whole_seconds(record: Record) -> float:
-    """Structure and solution."""
+    """Return the seconds of structure and solution."""
     return float(record["structure"]) + float(record["solve"])
 
 
 def iteration_seconds(record: Record) -> float:
-    """Seconds of the solution over its iterations: the same for all."""
+    """Return the seconds of the solution divided by its iterations, for all solvers alike."""
     return float(record["solve"]) / max(int(record["iterations"]), 1)
 
 
 def steady_seconds(record: Record) -> float:
-    """One iteration of ours on memory that has been used before: linearise, solve, retract."""
+    """Return the seconds of linearise, solve and retract of fg_orient in memory that was used before."""
     return float(sum(record["stages"][name] for name in ("linearise", "solve", "retract")))
 
 
 class Summary:
-    """Queries on one results file.
+    """The summary answers queries on one file of results.
 
     Parameters
     ----------
     results : dict
-        What ``benchmarks/fast_path.py`` wrote.
+        Content of the file that ``benchmarks/fast_path.py`` wrote.
     """
 
     def __init__(self, results: dict[str, Any]) -> None:
@@ -69,21 +72,21 @@ class Summary:
         self.hardware: Hardware = best(results["hardware"])
 
     def records(self, problem: str, size: str, solver: str) -> list[Record]:
-        """Repeats of one entry, in order; empty if it was not run."""
+        """Return the repeats of one entry in their order; none if it was not run."""
         return [r for r in self.results["records"] if (r["problem"], r["size"], r["solver"]) == (problem, size, solver)]
 
     def sizes(self, problem: str) -> list[str]:
-        """Sizes that were run, smallest first."""
+        """Return the sizes that were run, smallest first."""
         found = {r["size"]: r["n_image_points"] for r in self.results["records"] if r["problem"] == problem}
         return sorted(found, key=lambda size: found[size])
 
     def solvers(self, problem: str, size: str) -> list[str]:
-        """Solvers that were run, in the order of the run."""
+        """Return the solvers that were run, in the order of the run."""
         here = [r["solver"] for r in self.results["records"] if (r["problem"], r["size"]) == (problem, size)]
         return list(dict.fromkeys(here))
 
     def lowest_cost(self, problem: str, size: str) -> float:
-        """Lowest cost that any solver found on a problem."""
+        """Return the lowest cost that any solver found on a problem."""
         return float(
             min(
                 r["cost"]
@@ -93,18 +96,18 @@ class Summary:
         )
 
     def excess(self, record: Record) -> float:
-        """Relative excess of the cost over the lowest one; nan for what is no whole solution."""
+        """Return the relative excess of the cost over the lowest cost; nan if the run is no whole solution."""
         if record["cost"] is None:
             return float("nan")
         lowest = self.lowest_cost(record["problem"], record["size"])
         return (float(record["cost"]) - lowest) / lowest
 
     def reached(self, records: list[Record]) -> bool:
-        """Whether all repeats came to the common cost."""
+        """Return whether all repeats reached the common cost."""
         return all(not self.excess(r) > SAME_COST for r in records)
 
     def value(self, problem: str, size: str, solver: str, of: Callable[[Record], float]) -> Value | None:
-        """A figure of one entry; None if it was not run."""
+        """Return a figure of one entry; None if it was not run."""
         records = self.records(problem, size, solver)
         return Value.of(map(of, records), not self.reached(records)) if records else None
 
@@ -112,9 +115,10 @@ class Summary:
         self, problem: str, size: str, peer: str, own: str, of: Callable[[Record], float],
         own_of: Callable[[Record], float] | None = None,
     ) -> Value | None:  # fmt: skip
-        """Peer over ours in the rounds in which both ran: median and quartiles.
+        """Return the ratio of another program to fg_orient in the rounds in which both ran: median and quartiles.
 
-        A lower bound where the peer did not come to the common cost; None where either was not run, or ours did not.
+        The ratio is a lower bound if the other program did not reach the common cost. It is
+        None if one of them was not run, or if fg_orient did not reach the common cost.
         """
         theirs, ours = self.records(problem, size, peer), self.records(problem, size, own)
         if not theirs or not ours or not self.reached(ours):
@@ -124,12 +128,12 @@ class Summary:
         return Value.of(pairs, not self.reached(theirs))
 
     def per_point_us(self, problem: str, size: str, solver: str, of: Callable[[Record], float]) -> Value | None:
-        """Microseconds per image point."""
+        """Return the microseconds per image point."""
         found = self.value(problem, size, solver, of)
         return None if found is None else found.times(1e6 / self.records(problem, size, solver)[0]["n_image_points"])
 
     def bound_seconds(self, size: str, threads: int, *, banded: bool) -> float | None:
-        """Least seconds of one iteration of the SPOT problem of a size on this machine."""
+        """Return the least seconds of one iteration of the SPOT problem of a size on this machine."""
         records = self.records("spot", size, f"schur-{threads}")
         if not records:
             return None
@@ -140,7 +144,7 @@ class Summary:
         )
 
     def over_bound(self, size: str, threads: int, *, banded: bool) -> Value | None:
-        """Our steady iteration over the bound."""
+        """Return the steady iteration of fg_orient divided by the bound."""
         bound, ours = (
             self.bound_seconds(size, threads, banded=banded),
             self.value("spot", size, f"schur-{threads}", steady_seconds),
@@ -148,7 +152,7 @@ class Summary:
         return None if bound is None or ours is None else ours.times(1.0 / bound)
 
     def pairs_over_bound(self, size: str, threads: int) -> Value | None:
-        """Seconds of the blocks of the reduced system over their bound."""
+        """Return the seconds of the blocks of the reduced system divided by their bound."""
         records = self.records("spot", size, f"schur-{threads}")
         stage = "kernel:pair_blocks"
         if not records or stage not in records[0]["stages"]:
@@ -157,9 +161,10 @@ class Summary:
         return Value.of(r["stages"][stage] / bound for r in records)
 
     def exponent(self, solver: str, up_to: int) -> float | None:
-        """Slope of log(seconds of an iteration) on log(image points) from 1e3 on.
+        """Return the slope of log(seconds of an iteration) over log(image points) from 1e3 on.
 
-        None if the largest block that was run has less than half of ``up_to`` image points.
+        Return None if the largest block that was run has less than half of ``up_to`` image
+        points.
         """
         points, seconds = [], []
         for size in self.sizes("spot"):
@@ -174,7 +179,7 @@ class Summary:
     def working_set(
         self, size: str, threads: int, *, with_records: bool = False, backend: str = "schur"
     ) -> float | None:
-        """Bytes per image point; ``with_records`` counts the records of the equations as well."""
+        """Return the bytes per image point; ``with_records`` includes the records of the equations."""
         wanted = size, threads, backend
         found = [m for m in self.results["memory"] if (m["size"], m["threads"], m.get("backend", "schur")) == wanted]
         if not found:

@@ -1,4 +1,4 @@
-"""Tables of a run as rows of text: one for the terminal and the page alike."""
+"""The module makes the tables of a run as rows of text, both for the terminal and for the page."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ NAMES: Final = {
     "compile": "compile",
     "read": "read",
 }
-#: Solver of fg_orient with which the other programs are compared.
+#: Other programs are compared with this solver of fg_orient.
 OWN: Final = {"spot": "schur", "pinhole": "schur", "resection": "adjust"}
 NO_SOLUTION: Final = ("compile", "read")
 
@@ -36,7 +36,7 @@ Rows = list[list[str]]
 
 
 def number(value: Value | None, digits: int = 3) -> str:
-    """Median with quartiles, ">=" before a lower bound."""
+    """Return the median with quartiles, and ">=" before a lower bound."""
     if value is None:
         return "-"
     sign = ">= " if value.bound else ""
@@ -45,7 +45,7 @@ def number(value: Value | None, digits: int = 3) -> str:
 
 
 def solver_rows(s: Summary) -> Rows:
-    """Every solver on every problem: seconds, iterations, cost, and its ratio to ours."""
+    """Return seconds, iterations, cost and ratio to fg_orient for every solver on every problem."""
     out = [[
         "problem", "solver", "image points", "repeats", "structure s", "solve s", "iterations",
         "µs/point/iteration", "steady", "cost excess", "whole / fg_orient", "iteration / fg_orient",
@@ -73,7 +73,7 @@ def _solver_row(s: Summary, problem: str, size: str, name: str) -> list[str]:
 
 
 def bound_rows(s: Summary) -> Rows:
-    """Our steady iteration over the hardware bound, per size."""
+    """Return the steady iteration of fg_orient divided by the bound of the hardware, for each size."""
     out = [[
         "image points", "images", "pairs per image point", "threads", "µs/point/iteration", "bound µs", "x bound",
         "band bound µs", "x band bound", "pair blocks x bound",
@@ -96,7 +96,7 @@ def bound_rows(s: Summary) -> Rows:
 
 
 def stage_rows(s: Summary) -> Rows:
-    """Nanoseconds per image point of the stages of one iteration with two threads."""
+    """Return the nanoseconds per image point of the stages of one iteration with two threads."""
     records = {size: s.records("spot", size, "schur-2") for size in s.sizes("spot")}
     names = list(dict.fromkeys(name for found in records.values() for r in found for name in r["stages"]))
     out = [["ns per image point, 2 threads", *records]]
@@ -110,7 +110,7 @@ def stage_rows(s: Summary) -> Rows:
 
 
 def preparation_rows(s: Summary) -> Rows:
-    """Seconds before the first iteration."""
+    """Return the seconds before the first iteration."""
     out = [["image points", "read s", "compile s", "structure s (1 thread)", "structure s (2 threads)"]]
     for size in s.sizes("spot"):
         n = next(r["n_image_points"] for r in s.results["records"] if (r["problem"], r["size"]) == ("spot", size))
@@ -121,7 +121,7 @@ def preparation_rows(s: Summary) -> Rows:
 
 
 def memory_rows(s: Summary) -> Rows:
-    """Working sets in bytes per image point."""
+    """Return the working sets in bytes per image point."""
     out = [["image points", "threads", "backend", "working set", "with records", "solve only", "input arrays"]]
     for m in s.results["memory"]:
         n = m["n_image_points"]
@@ -131,7 +131,7 @@ def memory_rows(s: Summary) -> Rows:
 
 
 def goal_rows(s: Summary, goals: tuple[Goal, ...], *, must: bool) -> Rows:
-    """Goals with what was measured."""
+    """Return the goals with the measured figures."""
     out = [["goal", "measured", *(["limit"] if must else ["target", "stretch"]), "verdict"]]
     for goal in goals:
         found, sign = goal.measure(s), ">=" if goal.more else "<="
@@ -145,7 +145,7 @@ def goal_rows(s: Summary, goals: tuple[Goal, ...], *, must: bool) -> Rows:
 
 
 def all_tables(results: dict[str, Any]) -> dict[str, Rows]:
-    """Tables by heading, in the order of the page."""
+    """Return the tables by heading, in the order of the page."""
     s = Summary(results)
     return {
         "Limits": goal_rows(s, MUST, must=True),
@@ -159,7 +159,7 @@ def all_tables(results: dict[str, Any]) -> dict[str, Rows]:
 
 
 def print_table(results: dict[str, Any]) -> None:
-    """All tables in columns."""
+    """Print all tables in columns."""
     for heading, rows in all_tables(results).items():
         widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
         print(f"\n{heading}")

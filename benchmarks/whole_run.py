@@ -1,12 +1,14 @@
-"""What a user waits for: the command ``adjust`` from its start to the last file, and ``simulate block``.
+"""The benchmark times whole commands: ``adjust`` from its start to the last file, and ``simulate block``.
 
     python -m benchmarks.whole_run [--sizes 1e4 1.3e5 1.35e6 1e7] [--repeats N] [--folder F]
 
-writes results/whole_run.json, of which ``python -m benchmarks.page`` makes a section of docs/performance.md. Blocks
-have 16 SPOT-like images (4 x 4), 2 % control points and 10 % check points. Each run is a process of its own. The first
-run of the smallest block compiles and is not counted. Processor seconds (user and system) and the peak of the resident
-memory are those that the system counts; the shares of the stages are wall-clock seconds of the record. What a run takes
-without the solution is measured on one core, where the wall-clock seconds of the solution are its processor seconds.
+writes results/whole_run.json, and ``python -m benchmarks.page`` makes a section of
+docs/performance.md from it. Blocks have 16 SPOT-like images (4 x 4), 2 % control points and
+10 % check points. Each run is a process of its own. The first run of the smallest block
+compiles and is not counted. The operating system counts the processor seconds (user and
+system) and the peak of the resident memory. The shares of the stages come from the wall-clock
+seconds of the record. The time of a run without the solution is measured on one core, where
+the wall-clock seconds of the solution are equal to its processor seconds.
 """
 
 from __future__ import annotations
@@ -30,12 +32,12 @@ from fg_orient.formats.project import read_project
 from fg_orient.orientation.orient import adjust
 
 RESULTS: Final = Path(__file__).parent / "results" / "whole_run.json"
-#: Image points for each ground point of these blocks.
+#: These blocks have this number of image points for each ground point.
 RAYS: Final = 3.2
-#: Points whose covariances are compared with joint ones.
+#: The covariances of this number of points are compared with joint covariances.
 SAMPLED: Final = 200
 LEAST_S: Final = 1e-9
-#: Size whose runs are repeated on one core, and the program of these.
+#: The runs of this size are repeated on one core by this program.
 SPLIT: Final = "1.35e6"
 ONE_CORE: Final = (
     "import os, sys; os.sched_setaffinity(0, [min(os.sched_getaffinity(0))]); "
@@ -45,7 +47,7 @@ ONE_CORE: Final = (
 
 @dataclass(frozen=True)
 class Size:
-    """Ground points of a block; limits of the whole run, and whether it has the statistics of all observations."""
+    """A size has ground points, limits of the whole run, and a switch for the statistics of all observations."""
 
     points: int
     limit_s: float
@@ -64,15 +66,15 @@ SIZES: Final = {
 
 
 def run(arguments: list[str], accepted: tuple[int, ...] = (0,), *, one_core: bool = False) -> dict[str, float]:
-    """Run a command; processor seconds, wall-clock seconds and megabytes of its process.
+    """Run a command; return processor seconds, wall-clock seconds and megabytes of its process.
 
     Raises
     ------
     RuntimeError
-        Its exit code is not one of those accepted.
+        The exit code is not one of the accepted codes.
     """
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
-    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # else all modules are compiled again in each run
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # otherwise all modules are compiled again in each run
     begin = time.perf_counter()
     program = ["-c", ONE_CORE] if one_core else ["-m", "fg_orient"]
     child = os.posix_spawn(sys.executable, [sys.executable, *program, *arguments], environment)
@@ -84,7 +86,7 @@ def run(arguments: list[str], accepted: tuple[int, ...] = (0,), *, one_core: boo
 
 
 def measured(name: str, folder: Path, repeats: int) -> dict[str, Any]:
-    """Simulate a block and adjust it so many times; medians."""
+    """Simulate a block and adjust it this number of times; return the medians."""
     size, block, out = SIZES[name], folder / f"block-{name}", folder / f"result-{name}"
     tables = ["--tables", size.tables]
     grid = ["--rows", "4", "--columns", "4", "--points", str(size.points), "--seed", "1", *tables]
@@ -110,9 +112,10 @@ def measured(name: str, folder: Path, repeats: int) -> dict[str, Any]:
 
 
 def covariances(project: Path) -> dict[str, float]:
-    """Processor seconds for the covariances of all ground points; largest relative difference from joint ones of 200.
+    """Return the processor seconds for all covariances, and the largest difference from joint ones of 200 points.
 
-    A block without statistics of each observation: nothing is known before but the solution.
+    The difference is relative. The block has no statistics of each observation, so that only
+    the solution is known before.
     """
     solution = adjust(read_project(project, statistics="basic"))
     assert solution.cofactors is not None
@@ -126,12 +129,12 @@ def covariances(project: Path) -> dict[str, float]:
 
 
 def spaced(n: int) -> str:
-    """Give a number with a space between thousands."""
+    """Return a number with spaces between thousands."""
     return f"{n:,}".replace(",", " ")
 
 
 def rows(results: dict[str, Any]) -> list[list[str]]:
-    """Table of the runs against their limits, rows of text."""
+    """Return the table of the runs with their limits as rows of text."""
     out = [[
         "image points", "tables", "processor s", "limit", "peak MB", "limit", "wall s", "all statistics", "report MB",
         "verdict",
@@ -149,7 +152,7 @@ def rows(results: dict[str, Any]) -> list[list[str]]:
 
 
 def stage_rows(results: dict[str, Any]) -> list[list[str]]:
-    """Shares of the stages in the wall-clock time, per cent."""
+    """Return the shares of the stages in the wall-clock time, per cent."""
     names = ("read", "structure", "solve", "statistics", "record", "write", "report")
     out = [["image points", "tables", *names, "start and rest"]]
     for size, found in results["sizes"].items():
@@ -163,7 +166,7 @@ def stage_rows(results: dict[str, Any]) -> list[list[str]]:
 
 
 def figures(results: dict[str, Any]) -> list[list[str]]:
-    """Marginal cost, cost without the solution, and the simulation, against their limits."""
+    """Return the marginal cost, the cost without the solution, and the simulation, with their limits."""
     sizes, out = results["sizes"], [["figure", "measured", "limit"]]
     if {"1.3e5", "1.35e6"} <= sizes.keys():
         small, large = sizes["1.3e5"], sizes["1.35e6"]

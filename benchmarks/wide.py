@@ -1,12 +1,13 @@
-"""Wide networks: time to the same chi2 as Ceres C++, and the iterations of grids, strips and many rays for few points.
+"""The benchmark measures wide networks: time to the same chi2 as Ceres C++, and iterations of grids and strips.
 
     python -m benchmarks.wide [--sizes "340 mixed" ...] [--threads 1 2] [--repeats N] [--limit S]
 
-adds the runs that results/wide.json does not have; ``python -m benchmarks.page`` makes a section of docs/performance.md
-of it. Each solution is a process of its own, and all solvers run once in each round. A solver is timed until its chi2
-exceeds the lowest of all by 1e-9 at most, by the log of its iterations, with what it prepares once per problem.
-Processor seconds are counted for a whole solution; an iteration of Ceres has the share that it has of the wall-clock
-time.
+adds the runs that results/wide.json does not contain. ``python -m benchmarks.page`` makes a
+section of docs/performance.md from the file. Each solution is a process of its own, and all
+solvers run once in each round. The time of a solver ends when its chi2 exceeds the lowest of
+all by at most 1e-9, according to the log of its iterations. The time includes the preparation
+once per problem. Processor seconds are counted for a whole solution; the processor time of an
+iteration of Ceres is computed from its share of the wall-clock time.
 """
 
 from __future__ import annotations
@@ -43,33 +44,35 @@ from fg_orient.model.machine import calm_memory
 from tests.support.pinhole import pinhole_block
 
 RESULTS: Final = Path(__file__).parent / "results" / "wide.json"
-#: Share of the lowest chi2 by which the end of a solution may exceed it.
+#: The chi2 at the end of a solution may exceed the lowest chi2 by this share.
 SAME: Final = 1e-9
-#: Ceres' linear solver, and relative accuracy of an iterative one: Ceres' own, and a tenth of it.
+#: Linear solver of Ceres, and relative accuracy of an iterative solver: Ceres' default and a tenth of it.
 CERES: Final = {
     "ceres-dense": ("DENSE_SCHUR", 0.1), "ceres-sparse": ("SPARSE_SCHUR", 0.1),
     "ceres-iterative": ("ITERATIVE_SCHUR", 0.1), "ceres-iterative-0.01": ("ITERATIVE_SCHUR", 0.01),
 }  # fmt: skip
 OURS: Final = "fg_orient"
-#: Least ratio of the best of Ceres over ours, of each size.
+#: For each size, the time of the best solver of Ceres divided by that of fg_orient must be at least this.
 LEAST: Final = {"340 mixed": 1.5, "1000 mixed": 1.2, "3000 mixed": 1.0}
-#: Cameras up to which Ceres factorises: at 3000 a full factor takes 6e12 operations and 6 GB in each iteration.
+#: Ceres factorises up to this number of cameras: at 3000 a full factor takes 6e12 operations
+#: and 6 GB in each iteration.
 FACTORISED: Final = 1000
 #: Solvers that took more than this times the time of the best in the first round are not repeated.
 SLOW: Final = 2.0
 MOST: Final = 100
 #: Line of Ceres' log: iteration, cost, change of the cost, ..., seconds.
 LINE: Final = re.compile(r"^\s*\d+\s+\S+\s+(\S+)\s.*\s(\S+)\s*$")
-#: Networks whose iterations are timed, with the limit of an iteration in seconds.
+#: The iterations of these networks are timed, with the limit of an iteration in seconds.
 ITERATIONS: Final = {"2500 in a grid": 2.0, "2000 in a strip": 0.2, "500 images, 37 points": 0.1}
 
 Row = list[str]
 
 
 def network(name: str) -> Problem:
-    """Problem of :data:`ITERATIONS`.
+    """Return a problem of :data:`ITERATIONS`.
 
-    40 or 25 points for each camera with four rays each; 37 points in all images, with scale bars, a free network.
+    Grids and strips have 40 or 25 points for each camera with four rays each. The free
+    network has 37 points in all images, and scale bars.
     """
     if name == "500 images, 37 points":
         block, _ = frames.network(frames.SIZES["500 photos, 37 points"])
@@ -79,7 +82,7 @@ def network(name: str) -> Problem:
 
 
 def iterations(name: str) -> dict[str, Any]:
-    """Processor seconds of an iteration after the first, by default options; second run."""
+    """Return the processor seconds of an iteration after the first one, with default options, in the second run."""
     problem, marks = network(name), list[float]()
     solve(problem)
     machine.release()
@@ -96,10 +99,10 @@ def iterations(name: str) -> dict[str, Any]:
 
 
 def ours(size: str, threads: int) -> dict[str, Any]:
-    """Levenberg-Marquardt on the Schur backend."""
+    """Run Levenberg-Marquardt on the Schur backend."""
     problem, log = pinhole.pinhole_problem(size), list[tuple[float, float, float]]()
     with calm_memory():
-        for reduced in ("auto", "implicit"):  # what the first calls load does not count
+        for reduced in ("auto", "implicit"):  # the time of the first calls, which load the kernels, is not counted
             small = SchurBackend(pinhole.pinhole_problem("1e4"), threads, reduced)
             levenberg_marquardt(small, small.initial(), MOST)
         machine.release()
@@ -120,7 +123,7 @@ def ours(size: str, threads: int) -> dict[str, Any]:
 
 
 def theirs(size: str, threads: int, solver: str, limit_s: float) -> dict[str, Any]:
-    """Ceres through COLMAP, whose objects are made before."""
+    """Run Ceres through COLMAP, whose objects are made before."""
     from benchmarks import peers_pinhole
 
     p = pinhole.as_pinhole(pinhole.pinhole_problem(size))
@@ -138,7 +141,7 @@ def theirs(size: str, threads: int, solver: str, limit_s: float) -> dict[str, An
         file.seek(0)
         lines = [found.groups() for found in map(LINE.match, file.read().decode().splitlines()) if found]
     share = (time.process_time() - processor) / (time.perf_counter() - start)
-    # the text has seven digits of the cost but three of its changes: they are added from the end
+    # the text has seven digits of the cost and only three of its changes, which are added from the end
     scale, cost, log = 2.0 / p.sigma**2, float(summary.final_cost), list[tuple[float, float, float]]()
     for change, seconds in reversed(lines[1:]):
         log.append((float(seconds), share * float(seconds), scale * cost))
@@ -158,12 +161,12 @@ def apart(*arguments: object) -> dict[str, Any]:
 
 
 def arrival(record: dict[str, Any], target: float) -> tuple[float, float] | None:
-    """Wall-clock and processor seconds until chi2 is at most the target; None if it never is."""
+    """Return the wall-clock and processor seconds until chi2 is at most the target; None if it never is."""
     return next(((wall, processor) for wall, processor, chi2 in record["log"] if chi2 <= target), None)
 
 
 def of_size(results: dict[str, Any], size: str, threads: int) -> dict[str, list[dict[str, Any]]]:
-    """Records of a size by solver."""
+    """Return the records of a size by solver."""
     out: dict[str, list[dict[str, Any]]] = {}
     for record in results["records"]:
         if (record["size"], record["threads"]) == (size, threads):
@@ -172,12 +175,12 @@ def of_size(results: dict[str, Any], size: str, threads: int) -> dict[str, list[
 
 
 def target_of(results: dict[str, Any], size: str) -> float:
-    """Lowest chi2 of all solvers, with the share by which it may be exceeded."""
+    """Return the lowest chi2 of all solvers, increased by the permitted share."""
     return float((1.0 + SAME) * min(row[2] for r in results["records"] if r["size"] == size for row in r["log"]))
 
 
 def medians(records: list[dict[str, Any]], target: float) -> tuple[float, float] | None:
-    """Median wall-clock and processor seconds to the target; None if it was not reached."""
+    """Return the median wall-clock and processor seconds to the target; None if it was not reached."""
     found = [arrival(record, target) for record in records]
     if None in found:
         return None
@@ -186,12 +189,12 @@ def medians(records: list[dict[str, Any]], target: float) -> tuple[float, float]
 
 
 def threads_of(results: dict[str, Any]) -> list[int]:
-    """Numbers of threads of the records."""
+    """Return the numbers of threads of the records."""
     return sorted({record["threads"] for record in results["records"]})
 
 
 def rows(results: dict[str, Any]) -> list[Row]:
-    """Table of all solvers."""
+    """Return the table of all solvers."""
     out = [["cameras", "threads", "solver", "method", "repeats", "processor s", "wall s", "iterations", "memory MB"]]
     for size in LEAST:
         for threads in threads_of(results):
@@ -208,7 +211,7 @@ def rows(results: dict[str, Any]) -> list[Row]:
 
 
 def goals(results: dict[str, Any]) -> list[Row]:
-    """Ratios of the best of Ceres over ours, and iterations, against their limits."""
+    """Return the ratios of the best solver of Ceres to fg_orient, and the iterations, with their limits."""
     out = [["goal", "measured", "limit", "verdict"]]
     for size, least in LEAST.items():
         for threads in threads_of(results):
@@ -237,7 +240,7 @@ def goals(results: dict[str, Any]) -> list[Row]:
 
 
 def measure(given: argparse.Namespace) -> dict[str, Any]:
-    """Add the runs that the file does not have."""
+    """Add the runs that the file does not contain."""
     results: dict[str, Any] = {"machine": this_machine(), "records": [], "iterations": {}}
     if given.json.exists():
         results |= json.loads(given.json.read_text("utf-8"))
@@ -264,7 +267,7 @@ def measure(given: argparse.Namespace) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Print the tables; always 0: a benchmark reports, it does not judge."""
+    """Print the tables. The exit code is always 0, because a benchmark only reports."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sizes", nargs="+", choices=list(LEAST), default=list(LEAST))
     parser.add_argument("--threads", nargs="+", type=int, default=[1, 2])
