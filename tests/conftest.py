@@ -28,13 +28,13 @@ hypothesis.settings.load_profile("fg_orient")
 
 @pytest.fixture(scope="session")
 def repository() -> Path:
-    """Give the root of the source tree."""
+    """Return the root of the source tree."""
     return REPOSITORY
 
 
 @pytest.fixture(scope="session")
 def real_data() -> Path:
-    """Give the folder of real metadata files, or skip; the test also carries the marker ``real_data``."""
+    """Return the folder of real metadata files, or skip; the test also carries the marker ``real_data``."""
     name = os.environ.get(REAL_DATA_VARIABLE, "")
     if not name:
         pytest.skip(f"{REAL_DATA_VARIABLE} is not set: no real metadata files")
@@ -46,7 +46,7 @@ def real_data() -> Path:
 
 @pytest.fixture
 def rng() -> np.random.Generator:
-    """Give a random generator with a fixed seed."""
+    """Return a random generator with a fixed seed."""
     return np.random.default_rng(20261121)
 
 
@@ -66,7 +66,7 @@ def look_angles_read_once() -> Iterator[None]:
     sections = dict[Any, bytes]()
 
     def section(root: Any) -> bytes:
-        """Digest of the elements; those of a tree that is kept are not written out again."""
+        """Return the digest of the elements; those of a tree that is kept are not written out again."""
         if root.element not in sections:
             if len(sections) > 50:
                 sections.clear()

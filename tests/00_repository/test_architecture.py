@@ -18,7 +18,7 @@ MEDIAN = {"factors": 125, "fg_orient": 200}
 
 
 def modules(repository: Path, *packages: str) -> list[Path]:
-    """Python files of the packages."""
+    """Return the Python files of the packages."""
     return [path for package in packages for path in sorted((repository / package).rglob("*.py"))]
 
 
@@ -46,7 +46,7 @@ def test_the_library_never_prints(repository: Path) -> None:
 
 
 def tracked_files(repository: Path) -> list[Path]:
-    """Text files under version control (or of the tree where there is no git)."""
+    """Return the text files under version control (or of the tree where there is no git)."""
     done = subprocess.run(["git", "ls-files"], cwd=repository, capture_output=True, text=True)
     if done.returncode != 0 or not done.stdout.strip():
         pytest.skip("not a git checkout")
@@ -149,7 +149,7 @@ PLANTED = [
 
 @pytest.fixture(scope="module")
 def planted(copied_tree: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
-    """What import-linter says of a copy with all violations; they do not hide one another."""
+    """Return what import-linter says of a copy with all violations; they do not hide one another."""
     folder = tmp_path_factory.mktemp("planted") / "tree"
     shutil.copytree(copied_tree, folder)
     for module, line, _, _ in PLANTED:

@@ -14,7 +14,7 @@ BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
 
 def blocks(path: Path, language: str) -> list[str]:
-    """Fenced code of a language in a Markdown file."""
+    """Return the fenced code of a language in a Markdown file."""
     return [code for name, code in BLOCK.findall(path.read_text("utf-8")) if name == language]
 
 

@@ -28,7 +28,7 @@ SHOWING = ("fg_orient/cli/", "fg_orient/model/messages/", "fg_orient/report/", "
 
 
 def library(repository: Path) -> Iterator[tuple[str, list[ast.AST]]]:
-    """Name and nodes of every module but those of the command line."""
+    """Yield the name and nodes of every module but those of the command line."""
     for path in sorted((*(repository / "fg_orient").rglob("*.py"), *(repository / "factors").rglob("*.py"))):
         name = path.relative_to(repository).as_posix()
         if not name.startswith("fg_orient/cli/"):
@@ -36,7 +36,7 @@ def library(repository: Path) -> Iterator[tuple[str, list[ast.AST]]]:
 
 
 def texts(tree: ast.AST) -> list[str]:
-    """String literals below a node."""
+    """Return the string literals below a node."""
     return [n.value for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str)]
 
 
@@ -85,7 +85,7 @@ def test_no_sentence_is_given_as_a_warning_or_as_its_data(repository: Path) -> N
 
 
 def planted(**data: object) -> Finding:
-    """Code, severity, sentence, remedy and data of a warning, all in the one place that raises it."""
+    """Return the code, severity, sentence, remedy and data of a warning, all in the one place that raises it."""
     return finding(
         "outside.planted (warning): image {image} is upside down + , like {others:2} "
         "-> turn it with <turn_by> {angle:g}",

@@ -76,7 +76,7 @@ def imported(
 
 
 def refusal(*path: Path, environment: dict[str, str] | None = None) -> str:
-    """Give the line by which fg_orient refuses to be imported."""
+    """Return the line by which fg_orient refuses to be imported."""
     done = imported(*path, environment=environment)
     assert done.returncode == 1 and "RUN" not in done.stdout
     last = done.stderr.splitlines()[-1]

@@ -37,7 +37,7 @@ def sources(repository: Path) -> dict[str, list[ast.AST]]:
 
 
 def literal_codes(expression: ast.expr) -> list[str]:
-    """Codes an expression can give: a literal, or the branches of a conditional expression."""
+    """Return the codes an expression can give: a literal, or the branches of a conditional expression."""
     if isinstance(expression, ast.Constant) and isinstance(expression.value, str):
         whole = INLINE.match(expression.value)
         return [whole[1] if whole else expression.value]
@@ -48,7 +48,10 @@ def literal_codes(expression: ast.expr) -> list[str]:
 
 @functools.cache
 def entries(repository: Path) -> dict[str, Entry]:
-    """Entries of the catalogue's tables, and those that stand where they are raised; none that other tests raised."""
+    """Return the entries of the catalogue's tables and the entries defined where they are raised.
+
+    Entries of other tests are not included.
+    """
     codes = {code for name in MODULES for code in import_module(f"fg_orient.model.messages.{name}").WORDS}
     for node in (node for own in sources(repository).values() for node in own):
         text = node.value if isinstance(node, ast.Constant) else ""
@@ -75,13 +78,13 @@ def calls(repository: Path) -> list[tuple[str, str, set[str] | None]]:
 
 
 def texts(code: str) -> tuple[str, ...]:
-    """Parts of a message, and the remedy."""
+    """Return the parts of a message, and the remedy."""
     message, remedy, _ = CATALOGUE[code]
     return (*message, remedy)
 
 
 def fields(code: str) -> set[str]:
-    """Names of the format fields of a catalogue entry."""
+    """Return the names of the format fields of a catalogue entry."""
     return {re.split(r"[.\[]", name)[0] for text in texts(code) for _, name, _, _ in FORMAT.parse(text) if name}
 
 

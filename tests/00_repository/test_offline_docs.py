@@ -24,7 +24,7 @@ STYLE = re.compile(r"(?:@import\s+|url\()[\"']?((?:https?:)?//[^\"')]+)")
 
 @pytest.fixture(scope="module")
 def built(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The page, built by the configuration of the documentation."""
+    """Return the page, built by the configuration of the documentation."""
     out = tmp_path_factory.mktemp("html")
     chosen = (f"root_doc={PAGE}", f"include_patterns={PAGE}.md", f"extensions={EXTENSIONS}")
     words = ["-q", "-b", "html", "-d", str(out / "trees"), *(w for c in chosen for w in ("-D", c))]

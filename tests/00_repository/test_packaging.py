@@ -36,14 +36,14 @@ def normal(name: str) -> str:
 
 
 def names(requirements: list[Any]) -> set[str]:
-    """Distributions of a list of requirements."""
+    """Return the distributions of a list of requirements."""
     found = [REQUIREMENT.match(text) for text in requirements if isinstance(text, str)]
     assert all(found)
     return {normal(match[1]) for match in found if match}
 
 
 def group(declared: dict[str, Any], name: str) -> set[str]:
-    """Distributions of a dependency group, with those that it includes."""
+    """Return the distributions of a dependency group, with those that it includes."""
     entries = declared["dependency-groups"][name]
     included = [group(declared, entry["include-group"]) for entry in entries if isinstance(entry, dict)]
     return names(entries).union(*included)
@@ -51,13 +51,16 @@ def group(declared: dict[str, Any], name: str) -> set[str]:
 
 @functools.cache
 def owners() -> Mapping[str, list[str]]:
-    """Distributions of each installed top-level module; reads the records of all of them."""
+    """Return the distributions of each installed top-level module; reads the records of all of them."""
     return metadata.packages_distributions()
 
 
 @functools.cache
 def imports(repository: Path, *folders: str) -> dict[str, str]:
-    """Top-level module that is imported somewhere: a file that does; also by a string, as in ``import_module``."""
+    """Return each imported top-level module with a file that imports it.
+
+    Imports by a string, as in ``import_module``, are included.
+    """
     found = {}
     for folder in folders:
         for file in sorted((repository / folder).rglob("*.py")):

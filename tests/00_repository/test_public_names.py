@@ -14,7 +14,7 @@ ROW = re.compile(r"^\| `(fg_orient[\w.]*)` \|.*\| (`.*`) \|$", re.MULTILINE)
 
 
 def listed(repository: Path) -> dict[str, list[str]]:
-    """Names of docs/api.md by module."""
+    """Return the names of docs/api.md by module."""
     found: dict[str, list[str]] = {}
     for module, names in ROW.findall((repository / "docs" / "api.md").read_text("utf-8")):
         found.setdefault(module, []).extend(re.findall(r"`(\w+)`", names))

@@ -28,7 +28,7 @@ E = register(Equation("e", kernel, residual, (), ""))
 
 
 def found(bad: str = "", more: str = "", folder: str = "factors") -> list[str]:
-    """Findings of a module with an equation, with a further term and further functions."""
+    """Return the findings of a module with an equation, with a further term and further functions."""
     program = Program({f"{folder}/e.py": GOOD.replace("{bad}", bad).replace("{more}", more)})
     return list(dict.fromkeys(line.split(": ", 1)[1] for line in program.findings(FOLDERS)))
 

@@ -106,7 +106,7 @@ class Chain:
                              "PYTHONPATH": os.pathsep.join([str(folder), str(repository)])}  # fmt: skip
 
     def run(self, code: str = RUN, **values: float) -> tuple[float, list[str]]:
-        """Value of the kernel, and the kernels that were compiled for it."""
+        """Return the value of the kernel, and the kernels that were compiled for it."""
         for name, text in PACKAGE.items():
             path = self.folder / "chain" / name
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -321,7 +321,7 @@ def test_files_that_others_can_write_are_not_read(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(numba.core.config, "CACHE_DIR", str(tmp_path))
 
     def runs() -> int:
-        """Kernels read from disk by a new kernel."""
+        """Return the kernels read from disk by a new kernel."""
         kernel = _compile.compiled(_doubled)
         assert isinstance(kernel, Kernel)
         assert kernel(2.0) == 4.0

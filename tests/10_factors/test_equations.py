@@ -26,7 +26,7 @@ DRAWS = 60
 
 @pytest.fixture(scope="module")
 def references() -> dict[str, list[Derived]]:
-    """Examples of every equation and their Jacobians by complex step."""
+    """Return the examples of every equation and their Jacobians by complex step."""
     return derived_uncompiled(DRAWS, seed=1)
 
 
@@ -127,7 +127,7 @@ def test_two_equations_of_one_name_are_refused() -> None:
 
 
 def reference_conditions(record: np.ndarray, setup: np.ndarray, x: np.ndarray, ground: np.ndarray) -> np.ndarray:
-    """F_y, F_x written straight from docs/equations.md 2 and 3.3 with matrices, in extended precision."""
+    """Return f_y and F_x written straight from docs/equations.md 2 and 3.3 with matrices, in extended precision."""
     ld = np.longdouble
     r = record.astype(ld)
     correction = np.zeros(27, ld)

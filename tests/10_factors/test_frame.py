@@ -13,7 +13,7 @@ from tests.support.equation_examples import frame_collinearity
 
 
 def camera_of(rng: np.random.Generator, distortion: np.ndarray) -> np.ndarray:
-    """A camera that looks up the Z axis of the ground."""
+    """Return a camera that looks up the Z axis of the ground."""
     out = np.zeros(CAMERA.size)
     frame_camera.turned(rng.normal(scale=0.1, size=3), np.eye(3).ravel(), out)
     out[CAMERA.centre], out[CAMERA.focal] = rng.normal(size=3), 1200.0
@@ -66,7 +66,7 @@ def test_residual_equals_the_printed_formulas() -> None:
 
 
 def with_nothing_more(camera: np.ndarray) -> np.ndarray:
-    """Camera with all corrections of ``frame_corrections``, the further ones 0."""
+    """Return the camera with all corrections of ``frame_corrections``, the further ones 0."""
     further = np.zeros(frame_corrections.CAMERA.size - CAMERA.size)
     further[-3:] = 1.0  # sign, nominal principal distance, radius
     return np.append(camera, further)
@@ -95,7 +95,7 @@ def test_ideal_directions_invert_the_distortion_and_stop_at_its_fold() -> None:
 
 
 def rows_of(parts: list[tuple[int, int]], corrects: bool = False, spoil: bool = False) -> tuple[np.ndarray, list[int]]:
-    """Value and Jacobians of 30 rays of 3 images in one array, computed in parts; what each part reports."""
+    """Return the value and Jacobians of 30 rays of 3 images in one array, computed in parts; what each part reports."""
     rng = np.random.default_rng(5)
     e = frame_collinearity(rng)
     while e.setup.shape[1] != 9:

@@ -30,7 +30,10 @@ def image_point(e: Example, equation: Equation, ground: object = P0) -> gtsam.Cu
 
 
 def gradient_of_error(f: gtsam.CustomFactor, values: gtsam.Values, length: int) -> np.ndarray:
-    """Central difference quotients of GTSAM's error; each unknown moves by its own step, the image's first."""
+    """Return the central difference quotients of GTSAM's error.
+
+    Each unknown moves by its own step, the image's first.
+    """
     image, ground, found = values.atVector(E0), values.atPoint3(P0), []
     steps = np.r_[np.full(len(image), 1e-4), np.ones(3)][:length]
     for k, h in enumerate(steps):

@@ -26,7 +26,7 @@ def normal_system(normal: Array) -> LinearSystem:
 
 
 def hilbert_log10_det(n: int) -> float:
-    """Closed form c_n^4/c_2n with c_n = prod_{i<n} i! (Hilbert 1894)."""
+    """Return c_n^4/c_2n with c_n = prod_{i<n} i! (Hilbert 1894)."""
 
     def log_c(m: int) -> float:
         return sum(lgamma(i + 1) for i in range(1, m))

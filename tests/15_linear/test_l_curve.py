@@ -19,7 +19,7 @@ def system(rng: np.random.Generator) -> LinearSystem:
 
 
 def norms(system: LinearSystem, kappa: float) -> tuple[float, float]:
-    """Residual and solution by the stacked system [A; sqrt(kappa) I]."""
+    """Return the residual and solution by the stacked system [A; sqrt(kappa) I]."""
     design, observed = system.require_design("test")
     stacked = np.vstack([design, np.sqrt(kappa) * np.eye(len(system))])
     x: Array = np.linalg.lstsq(stacked, np.append(observed, np.zeros(len(system))), rcond=None)[0]

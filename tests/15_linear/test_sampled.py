@@ -19,7 +19,7 @@ Array = npt.NDArray[np.float64]
 
 
 def system_of(seed: int, rows: int = 200, unknowns: int = 64) -> LinearSystem:
-    """Equations with singular values 100 .. 0.01, unknowns and noise N(0, 1)."""
+    """Return the equations with singular values 100 .. 0.01, unknowns and noise N(0, 1)."""
     rng = np.random.default_rng(seed)
     u, _ = np.linalg.qr(rng.standard_normal((rows, unknowns)))
     v, _ = np.linalg.qr(rng.standard_normal((unknowns, unknowns)))

@@ -14,7 +14,7 @@ Array = npt.NDArray[np.float64]
 
 @pytest.fixture(params=range(5))
 def system(request: pytest.FixtureRequest) -> LinearSystem:
-    """Ill-conditioned equations with noise: singular values 10 .. 0.01."""
+    """Return the ill-conditioned equations with noise: singular values 10 .. 0.01."""
     rng = np.random.default_rng(request.param)
     u, _ = np.linalg.qr(rng.standard_normal((40, 8)))
     v, _ = np.linalg.qr(rng.standard_normal((8, 8)))
@@ -23,7 +23,7 @@ def system(request: pytest.FixtureRequest) -> LinearSystem:
 
 
 def least_squares(system: LinearSystem) -> tuple[Array, float, int]:
-    """Solution, variance of unit weight and degrees of freedom."""
+    """Return the solution, variance of unit weight and degrees of freedom."""
     design, observed = system.require_design("test")
     x, squares = np.linalg.lstsq(design, observed, rcond=None)[:2]
     f = len(observed) - len(x)

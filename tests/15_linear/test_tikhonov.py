@@ -131,7 +131,7 @@ def no_residual() -> LinearSystem:
 
 
 def one_unknown() -> LinearSystem:
-    """An exact observation, and one that no unknown explains."""
+    """Return an exact observation, and one that no unknown explains."""
     return LinearSystem.from_design(np.array([[1.0], [0.0]]), np.array([1e-6, 1.0]))
 
 
@@ -211,7 +211,7 @@ def test_maximum_is_the_largest_likelihood(system: LinearSystem) -> None:
 
 
 def error_over_best(rule: str, seed: int) -> float:
-    """Error of the coefficients of a polynomial fit over that of the best kappa of the grid."""
+    """Return the error of the coefficients of a polynomial fit over that of the best kappa of the grid."""
     system, truth, error = vandermonde(seed)
     ridge = Ridge.of(system, "test")
     best = min(float(np.linalg.norm(ridge.solution(kappa) - truth)) for kappa in ridge.grid)

@@ -17,25 +17,25 @@ from tests.support.dimap2_files import write_dimap2
 
 @pytest.fixture
 def spot5() -> PushbroomMetadata:
-    """SPOT-5-like metadata."""
+    """Return the SPOT-5-like metadata."""
     return small_metadata.spot5()
 
 
 @pytest.fixture
 def pleiades() -> PushbroomMetadata:
-    """Pléiades-like metadata."""
+    """Return the Pléiades-like metadata."""
     return small_metadata.pleiades()
 
 
 @pytest.fixture
 def spot6() -> PushbroomMetadata:
-    """SPOT-6-like metadata."""
+    """Return the SPOT-6-like metadata."""
     return small_metadata.spot6()
 
 
 @pytest.fixture
 def dim1(spot5: PushbroomMetadata, tmp_path: Path) -> Path:
-    """Path of a written SPOT-5 file."""
+    """Return the path of a written SPOT-5 file."""
     path = tmp_path / "METADATA.DIM"
     write_dimap1(path, spot5)
     return path
@@ -43,7 +43,7 @@ def dim1(spot5: PushbroomMetadata, tmp_path: Path) -> Path:
 
 @pytest.fixture
 def dim2(pleiades: PushbroomMetadata, tmp_path: Path) -> Path:
-    """Path of a written Pléiades file."""
+    """Return the path of a written Pléiades file."""
     path = tmp_path / "DIM_PHR.XML"
     write_dimap2(path, pleiades)
     return path
@@ -51,7 +51,7 @@ def dim2(pleiades: PushbroomMetadata, tmp_path: Path) -> Path:
 
 @pytest.fixture
 def dim6(spot6: PushbroomMetadata, tmp_path: Path) -> Path:
-    """Path of a written SPOT-6 file."""
+    """Return the path of a written SPOT-6 file."""
     path = tmp_path / "DIM_SPOT6.XML"
     write_dimap2(path, spot6)
     return path
@@ -59,12 +59,12 @@ def dim6(spot6: PushbroomMetadata, tmp_path: Path) -> Path:
 
 @pytest.fixture
 def refused() -> Callable[..., Finding]:
-    """Give the function that reads a bad file and checks the one-line refusal."""
+    """Return the function that reads a bad file and checks the one-line refusal."""
     return refusal
 
 
 def refusal(path: Path, code: str, place: str = "", value: str = "") -> Finding:
-    """One InputError with one problem: code, file, place, value and remedy, in one line."""
+    """Return one InputError with one problem: code, file, place, value and remedy, in one line."""
     with pytest.raises(InputError) as caught:
         read_dimap(path)
     (problem,) = caught.value.problems

@@ -45,7 +45,7 @@ FILES = {
 
 
 def ecef(lon_deg: np.ndarray, lat_deg: np.ndarray, height_m: np.ndarray) -> np.ndarray:
-    """Geodetic to ECEF (docs/equations.md 5), independent of the code under test."""
+    """Convert geodetic coordinates to ECEF (docs/equations.md 5), independent of the code under test."""
     lon, lat = np.radians(lon_deg), np.radians(lat_deg)
     n = ellipsoid.A_M / np.sqrt(1.0 - ellipsoid.E2 * np.sin(lat) ** 2)
     return np.stack([
@@ -64,7 +64,7 @@ def frame_distances_m(metadata: PushbroomMetadata, height_m: float) -> np.ndarra
 
 
 def reference_distances_m(metadata: PushbroomMetadata, rows: np.ndarray) -> np.ndarray:
-    """Distances of our ground points from reference rows: line, column (1-based), lon, lat, height."""
+    """Return the distances of our ground points from reference rows: line, column (1-based), lon, lat, height."""
     ground = PushbroomSensor(metadata).locate(rows[:, 0] - 1, rows[:, 1] - 1, height_m=rows[:, 4])
     return np.linalg.norm(ground - ecef(rows[:, 2], rows[:, 3], rows[:, 4]), axis=1)
 

@@ -26,7 +26,7 @@ from tests.support.dimap2_files import write_dimap2
 
 
 def differences(a: object, b: object, name: str = "metadata") -> list[str]:
-    """Names of the fields that are not equal, bit by bit."""
+    """Return the names of the fields that are not equal, bit by bit."""
     if is_dataclass(a) and type(a) is type(b):
         return [d for f in fields(a) for d in differences(getattr(a, f.name), getattr(b, f.name), f"{name}.{f.name}")]
     if isinstance(a, tuple) and isinstance(b, tuple) and len(a) == len(b):

@@ -36,7 +36,7 @@ adjustment_0.adj_param_0.parameter:  {adjusted}
 
 @pytest.fixture
 def model() -> RpcModel:
-    """Model with error estimates, as RPC00B files have them."""
+    """Return the model with error estimates, as RPC00B files have them."""
     return synthetic_model(err_bias_m=2.5, err_rand_m=0.125)
 
 
@@ -138,7 +138,7 @@ def test_geotiff_without_tags_and_without_an_image(tmp_path: Path, model: RpcMod
 
 
 def geom_text(model: RpcModel, order: str = "B", kind: str = "ossimRpcModel", adjusted: str = "0") -> str:
-    """Text of an OSSIM keyword list."""
+    """Return the text of an OSSIM keyword list."""
     lines = []
     for k, axis in enumerate(("line", "samp", "long", "lat", "height")):
         lines += [f"{axis}_off:  {float(model.offsets[k])!r}", f"{axis}_scale:  {float(model.scales[k])!r}"]
@@ -173,7 +173,7 @@ def test_ossim_spot_offsets_that_lost_a_pixel_get_it_back(tmp_path: Path) -> Non
 
 
 def isd_text(model: RpcModel, spec: str = "RPC00B") -> str:
-    """DigitalGlobe XML with an RPB section."""
+    """Return the DigitalGlobe XML with an RPB section."""
     cells = "".join(
         f"<{name}OFFSET>{float(model.offsets[k])!r}</{name}OFFSET><{name}SCALE>{float(model.scales[k])!r}</{name}SCALE>"
         for k, name in enumerate(("LINE", "SAMP", "LONG", "LAT", "HEIGHT"))
@@ -200,7 +200,7 @@ def test_digitalglobe_xml_and_virtual_raster(tmp_path: Path, model: RpcModel, na
 
 
 def vrt_text(model: RpcModel) -> str:
-    """Virtual raster of GDAL with an RPC domain, and a source that must not be opened."""
+    """Return the virtual raster of GDAL with an RPC domain, and a source that must not be opened."""
     names = [(axis, k) for k, axis in enumerate(("LINE", "SAMP", "LONG", "LAT", "HEIGHT"))]
     cells = [(f"{axis}_OFF", [model.offsets[k]]) for axis, k in names]
     cells += [(f"{axis}_SCALE", [model.scales[k]]) for axis, k in names]

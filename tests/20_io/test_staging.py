@@ -50,7 +50,7 @@ def hidden(folder: Path) -> list[str]:
 
 @contextlib.contextmanager
 def writer(kind: str, path: Path) -> Iterator[subprocess.Popen[str]]:
-    """Give a process in the middle of writing an output."""
+    """Yield a process in the middle of writing an output."""
     with subprocess.Popen(
         [sys.executable, "-c", WRITER, kind, str(path)], stdout=subprocess.PIPE, text=True
     ) as process:

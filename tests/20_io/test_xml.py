@@ -133,7 +133,7 @@ COLUMNS = {name: (RADIANS, -1e29, 1e29) for name in "AB"}
 
 
 def outcome(read: Callable[[], object]) -> object:
-    """Numbers, or the text of the refusal."""
+    """Return the numbers, or the text of the refusal."""
     try:
         return np.array(read()).tobytes()
     except InputError as error:

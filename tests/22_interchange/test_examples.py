@@ -182,7 +182,7 @@ def test_odm_without_its_first_line_keeps_every_point_and_asks_for_the_crs(tmp_p
 
 
 def bound(shift: str) -> str:
-    """UTM zone 36 as Metashape writes it: with a shift to WGS84, and its own name of the datum."""
+    """Return the UTM zone 36 as Metashape writes it: with a shift to WGS84, and its own name of the datum."""
     datum = f'DATUM["World Geodetic System 1984",SPHEROID["WGS 84",6378137,298.257223563],TOWGS84[{shift}]]'
     text = re.sub(r'DATUM\["WGS_1984",SPHEROID\[[^]]*\[[^]]*\]\],AUTHORITY\["EPSG","6326"\]\]', datum, UTM)
     assert "TOWGS84" in text

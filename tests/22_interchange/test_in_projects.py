@@ -36,7 +36,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def own(source: Path) -> Block:
-    """The block of our own tables."""
+    """Return the block of our own tables."""
     return fg.read_project(source / "project.toml")
 
 
@@ -47,7 +47,7 @@ def folder(source: Path, tmp_path: Path) -> Path:
 
 
 def exported(folder: Path, name: str) -> list[Path]:
-    """The tables of a folder in another format, beside them."""
+    """Return the tables of a folder in another format, beside them."""
     own = format_named("csv")
     survey, _ = read_survey([folder / "points.csv", folder / "observations.csv"], own, Settings(crs="EPSG:4979"))
     crs = "EPSG:32636" if name == "odm" else ""
@@ -56,7 +56,7 @@ def exported(folder: Path, name: str) -> list[Path]:
 
 
 def told(folder: Path, points: str, observations: str) -> Path:
-    """The project with other tables."""
+    """Return the project with other tables."""
     path = folder / "project.toml"
     text = path.read_text("utf-8")
     begin, end = text.index("[points]"), text.index("[orientation]")
@@ -74,7 +74,7 @@ def from_format(folder: Path, name: str) -> Path:
 
 
 def in_order(block: Block) -> tuple[np.ndarray, ...]:
-    """Coordinates and image points sorted by id, image."""
+    """Return the coordinates and image points sorted by id, image."""
     rank = np.argsort(np.argsort(block.points.ids))
     rows = np.lexsort((rank[block.observations.point], block.observations.image))
     o = block.observations

@@ -36,7 +36,7 @@ LOST = {
 
 @pytest.fixture
 def everything() -> Survey:
-    """Six points, none of them without a sigma, two unseen, in a compound CRS."""
+    """Return six points, none of them without a sigma, two unseen, in a compound CRS."""
     rng = np.random.default_rng(5)
     full = random_survey(rng, formats()["csv"], UTM, plain=True)
     n = 6

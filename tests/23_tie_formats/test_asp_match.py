@@ -15,7 +15,7 @@ from fg_orient.model.errors import InputError
 
 
 def record(x: float, y: float, descriptor: tuple[float, ...] = (), polarity: int = 1) -> bytes:
-    """An interest point, field by field."""
+    """Return an interest point, field by field."""
     head = struct.pack("<ffiifff", x, y, int(x), int(y), 0.25, 2.0, 0.5)
     tail = struct.pack("<BIIQ", polarity, 3, 4, len(descriptor))
     return head + tail + struct.pack(f"<{len(descriptor)}f", *descriptor)

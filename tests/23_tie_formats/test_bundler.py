@@ -65,7 +65,7 @@ def test_pixels_are_those_of_the_printed_formula_and_images_without_orientation_
 
 
 def printed_pixels(data: BalData) -> np.ndarray:
-    """The same formula for all image points: x, y from the middle of each image."""
+    """Compute the same formula for all image points: x, y from the middle of each image."""
     cameras = data.cameras[data.camera]
     q = Rotation.from_rotvec(cameras[:, :3]).apply(data.points[data.point]) + cameras[:, 3:6]
     p = -q[:, :2] / q[:, 2:]

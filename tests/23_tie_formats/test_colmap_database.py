@@ -87,7 +87,7 @@ def test_verified_matches_come_first(tmp_path: Path) -> None:
 
 
 def survey_of(n: int, seed: int = 2) -> Survey:
-    """Points in two or three images, in an order of their own."""
+    """Return the points in two or three images, in an order of their own."""
     rng = np.random.default_rng(seed)
     sees = rng.random((n, 3)) < 0.7
     sees[:, 1] |= sees.sum(axis=1) < 2

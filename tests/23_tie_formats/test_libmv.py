@@ -23,7 +23,7 @@ FOCAL, PRINCIPAL = 800.0, (320.0, 240.0)
 
 
 def problem() -> bytes:
-    """Two images (numbers 3 and 8) of three points (5, 6, 9), all points in both, without noise."""
+    """Return two images (numbers 3 and 8) of three points (5, 6, 9), all points in both, without noise."""
     points = np.array([[0.1, -0.2, 4.0], [-0.5, 0.3, 5.0], [0.7, 0.6, 6.0]])
     poses = [
         (3, Rotation.identity(), np.zeros(3)),
@@ -53,7 +53,7 @@ def test_pixels_are_those_of_the_formula(tmp_path: Path) -> None:
 
 
 def arrays(path: Path) -> tuple[Array, ...]:
-    """Camera, rotations, translations, points, image and point of each mark, x y, by numpy alone."""
+    """Return the camera, rotations, translations, points, image and point of each mark, x y, by numpy alone."""
     raw = path.read_bytes()
     camera, n = np.frombuffer(raw, "<f4", 3, 2).astype(float), struct.unpack_from("<i", raw, 34)[0]
     images = np.frombuffer(raw, [("id", "<i4"), ("n", "<f4", 12)], n, 38)
@@ -121,7 +121,7 @@ def test_the_published_problem_has_the_costs_that_scipy_finds(real_data: Path) -
 
 
 def spoilt(at: int, new: bytes, *, length: int | None = None) -> bytes:
-    """Problem with other bytes at a position; ``length`` truncates it."""
+    """Return the file with other bytes at a position; ``length`` truncates it."""
     raw = problem()
     return (raw[:at] + new + raw[at + len(new) :])[:length]
 

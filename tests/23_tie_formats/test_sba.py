@@ -22,12 +22,12 @@ NONE, KC = np.zeros(5), np.array([-0.2, 0.05, 1e-3, -2e-3, 0.01])
 
 
 def turned(q: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Rotation of points by a unit quaternion w, v: x + 2 v x (v x x + w x)."""
+    """Return the rotation of points by a unit quaternion w, v: x + 2 v x (v x x + w x)."""
     return x + 2.0 * np.cross(q[1:], np.cross(q[1:], x) + q[0] * x)
 
 
 def pixels(k: np.ndarray, kc: np.ndarray) -> list[list[list[float]]]:
-    """Formula of sba's README for each camera: x_d = (1 + kc0 r2 + kc1 r4 + kc4 r6) x_n + dx, then K x_d."""
+    """Compute the formula of sba for each camera: x_d = (1 + kc0 r2 + kc1 r4 + kc4 r6) x_n + dx, then K x_d."""
     out = []
     for q, t in zip(QUATERNIONS, TRANSLATIONS, strict=True):
         p = turned(q, POINTS) + t
@@ -41,7 +41,7 @@ def pixels(k: np.ndarray, kc: np.ndarray) -> list[list[list[float]]]:
 
 
 def written(folder: Path, before: str = "", k: np.ndarray = K, kc: np.ndarray = NONE, each: str = "") -> Path:
-    """Cameras, with other numbers before each, and points with more cells after each image point."""
+    """Return the cameras, with other numbers before each, and points with more cells after each image point."""
     seen = pixels(k, kc)
     rows = zip(QUATERNIONS.tolist(), TRANSLATIONS.tolist(), strict=True)
     lines = [f"{before} {' '.join(map(repr, q + t))}" for q, t in rows]

@@ -10,7 +10,7 @@ from tests.support.work import counted
 
 
 def union_find(n: int, matches: list[tuple[int, int]]) -> dict[int, set[int]]:
-    """Sets of matched keypoints by their smallest member, one union after the other."""
+    """Return the sets of matched keypoints by their smallest member, one union after the other."""
     parent = list(range(n))
 
     def root(a: int) -> int:

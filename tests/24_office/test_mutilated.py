@@ -89,7 +89,7 @@ FILES: dict[str, tuple[Callable[[Path], object], str]] = {
 
 
 def refused(folder: Path, *words: object) -> str:
-    """Give the only line of a refusal."""
+    """Return the only line of a refusal."""
     ended = in_process("new", folder, "--out", folder.parent / "project", *WORDS, *words)
     assert ended.code == 2, (ended.code, ended.stderr)
     assert len(ended.stderr.splitlines()) == 1, ended.stderr
@@ -99,7 +99,7 @@ def refused(folder: Path, *words: object) -> str:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Give a folder that is read without errors."""
+    """Return a folder that is read without errors."""
     folder = tmp_path / "in"
     write_images(folder, place("tr"))
     mark(1, 0, "left")(folder)

@@ -32,7 +32,7 @@ def read(written: Written, **stated: object) -> tuple[Survey | None, str]:
 
 
 def wrong(survey: Survey, written: Written) -> str:
-    """What is wrong with a survey, "" if nothing is."""
+    """Return what is wrong with a survey, "" if nothing is."""
     if not set(survey.images) <= set(IMAGES):
         return f"images {survey.images}"
     ground, pixel = differences(survey, written.there)
@@ -43,7 +43,7 @@ def wrong(survey: Survey, written: Written) -> str:
 
 
 def run(folder: Path, seed: int) -> tuple[int, int]:
-    """Number of projects and of questions of a table, without and with what its owner knows."""
+    """Return the number of projects and of questions of a table, without and with what its owner knows."""
     written = random_table(folder / str(seed), seed)
     counts = [0, 0]
     known = {"first_pixel": written.first_pixel, "heights": "ellipsoidal"} if written.ellipsoidal else {}

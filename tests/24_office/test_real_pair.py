@@ -19,7 +19,7 @@ pytestmark = [pytest.mark.oracle, pytest.mark.real_data]
 
 
 def undulations(grid: Path, lon: np.ndarray, lat: np.ndarray) -> np.ndarray:
-    """Undulations of a GTX grid, interpolated linearly here."""
+    """Return the undulations of a GTX grid, interpolated linearly here."""
     head, data = np.fromfile(grid, ">f8", 4), np.fromfile(grid, ">f4", offset=40)
     south, west, step_lat, step_lon = head
     rows, columns = np.fromfile(grid, ">i4", 2, offset=32)
@@ -34,7 +34,7 @@ def undulations(grid: Path, lon: np.ndarray, lat: np.ndarray) -> np.ndarray:
 
 @pytest.fixture
 def egm96(real_data: Path) -> Iterator[Path | None]:
-    """Give the grid of EGM96, where PROJ finds it; None if there is none."""
+    """Yield the grid of EGM96, where PROJ finds it; None if there is none."""
     grid = real_data / "shareloc-ventoux" / "egm96_15.gtx"
     before = pyproj.datadir.get_data_dir()
     if not grid.is_file():

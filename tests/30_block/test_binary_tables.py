@@ -88,7 +88,7 @@ def test_written_points_are_read_bit_by_bit(tmp_path: Path, suffix: str) -> None
 
 
 def text(values: list[str], kind: str) -> Any:
-    """Column of text as other programs may write it."""
+    """Return the column of text as other programs may write it."""
     if kind == "dictionary":  # with a value that no row has
         distinct = ["nobody", *dict.fromkeys(values)]
         return pa.DictionaryArray.from_arrays([distinct.index(v) for v in values], distinct)
@@ -115,7 +115,7 @@ def test_types_of_other_programs(tmp_path: Path, suffix: str, compression: str, 
 
 
 def good(**changed: Any) -> dict[str, Any]:
-    """Columns of a sound table of two image points."""
+    """Return the columns of a sound table of two image points."""
     columns: dict[str, Any] = {"image": ["left", "right"], "id": ["01", "1"]}
     return {**columns, **{name: [1.5, 2.5] for name in COLUMNS[2:]}, **changed}
 
@@ -284,7 +284,7 @@ def test_written_types(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def projects(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """One block in each form."""
+    """Return one block in each form."""
     folder = tmp_path_factory.mktemp("forms")
     return {form: simulate_block(folder / form, BlockOptions(points=60, tables=form)) for form in FORMS}
 

@@ -31,7 +31,7 @@ BLOCK = fg.Block("b", (), no_points(Path("b")).points, no_image_points(), Withhe
 
 
 def other(option: Option) -> Any:
-    """A value that is not the default."""
+    """Return a value that is not the default."""
     if option.words:
         return next(word for word in option.words if word != option.default)
     within = option.within or (0.25, 0.5)
@@ -40,7 +40,7 @@ def other(option: Option) -> Any:
 
 
 def typed(option: Option, value: Any) -> list[str]:
-    """The option as it is typed on the command line."""
+    """Return the option as it is typed on the command line."""
     if option.kind is bool:
         return [option.flag if value else f"--no-{option.flag[2:]}"]
     return [option.flag + ("-of" if option.usual else ""),
@@ -48,7 +48,7 @@ def typed(option: Option, value: Any) -> list[str]:
 
 
 def read(values: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    """Options of a project file with these entries."""
+    """Return the options of a project file with these entries."""
     content = {
         "schema": 1, "name": "n", "images": [{"id": "a", "metadata": "a.DIM"}],
         "points": {"file": "p", "crs": "EPSG:4979"}, "observations": {"file": "o"}, **values,
@@ -58,7 +58,7 @@ def read(values: dict[str, dict[str, Any]]) -> dict[str, Any]:
 
 
 def given_on_the_command_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, *words: str) -> dict[str, Any]:
-    """Options that ``adjust`` hands on."""
+    """Return the options that ``adjust`` hands on."""
     given: dict[str, Any] = {}
 
     def run_project(*arguments: Any, options: dict[str, Any], **more: Any) -> None:

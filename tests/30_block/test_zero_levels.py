@@ -75,7 +75,7 @@ def write_grid(path: Path, values: Array = UNDULATION, unit: str = "", west: flo
 
 
 def by_proj(grid: Path, lon: Array, lat: Array) -> Array:
-    """Undulations by PROJ's step vgridshift."""
+    """Return the undulations by PROJ's step vgridshift."""
     there = pyproj.Transformer.from_pipeline(
         "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad "
         f"+step +proj=vgridshift +grids={grid} +multiplier=1"
@@ -190,7 +190,7 @@ PLACES = np.array([[31.60, 41.20, 12.5], [32.05, 41.22, 250.0], [31.62, 41.45, 8
 
 
 def expected_ecef(undulation: Array) -> Array:
-    """Places of the control points by PROJ, heights of the table above the zero level."""
+    """Return the places of the control points by PROJ, heights of the table above the zero level."""
     there = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
     return np.stack(there.transform(*PLACES[:, :2].T, PLACES[:, 2] + undulation), axis=1)
 
@@ -306,7 +306,7 @@ def test_vertical_crs_by_name(folder: ProjectFolder) -> None:
 
 @pytest.fixture
 def proj_data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A folder named by PROJ_DATA; PROJ's own folders come back afterwards."""
+    """Yield a folder named by PROJ_DATA; PROJ's own folders come back afterwards."""
     usual = pyproj.datadir.get_data_dir()
     grids = tmp_path / "grids"
     grids.mkdir()

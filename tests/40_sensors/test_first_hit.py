@@ -46,7 +46,7 @@ class Saddles:
 
 @pytest.fixture(scope="module")
 def rays() -> tuple[np.ndarray, np.ndarray]:
-    """Slant rays from all sides, so that saddles are grazed."""
+    """Return the slant rays from all sides, so that saddles are grazed."""
     rng, n = np.random.default_rng(100), 400
     target = geodetic_to_ecef(rng.uniform(-1e-3, 1e-3, n), rng.uniform(-1e-3, 1e-3, n), rng.uniform(20.0, 100.0, n))
     azimuth, zenith = rng.uniform(0.0, 2.0 * np.pi, n), np.radians(rng.uniform(55.0, 66.0, n))
@@ -57,7 +57,7 @@ def rays() -> tuple[np.ndarray, np.ndarray]:
 
 
 def marched(dem: Saddles, p: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Distances of the first hits, by steps of 20 cm."""
+    """Return the distances of the first hits, by steps of 20 cm."""
     s = 7e5 + np.arange(-320.0, 320.0, 0.2)
     found = np.empty(len(p))
     for k in range(len(p)):

@@ -45,7 +45,7 @@ def write(path: Path, rows: slice, columns: slice, *, size: int = SIZE, **option
 
 
 def plane(lon: np.ndarray) -> np.ndarray:
-    """Heights between the centres of cells."""
+    """Return the heights between the centres of cells."""
     column = (lon - WEST) / STEP - 0.5
     low = np.floor(column)
     a, b = 100.0 + low // 40, 100.0 + (low + 1) // 40
@@ -221,7 +221,7 @@ def command(size: Path, *words: object) -> Used:
 
 
 def sparse_image(path: Path, size: int) -> Path:
-    """Sparse image with pixels in a square of 2048."""
+    """Return the sparse image with pixels in a square of 2048."""
     with rasterio.open(
         path, "w", driver="GTiff", width=size, height=size, count=1, dtype="uint8", tiled=True, blockxsize=256,
         blockysize=256, compress="deflate", SPARSE_OK=True,

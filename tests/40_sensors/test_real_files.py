@@ -107,7 +107,7 @@ RPC00B = ("1 L P H LP LH PH LL PP HH PLH LLL LPP LHH LLP PPP PHH LLH PPH HHH").s
 def rpc_project(
     path: Path, lon_deg: np.ndarray, lat_deg: np.ndarray, height_m: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Vendor RPC, written out here independently of the package: 1-based line and sample."""
+    """Return the vendor RPC, written out here independently of the package: 1-based line and sample."""
     values = [float(text) for text in path.read_text().split()]
     offsets, scales, coefficients = values[:5], values[5:10], np.array(values[10:90]).reshape(4, 20)
     n = {

@@ -51,7 +51,10 @@ def test_metadata_that_make_no_sensor_are_refused(
 
 
 def open_end(metadata: PushbroomMetadata, seconds: float) -> PushbroomMetadata:
-    """The image ends so long after its attitudes (negative seconds: starts before them)."""
+    """Let the image end this many seconds after its attitudes.
+
+    If negative, it starts before them.
+    """
     timing, listed = metadata.timing, metadata.attitude.time_s
     ends = timing.reference_time_s + timing.line_period_s * (
         np.array([0, metadata.n_lines - 1]) - timing.reference_line

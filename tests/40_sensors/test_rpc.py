@@ -31,7 +31,7 @@ def sensor() -> RpcSensor:
 
 
 def grid(sensor: RpcSensor, n: int = 9) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels over the whole image."""
+    """Return the pixels over the whole image."""
     ends = (sensor.first_line, sensor.last_line), (sensor.first_sample, sensor.last_sample)
     line, sample = np.meshgrid(*(np.linspace(a, b, n) for a, b in ends))
     return line.ravel(), sample.ravel()

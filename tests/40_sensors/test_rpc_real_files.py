@@ -43,7 +43,7 @@ CONTRADICTORY = "RPC_PHR1A_P_202503191043438_SEN_7342362101-1.XML"
 
 
 def files(folder: Path) -> list[Path]:
-    """All RPC files."""
+    """Return all RPC files."""
     found = []
     for pattern, count in PATTERNS.items():
         some = sorted(p for p in folder.glob(pattern) if p.suffix != ".md")

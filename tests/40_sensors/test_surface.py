@@ -40,7 +40,7 @@ def write(path: Path, heights: np.ndarray, crs: str, corner: tuple[float, float]
 
 
 def terrain(shape: str) -> np.ndarray:
-    """Heights (SIZE, SIZE): ridges along the columns, 2 km high, or slopes with waves in both axes."""
+    """Return the heights (SIZE, SIZE): ridges along the columns, 2 km high, or slopes with waves in both axes."""
     row, column = np.mgrid[:SIZE, :SIZE] - SIZE // 2.0
     if shape == "ridge":  # flanks of 2 km over 8 cells of 40 m: steeper than any ray
         return np.maximum(0.0, 2000.0 * (1.0 - np.abs(column) / 8.0))
@@ -48,7 +48,7 @@ def terrain(shape: str) -> np.ndarray:
 
 
 def below_centre(sensor: PushbroomSensor, crs: str) -> tuple[float, float]:
-    """Corner of a raster whose middle lies under the image centre."""
+    """Return the corner of a raster whose middle lies under the image centre."""
     lon, lat, _ = np.degrees(ellipsoid.geodetic_array(sensor.centre_m[None]))[0]
     x, y = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(lon, lat)
     step_x, step_y = GRIDS[crs]
@@ -56,7 +56,7 @@ def below_centre(sensor: PushbroomSensor, crs: str) -> tuple[float, float]:
 
 
 def rays(sensor: PushbroomSensor, n: int = 400) -> Grid:
-    """Rays across the middle 1600 samples (8 km of ground) of the image, lines at random."""
+    """Return the rays across the middle 1600 samples (8 km of ground) of the image, lines at random."""
     rng = np.random.default_rng(8)
     return sensor.rays(rng.uniform(5600.0, 6400.0, n), np.linspace(5200.0, 6800.0, n))
 
@@ -67,7 +67,7 @@ def transformer(source: str, target: str) -> pyproj.Transformer:
 
 
 def fine_march(p: np.ndarray, u: np.ndarray, heights: np.ndarray, crs: str, corner: tuple[float, float]) -> Grid:
-    """First crossing of one ray in steps of 0.5 m, and the number of crossings; nothing of the package."""
+    """Return the first crossing of one ray in steps of 0.5 m, and the number of crossings; nothing of the package."""
     from scipy.interpolate import RegularGridInterpolator
 
     step_x, step_y = GRIDS[crs]

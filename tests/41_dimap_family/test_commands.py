@@ -51,7 +51,7 @@ def cut_attitudes(path: Path, keep: int) -> None:
 
 @pytest.fixture
 def short(twin: Path, tmp_path: Path) -> Path:
-    """A copy of the twin whose left image ends 0.1 s or less after its attitudes."""
+    """Return a copy of the twin whose left image ends 0.1 s or less after its attitudes."""
     import shutil
 
     shutil.copytree(twin, tmp_path / "short")

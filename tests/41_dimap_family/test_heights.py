@@ -32,7 +32,7 @@ UNDULATION = (20.0 + 3.0 * np.sin(LON[None] / 1.3) + 2.0 * np.cos(LAT[:, None]))
 
 @pytest.fixture
 def geoid(tmp_path: Path) -> Iterator[None]:
-    """PROJ finds a grid of the name of EGM96 in the folder of the test."""
+    """Let PROJ find a grid with the name of EGM96 in the folder of the test."""
     rasterio = pytest.importorskip("rasterio")
     folder = tmp_path / "grids"
     folder.mkdir()
@@ -61,7 +61,7 @@ def write_dem(path: Path, crs: str, place: tuple[float, ...], shape: tuple[int, 
 
 
 def expected_undulation(lon: Array, lat: Array) -> Array:
-    """Bilinear between the nodes of the grid."""
+    """Interpolate bilinearly between the nodes of the grid."""
     found = RegularGridInterpolator((LAT[::-1], LON), UNDULATION[::-1].astype(float))(np.stack([lat, lon], axis=-1))
     return np.asarray(found)
 
@@ -150,22 +150,25 @@ class Hills:
     lon0, lat0 = 31.5, 41.3
 
     def height_m(self, lon: Array, lat: Array) -> Array:
-        """Heights of N points."""
+        """Return the heights of N points."""
         east, north = (lon - self.lon0) * 83.6e3, (lat - self.lat0) * 111.1e3
         return 600.0 + 0.1 * east + 40.0 * np.sin(east / 3e3) * np.cos(north / 4e3)
 
     @property
     def range_m(self) -> tuple[float, float]:
-        """Lowest and highest height."""
+        """Return the lowest and highest height."""
         return -5e3, 6e3
 
     def cell(self, lon: Array, lat: Array) -> tuple[Array, Array]:
-        """Cells of 0.001 degrees."""
+        """Return the cells of 0.001 degrees."""
         return lat * 1e3, lon * 1e3
 
 
 def tie_block(n: int = 12, noise_px: float = 0.3) -> tuple[Block, Array]:
-    """Tie points on the hills in both twin images of wrong orientation; nothing is measured on the ground."""
+    """Return the tie points on the hills in both twin images of wrong orientation.
+
+    Nothing is measured on the ground.
+    """
     base, truth = zonguldak_block(ZonguldakOptions(seed=3))
     rng = np.random.default_rng(4)
     lon0, lat0 = (float(a[0]) for a in ecef_to_geodetic(base.images[0].sensor.centre_m)[:2])

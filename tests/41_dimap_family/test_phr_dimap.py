@@ -190,6 +190,6 @@ def test_pleiades_image_equals_its_rpc_on_the_ground(real_data: Path) -> None:
 
 
 def grid(sensor: PushbroomSensor, heights: tuple[float, float]) -> list[np.ndarray]:
-    """Pixels over the whole image at five heights."""
+    """Return the pixels over the whole image at five heights."""
     axes = [np.linspace(0, sensor.n_lines - 1, 21), np.linspace(0, sensor.n_samples - 1, 21), np.linspace(*heights, 5)]
     return [a.ravel() for a in np.meshgrid(*axes, indexing="ij")]

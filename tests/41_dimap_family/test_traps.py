@@ -24,7 +24,7 @@ PHR = "shareloc/PHRDIMAP_P1BP--2018122638935449CP.XML"
 
 
 def worst_frame_m(metadata: PushbroomMetadata) -> float:
-    """Largest misfit of the frame points."""
+    """Return the largest misfit of the frame points."""
     return max(r["misfit_m"] for r in frame_records(PushbroomSensor(metadata)))
 
 
@@ -195,7 +195,7 @@ def test_a_rigorous_model_that_is_not_there(real_data: Path, name: str) -> None:
 
 
 def without_heights(metadata: PushbroomMetadata, heights_m: list[float]) -> PushbroomMetadata:
-    """Frame points on a terrain whose heights are not told."""
+    """Return the frame points on a terrain whose heights are not told."""
     sensor = PushbroomSensor(metadata)
     line, sample = sensor.corners()
     records = sensor.locate(line, sample, height_m=np.array(heights_m))

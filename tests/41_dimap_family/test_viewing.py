@@ -30,7 +30,10 @@ LON, LAT, HEIGHT = 31.0, 41.0, 2000.0
 
 
 def camera(east_m: float, tilt_deg: float, name: str = "a") -> Image:
-    """Frame image 2 km above (LON, LAT), moved to the East and tilted to look East; 4000 x 4000 pixels, f = 8000."""
+    """Return the frame image 2 km above (LON, LAT), moved to the East and tilted to look East.
+
+    4000 x 4000 pixels, f = 8000.
+    """
     axes = enu_from_ecef(LON, LAT)[0]
     t = np.radians(tilt_deg)
     across = np.array([np.cos(t), 0.0, np.sin(t)])

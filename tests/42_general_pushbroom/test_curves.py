@@ -76,7 +76,7 @@ def test_intervals_are_checked(value: object) -> None:
 
 
 def wavy(block: Block) -> tuple[Block, list[Correction]]:
-    """The twin observed without noise by images whose attitude waves by some 1e-5 rad, three pixels."""
+    """Return the twin observed without noise by images whose attitude waves by some 1e-5 rad, three pixels."""
     rng, o, known = np.random.default_rng(3), block.observations, block.points.known.ecef_m
     o = o.take(np.isfinite(known[o.point]).all(axis=1))
     line, sample, truth = o.line.copy(), o.sample.copy(), []

@@ -14,7 +14,7 @@ RADIUS = 7.2e6
 
 
 def orbit(n: int = 24) -> tuple[np.ndarray, np.ndarray]:
-    """A whole turn on an orbit of 98.7 degrees: ascending and descending; velocity partly radial."""
+    """Return a whole turn on an orbit of 98.7 degrees: ascending and descending; velocity partly radial."""
     w, i, node = np.linspace(0.1, 2.0 * np.pi, n, endpoint=False), np.radians(98.7), 1.1
     m = np.array([[np.cos(node), -np.sin(node) * np.cos(i)], [np.sin(node), np.cos(node) * np.cos(i)], [0, np.sin(i)]])
     p = RADIUS * (m @ np.array([np.cos(w), np.sin(w)])).T
@@ -73,7 +73,7 @@ def test_light_time_is_the_earth_at_emission() -> None:
 
 
 def traced_shift_m(zenith_deg: float, ground_m: float) -> tuple[float, np.ndarray, np.ndarray]:
-    """Ray through spherical shells of the standard atmosphere: n r sin z is constant (Snell's law).
+    """Return the ray through spherical shells of the standard atmosphere: n r sin z is constant (Snell's law).
 
     Returns the distance on the ground from the end of the straight line of sight to the end of the bent one, and the
     direction (2,) and vertical (2,) at the end of the straight line.
@@ -110,7 +110,7 @@ def test_refraction_against_a_traced_ray(zenith_deg: float, ground_m: float) -> 
 
 
 def series(days: int = 6) -> EarthOrientation:
-    """Days around the leap second of 1 January 2017 (MJD 57754)."""
+    """Return the days around the leap second of 1 January 2017 (MJD 57754)."""
     mjd = 57751.0 + np.arange(days)
     ut1 = -0.40 - 0.001 * np.arange(days) + np.where(mjd >= 57754.0, 1.0, 0.0)
     pole = np.radians(np.column_stack([0.1 + 0.001 * np.arange(days), 0.3 - 0.002 * np.arange(days)]) / 3600.0)

@@ -34,13 +34,13 @@ def points(located: list[Location]) -> np.ndarray:
 
 
 def by_line(found: Replay) -> list[list[Location]]:
-    """Locations of one time and one set of effects: a line of a sensor."""
+    """Return the locations of one time and one set of effects: a line of a sensor."""
     keys = dict.fromkeys((x.time_s, x.effects) for x in found.locations)
     return [[x for x in found.locations if (x.time_s, x.effects) == key] for key in keys]
 
 
 def line_sensor(found: Replay, located: list[Location]) -> GeneralPushbroom:
-    """A sensor whose samples are the locations; one line of sight more, as an image has two samples."""
+    """Return a sensor whose samples are the locations; one line of sight more, as an image has two samples."""
     los = np.array([*(x.los for x in located), located[-1].los + np.array([0.0, 1e-3, 0.0])])
     one, t = located[0], found.transform_of(located[0].time_s)
     metadata = sensor_metadata(
@@ -50,7 +50,7 @@ def line_sensor(found: Replay, located: list[Location]) -> GeneralPushbroom:
 
 
 def from_rays(sensor: GeneralPushbroom, ground: np.ndarray) -> np.ndarray:
-    """Distances of points from the rays of samples 0, 1, ... of line 0."""
+    """Return the distances of points from the rays of samples 0, 1, ... of line 0."""
     sample = np.arange(len(ground), dtype=float)
     p, u = sensor.rays(0.0, sample, None, ground - sensor.states(0.0).position_m)
     return np.linalg.norm(np.cross(ground - p, u), axis=1)
@@ -70,7 +70,7 @@ def test_direct_locations(real_data: Path, name: str, count: int) -> None:
 
 
 def hits(sensor: GeneralPushbroom, found: Replay, ground: np.ndarray) -> np.ndarray:
-    """Distances to our hits; of several tiles that which covers the ray."""
+    """Return the distances to our hits; of several tiles that which covers the ray."""
     sample = np.arange(len(ground), dtype=float)
     if len(found.tiles) == 1:
         return np.linalg.norm(sensor.locate(0.0, sample, dem=found.tiles[0]) - ground, axis=1)

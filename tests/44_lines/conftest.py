@@ -47,11 +47,11 @@ class Scene:
     across_m: float
 
     def project(self, image: int, unknowns: Array, ground: Array) -> Array:
-        """Line and sample (n, 2)."""
+        """Return the line and sample (n, 2)."""
         return projected(self.block, image, unknowns, ground)
 
     def bound(self) -> Array:
-        """Covariance (60, 60) of the check points by the information of all observations at the truth."""
+        """Return the covariance (60, 60) of the check points by the information of all observations at the truth."""
         sizes = [len(x) for x in self.unknowns]
         u, n = sum(sizes), 3 * len(self.check)
         information = np.zeros((u + n, u + n))
@@ -80,7 +80,7 @@ class Scene:
 
     @staticmethod
     def _differences(function, size: int, step: float) -> Array:
-        """Derivatives (n, 2, size) by central differences."""
+        """Return the derivatives (n, 2, size) by central differences."""
         columns = [(function(step * e) - function(-step * e)) / (2.0 * step) for e in np.eye(size)]
         return np.stack(columns, axis=2)
 
@@ -94,7 +94,7 @@ def scene(
     seed: int, *, n_features: int = 10, direction: Array | None = None, kind: str = "line", noise_px: float = 0.5,
     across_m: float = 0.3, **options: object,
 ) -> Scene:  # fmt: skip
-    """Ten features without control points; direction: East, North, Up of all of them."""
+    """Return ten features without control points; direction: East, North, Up of all of them."""
     rng, block = np.random.default_rng(seed), replace(twin(), options=replace(twin().options, **options))
     unknowns = [rng.normal(size=len(m.parameters)) for m in image_models(block.images, block.options)]
     known = block.points.known.ecef_m
@@ -134,7 +134,7 @@ def scene(
 
 
 def of_spline(feature: LineFeature, share: float | Array) -> Array:
-    """Places at shares of the chord length, by scipy in the original coordinates."""
+    """Return the places at shares of the chord length, by scipy in the original coordinates."""
     from scipy.interpolate import CubicSpline
 
     chords = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(feature.vertices_m, axis=0), axis=1)))

@@ -52,13 +52,13 @@ def block() -> fg.Block:
 
 @pytest.fixture
 def folder(tmp_path: Path, written: Path) -> Path:
-    """A copy of the project for each test."""
+    """Return a copy of the project for each test."""
     return Path(shutil.copytree(written, tmp_path / "twin"))
 
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory, block: fg.Block) -> Path:
-    """The scene as a project: ten lines, twenty check points."""
+    """Return the scene as a project: ten lines, twenty check points."""
     out = tmp_path_factory.mktemp("lines") / "twin"
     simulate_zonguldak(out, ZonguldakOptions(seed=3))
     names = {image.id: Path(image.sensor.file).name for image in fg.read_project(out / "project.toml").images}

@@ -14,7 +14,7 @@ Make = Callable[..., ControlPoints]
 
 
 def known_image(unit: np.ndarray) -> np.ndarray:
-    """Lines and samples (n, 2) of the known model in normalised ground coordinates, written out."""
+    """Return the lines and samples (n, 2) of the known model in normalised ground coordinates, written out."""
     x, y, z = unit.T
     sample = (0.01 + 0.9 * x + 0.2 * y - 0.03 * z + 0.015 * x * y - 0.008 * z**2) / (1.0 + 0.02 * x - 0.01 * z)
     line = (-0.02 - 0.15 * x - 0.95 * y + 0.02 * z + 0.02 * x**2) / (1.0 - 0.015 * y)
@@ -23,7 +23,7 @@ def known_image(unit: np.ndarray) -> np.ndarray:
 
 @pytest.fixture
 def make() -> Make:
-    """Points of the known model: count, noise in pixels, seed."""
+    """Return the points of the known model: count, noise in pixels, seed."""
 
     def points(count: int = 60, noise_px: float = 0.0, seed: int = 1) -> ControlPoints:
         rng = np.random.default_rng(seed)

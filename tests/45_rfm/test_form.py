@@ -11,7 +11,7 @@ from tests.support.rpc_model import TERMS
 
 
 def terms_at(ground: np.ndarray) -> np.ndarray:
-    """Published terms of n points, (20, n)."""
+    """Return the published terms of n points, (20, n)."""
     axes = dict(zip("LPH", ground.T, strict=True))
     one = [np.ones(len(ground))]
     return np.array([np.prod([axes[f] for f in term if f != "1"] + one, axis=0) for term in TERMS])

@@ -30,13 +30,13 @@ MODELS = {"none": Distortion(), "radial": RADIAL, "transverse": TRANSVERSE, "rad
 
 
 def with_distortion(sensor: FramingSensor, distortion: Distortion) -> FramingSensor:
-    """Sensor with another distortion."""
+    """Return the sensor with another distortion."""
     camera = replace(sensor.camera, distortion=distortion)
     return FramingSensor(camera, sensor.n_lines, sensor.n_samples, sensor.body, taken=sensor.taken, file=sensor.file)
 
 
 def grid(sensor: FramingSensor) -> tuple[Any, Any]:
-    """Pixels over the image."""
+    """Return the pixels over the image."""
     line, sample = np.meshgrid(np.linspace(0, sensor.last_line, 9), np.linspace(0, sensor.last_sample, 9))
     return line.ravel(), sample.ravel()
 
@@ -212,7 +212,7 @@ DAMAGES: dict[str, tuple[Callable[[Path], None], str]] = {
 
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of a sound block."""
+    """Return the folder of a sound block."""
     folder = tmp_path_factory.mktemp("sound")
     write_block(folder, n_points=12)
     fg.read_project(folder / "project.toml")

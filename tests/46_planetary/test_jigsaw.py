@@ -99,7 +99,7 @@ def _rejected(block: Block, unknowns: tuple[str, ...]) -> tuple[Solution, set[tu
 
 
 def _expected(frames: list[twin.Frame], points: list[twin.Point], unknowns: tuple[str, ...]) -> set[tuple[str, str]]:
-    """Set of the independent script; positions are held by a tiny prior."""
+    """Return the set of the independent script; positions are held by a tiny prior."""
     network = twin.Network(frames, points, position_sigma_km=1e-9 if unknowns else 1.0)
     serials = {f.name: f.serial for f in frames}
     return {(point, serials[image]) for point, image in twin.rejected(network)}
@@ -152,7 +152,7 @@ def test_loss_with_a_quantile_as_its_constant(tmp_path: Path, loss: str) -> None
 
 @pytest.fixture(scope="module")
 def apollo(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Project of seven Apollo frames with the settings of jigsaw."""
+    """Return the project of seven Apollo frames with the settings of jigsaw."""
     folder, data = tmp_path_factory.mktemp("apollo"), real_data / "isis-apollo"
     for source in data.glob("Sub4-*"):
         name = source.name.removesuffix(source.suffix).removesuffix("_msk")[-4:]
@@ -172,7 +172,7 @@ def _twin_of(folder: Path) -> tuple[list[twin.Frame], list[twin.Point]]:
 
 @pytest.fixture(scope="module")
 def adjusted(apollo: Path) -> Solution:
-    """The adjusted network."""
+    """Return the adjusted network."""
     return fg.adjust(fg.read_project(apollo / "project.toml"))
 
 

@@ -28,7 +28,7 @@ def write(folder: Path, isd: twin.Isd, name: str = "a.json") -> Path:
 
 
 def pixels(sensor: GeneralPushbroom, n: int = 5) -> np.ndarray:
-    """Pixels (n * n, 2) over the image."""
+    """Return the pixels (n * n, 2) over the image."""
     return np.stack(sensor.grid(n), axis=1)
 
 

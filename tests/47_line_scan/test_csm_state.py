@@ -35,7 +35,7 @@ def pixels(sensor: PushbroomSensor, n: int = 5) -> tuple[np.ndarray, np.ndarray]
 
 
 def apart_px(path: Path, sensor: PushbroomSensor, correction: Correction | None = None) -> float:
-    """Largest distance, px: pixels to the ground by the second evaluator, back by the sensor."""
+    """Return the largest distance, px: pixels to the ground by the second evaluator, back by the sensor."""
     return largest_px(path, sensor, *pixels(sensor), correction)
 
 
@@ -65,7 +65,7 @@ def largest_px(
 
 
 def corrected(rng: np.random.Generator, n_curves: int = 4) -> Correction:
-    """Corrections of metres and some 1e-5 rad, with curves over some intervals."""
+    """Return the corrections of metres and some 1e-5 rad, with curves over some intervals."""
     size = np.array([3.0] * 3 + [1e-3] * 3 + [2e-5] * 3)
     curve = np.array([0.5] * 3 + [0.0] * 3 + [2e-6] * 3)[:, None] * rng.normal(size=(9, n_curves))
     return Correction(rng.normal(size=(9, 3)) * size[:, None] * [1.0, 0.3, 0.1], curve=curve)
@@ -76,7 +76,7 @@ def corrected(rng: np.random.Generator, n_curves: int = 4) -> Correction:
 
 @pytest.fixture(scope="module")
 def invented(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """State of an invented satellite with two line rates."""
+    """Return the state of an invented satellite with two line rates."""
     folder = tmp_path_factory.mktemp("state")
     write_compared(folder / "state.json", read_sensor(write_isd(folder)))
     return (folder / "state.json").read_bytes()

@@ -32,7 +32,7 @@ def grid(sensor: GeneralPushbroom, n: int = 9) -> tuple[np.ndarray, np.ndarray]:
 
 
 def apart_px(sensor: GeneralPushbroom, ground: np.ndarray, line: np.ndarray, sample: np.ndarray) -> np.ndarray:
-    """Lines and samples (n, 2) at which the sensor sees ground points, minus pixels."""
+    """Return the lines and samples (n, 2) at which the sensor sees ground points, minus pixels."""
     return np.stack(sensor.project(ground), axis=1) - np.stack([line, sample], axis=1)
 
 

@@ -19,14 +19,14 @@ BANDS = ("out-Band3N.xml", "out-Band3B.xml")
 
 
 def inside(n_lines: int, n_samples: int) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels between the points of the lattice, to the border."""
+    """Return the pixels between the points of the lattice, to the border."""
     sides = np.linspace(-0.5, n_lines - 0.5, 12), np.linspace(0.0, n_samples - 1.0, 14)
     line, sample = np.meshgrid(*sides, indexing="ij")
     return line.ravel(), sample.ravel()
 
 
 def along(p: np.ndarray, u: np.ndarray, distance_m: float = 7e5) -> np.ndarray:
-    """Points on rays (n, 3), near the ground."""
+    """Return the points on rays (n, 3), near the ground."""
     return p + distance_m * u
 
 

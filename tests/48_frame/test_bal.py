@@ -17,7 +17,7 @@ from fg_orient.model.errors import InputError
 
 
 def snavely(cameras: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """The model as printed on the web page of the data: p = -P/P_z, p' = f (1 + k1 |p|^2 + k2 |p|^4) p."""
+    """Return the model as printed on the web page of the data: p = -P/P_z, p' = f (1 + k1 |p|^2 + k2 |p|^4) p."""
     q = Rotation.from_rotvec(cameras[:, :3]).apply(points) + cameras[:, 3:6]
     p = -q[:, :2] / q[:, 2:]
     r = np.sum(p**2, axis=1, keepdims=True)
@@ -25,7 +25,7 @@ def snavely(cameras: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def numbers() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Cameras around the origin that look at it along -Z; observations with 0.3 px of noise."""
+    """Return the cameras around the origin that look at it along -Z; observations with 0.3 px of noise."""
     rng = np.random.default_rng(7)
     points = rng.uniform(-1.0, 1.0, (12, 3))
     cameras = np.column_stack([

@@ -21,7 +21,7 @@ SIGMA = {"rotation_x": 1e-4, "centre_z": 0.1}
 
 
 def aerial(**changes: object) -> FrameSensor:
-    """A camera 2500 m above the ellipsoid: samples run East, lines South, looking down."""
+    """Return a camera 2500 m above the ellipsoid: samples run East, lines South, looking down."""
     rotation = HALF_TURN @ enu_from_ecef(LON, LAT)[0]
     values: dict[str, object] = {
         "rotation": rotation, "centre_m": geodetic_to_ecef(LON, LAT, HEIGHT)[0], "focal_px": 8000.0,
@@ -32,7 +32,7 @@ def aerial(**changes: object) -> FrameSensor:
 
 
 def printed_pixels(sensor: FrameSensor, ground_m: np.ndarray) -> np.ndarray:
-    """Brown's model as printed: lines and samples (2, n)."""
+    """Return Brown's model as printed: lines and samples (2, n)."""
     x, y, z = sensor.camera.rotation @ (ground_m - sensor.camera.centre_m).T
     x, y = x / z, y / z
     r2, (k1, k2, k3, p1, p2) = x**2 + y**2, sensor.camera.distortion

@@ -52,7 +52,7 @@ def write(folder: Path, text: str) -> Path:
 
 
 def corrected_mm(u: float, v: float) -> tuple[float, float]:
-    """The correction as photogrammetric programs print it: mm, y up."""
+    """Return the correction as photogrammetric programs print it: mm, y up."""
     x, y = (0.0032 * u - 3.615) * (1.0 + 3.9e-4), -(0.0032 * v - 2.613)
     r = x * x + y * y
     radial = 4.59e-3 * r - 4.5e-5 * r**2 - 2e-6 * r**3

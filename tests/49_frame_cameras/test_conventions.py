@@ -70,7 +70,7 @@ def radial_tangential(
 
 
 def forward(name: str, v: dict[str, float], x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sample and line of directions."""
+    """Return the sample and line of directions."""
 
     def get(*names: str) -> list[float]:
         return [v.get(n, 0.0) for n in names]
@@ -97,7 +97,7 @@ def forward(name: str, v: dict[str, float], x: np.ndarray, y: np.ndarray) -> tup
 
 
 def backward(name: str, v: dict[str, float], sample: np.ndarray, line: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Directions of pixels; x, y are mm right and up from the principal point."""
+    """Return the directions of pixels; x, y are mm right and up from the principal point."""
     if name in ("photomodeler", "dbat"):
         x0, y0 = (v["xp"], v["yp"]) if name == "photomodeler" else (v["px"], v["py"])
         x, y = PIXEL_MM * sample - x0, -(PIXEL_MM * line - y0)
@@ -251,7 +251,7 @@ def test_fit_is_the_least_squares_solution() -> None:
 
 
 def covariance_of(name: str, relative: float = 1e-3) -> np.ndarray:
-    """Covariance with correlations: sigmas of a share of each value."""
+    """Return the covariance with correlations: sigmas of a share of each value."""
     values = np.array(list(VALUES[name].values()))
     k = len(values)
     mixing = np.random.default_rng(8).normal(size=(k, 2 * k))

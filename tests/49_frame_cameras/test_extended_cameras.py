@@ -23,7 +23,7 @@ LENS = {"fisheye_1": 0.05, "fisheye_2": -0.01, "fisheye_3": 3e-3, "fisheye_4": -
 
 
 def points(wide: float, n: int = 200) -> np.ndarray:
-    """Ground points in front of the camera, up to ``wide`` in X/Z and Y/Z."""
+    """Return the ground points in front of the camera, up to ``wide`` in X/Z and Y/Z."""
     rng = np.random.default_rng(4)
     seen = np.column_stack([rng.uniform(-wide, wide, (n, 2)), np.ones(n)]) * rng.uniform(2.0, 9.0, (n, 1))
     return np.asarray(seen @ ROTATION + CENTRE)

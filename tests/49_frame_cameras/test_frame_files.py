@@ -45,7 +45,7 @@ class Written:
 
 @pytest.fixture(scope="module", params=[IDEAL_TO_MEASURED, MEASURED_TO_IDEAL])
 def written(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Written:
-    """Four images of one camera, 25 points; start values and focal length off by their prior sigmas."""
+    """Return four images of one camera, 25 points; start values and focal length off by their prior sigmas."""
     folder, rng = tmp_path_factory.mktemp("frames"), np.random.default_rng(5)
     up = enu_from_ecef(LON, LAT)[0]
     origin = geodetic_to_ecef(LON, LAT, 0.0)[0]

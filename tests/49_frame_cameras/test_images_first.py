@@ -40,7 +40,7 @@ def sequence(
     camera: int = 8, bars: int = 2, controls: int = 0, cameras: int = 1, held: int = 0, known: int = 0,
     *, gaps: bool = True,
 ) -> fg.Block:  # fmt: skip
-    """Photos of a few points.
+    """Return the photos of a few points.
 
     Parameters
     ----------
@@ -211,7 +211,7 @@ def moved(problem: Problem) -> State:
 
 
 def held_unknown(problem: Problem) -> ExtraObservation:
-    """Observation of one own and one shared unknown of the second photo."""
+    """Return the observation of one own and one shared unknown of the second photo."""
 
     def residual(record, setup, x):
         return x[[2, 7]] - record

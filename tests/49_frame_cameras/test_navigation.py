@@ -116,7 +116,7 @@ def test_against_scipy() -> None:
 
 
 def _residuals(problem: fg.adjustment.problem.Problem, block: Block, x: np.ndarray) -> np.ndarray:
-    """All weighted residuals, from the definitions; unknowns in prior sigmas, points in m from their start."""
+    """Return all weighted residuals, from the definitions; unknowns in prior sigmas, points in m from their start."""
     free, points = x[: problem.n_free_unknowns], x[problem.n_free_unknowns :].reshape(-1, 3)
     ground = problem.start.ground.copy()  # from the local origin: differences of 1e-6 m keep their digits
     ground[problem.active] += points
@@ -206,7 +206,7 @@ def test_what_no_control_tells_is_named() -> None:
 
 
 def _written(folder: Path, block: Block) -> Path:
-    """The block as a project with a navigation table, angles from its own observations."""
+    """Return the block as a project with a navigation table, angles from its own observations."""
     camera = block.images[0].sensor.camera
     write_camera(folder / "camera.toml", Interior(10000, 10000, camera.focal_px, camera.principal_px, name="c"))
     lines = ["image,strip,time_s,x_m,y_m,z_m,sigma_east_m,sigma_north_m,sigma_up_m,roll_deg,pitch_deg,heading_deg,"

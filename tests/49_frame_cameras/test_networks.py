@@ -17,7 +17,7 @@ TENTH = Size(11, 200, 5, 10, 2, 0.0)
 
 
 def motions(points: Array) -> Array:
-    """Shifts and rotations (3 n, 6) of points; scale bars hold the scale."""
+    """Return the shifts and rotations (3 n, 6) of points; scale bars hold the scale."""
     away = points - points.mean(axis=0)
     turns = np.stack([np.cross(axis, away) for axis in np.eye(3)], axis=2)
     return np.concatenate([np.tile(np.eye(3), (len(points), 1, 1)), turns], axis=2).reshape(-1, 6)

@@ -31,7 +31,7 @@ INTERIOR = {"focal": 5.0, "principal_sample": 3.0, "principal_line": 3.0, "k1": 
 
 @lru_cache
 def shared(model: str = "", held: bool = True, priors: bool = False) -> Block:
-    """Four images of one camera; the first is held with the centre's X of the second, or nothing is."""
+    """Return four images of one camera; the first is held with the centre's X of the second, or nothing is."""
     block, _ = pinhole_block(4, 25, views=3, seed=2)
     images = []
     for k, image in enumerate(block.images):

@@ -10,5 +10,5 @@ from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 
 @pytest.fixture(scope="session")
 def twin() -> Block:
-    """Give the default twin as a block (constant errors, 0.3 px)."""
+    """Return the default twin as a block (constant errors, 0.3 px)."""
     return zonguldak_block(ZonguldakOptions(seed=1))[0]

@@ -32,7 +32,7 @@ SHAPES = {
 
 @cache
 def observed(kind: str, control: bool = False) -> tuple[Block, Array]:
-    """Noisy block of six images whose first points lie on a figure, and its true points; without priors."""
+    """Return the noisy block of six images whose first points lie on a figure, and its true points; without priors."""
     block, truth = pinhole_block(6, 40, views=4, seed=1)
     rng, ground = np.random.default_rng(101), truth.ground_m.copy()
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
@@ -56,7 +56,7 @@ def observed(kind: str, control: bool = False) -> tuple[Block, Array]:
 
 
 def started(block: Block, error_m: float, seed: int) -> Block:
-    """The block with other start coordinates of its points."""
+    """Return the block with other start coordinates of its points."""
     known = block.points.known
     at = known.ecef_m + np.random.default_rng(seed).normal(scale=error_m, size=known.ecef_m.shape)
     return replace(block, points=replace(block.points, known=replace(known, ecef_m=at)))
@@ -72,7 +72,10 @@ def stated(kind: str, block: Block, ground: Array, sigma: float | None = None) -
 
 
 def misclosures(kind: str, p: Array, f: Array, ground: Array) -> Array:
-    """Misclosures of all points of a figure f, m; a unit vector of f has its length as a further condition."""
+    """Return the misclosures of all points of a figure f, m.
+
+    A unit vector of f has its length as a further condition.
+    """
     if kind == "distance":
         return np.array(
             [np.linalg.norm(p[a] - p[b]) - np.linalg.norm(ground[a] - ground[b]) for a, b in ((0, 1), (2, 3))]
@@ -107,13 +110,16 @@ def figure_start(kind: str, p: Array) -> Array:
 
 
 def jacobian(function: Callable[[Array], Array], x: Array) -> Array:
-    """Central differences."""
+    """Return the central differences."""
     steps = 1e-5 * np.eye(len(x))
     return np.column_stack([(function(x + h) - function(x - h)) / 2e-5 for h in steps])
 
 
 def bordered(problem: Problem, kind: str, ground: Array) -> tuple[State, float, Array]:
-    """State, squares and cofactors of the unknowns by Lagrange's bordered equations; the datum is the shortest step."""
+    """Return the state, squares and cofactors of the unknowns by Lagrange's bordered equations.
+
+    The datum is the shortest step.
+    """
     plain = replace(problem, block=replace(problem.block, extra=()))
     state = plain.start
     u, members = plain.n_columns, [plain.point_slice(j) for j in range(N)]
@@ -147,7 +153,7 @@ def bordered(problem: Problem, kind: str, ground: Array) -> tuple[State, float, 
 
 
 def shape(p: Array) -> Array:
-    """Distances between all points relative to their mean."""
+    """Return the distances between all points relative to their mean."""
     d = np.linalg.norm(p[:, None] - p[None], axis=2)
     return np.asarray(d / d.mean())
 
@@ -190,7 +196,7 @@ def _expected(kind: str) -> tuple[State, float, Array]:
 
 
 def _refined(kind: str, p: Array, ground: Array) -> Array:
-    """Figure of points by Gauss-Newton."""
+    """Return the figure of points by Gauss-Newton."""
     f = figure_start(kind, p)
     for _ in range(10 if len(f) else 0):
         f = (
@@ -231,7 +237,7 @@ ALL = {
 
 
 def _record(extra: fg.ExtraObservation, sigma: float, shape: Array) -> Array:
-    """Record with this sigma, axes of the unit and the constants of parallel lines, correlates zero."""
+    """Return the record with this sigma, axes of the unit and the constants of parallel lines, correlates zero."""
     constraint = extra.constraint  # type: ignore[attr-defined]
     own = np.zeros(0)
     if constraint.kind in ("parallel", "perpendicular", "equal"):

@@ -23,7 +23,7 @@ OWN = ("gauss-newton", "levenberg-marquardt", "dogleg")
 
 
 def residual_vector(problem: Problem, state: State) -> np.ndarray:
-    """All whitened residuals written out: image points, control points, priors."""
+    """Return all whitened residuals written out: image points, control points, priors."""
     image, _, _ = scalar_rows(problem, state)
     parts = [image.ravel()]
     for j in np.flatnonzero(problem.observed):
@@ -35,7 +35,7 @@ def residual_vector(problem: Problem, state: State) -> np.ndarray:
 
 
 def dense_jacobian(problem: Problem, state: State) -> np.ndarray:
-    """The same rows as a full matrix: image unknowns first, then unknown points."""
+    """Return the same rows as a full matrix: image unknowns first, then unknown points."""
     m, k = state.image.shape
     points = np.flatnonzero(problem.active)
     column = {int(j): m * k + 3 * c for c, j in enumerate(points)}

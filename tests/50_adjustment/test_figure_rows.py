@@ -18,7 +18,7 @@ from .test_constraints import SHAPES, N, observed
 
 
 def _block(kind: str, sigma: float | None) -> Block:
-    """A figure through free points and a fixed one, with an observed radius."""
+    """Return a figure through free points and a fixed one, with an observed radius."""
     block, ground = observed(kind, control=True)
     fixed = np.arange(len(ground)) == 0
     known = block.points.known

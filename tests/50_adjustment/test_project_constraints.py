@@ -54,7 +54,7 @@ sigma = 0.01
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four frame images, nine control points, eight tie points in a plane, T0 and T1 60 m apart."""
+    """Return four frame images, nine control points, eight tie points in a plane, T0 and T1 60 m apart."""
     folder, rng = tmp_path_factory.mktemp("frames"), np.random.default_rng(8)
     up, origin = enu_from_ecef(LON, LAT)[0], geodetic_to_ecef(LON, LAT, 0.0)[0]
     middle, sensors = np.array([1500.0, 2000.0]), {}
@@ -85,7 +85,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def with_text(project: Path, text: str, name: str = "stated.toml") -> Path:
-    """The project with more text."""
+    """Return the project with more text."""
     path = project.with_name(name)
     path.write_text(project.read_text() + text)
     return path

@@ -33,7 +33,7 @@ TO_GEODETIC = pyproj.Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=Tr
 
 
 def mixed(kind: str = "shift_drift") -> Block:
-    """The left image with its rigorous model, the right one with an RPC: 18 and 2-6 unknowns."""
+    """Return the left image with its rigorous model, the right one with an RPC: 18 and 2-6 unknowns."""
     rigorous, _, _ = twin_with_models()
     twin = rpc_twin(kind)
     o, p = rigorous.observations, twin.block.observations
@@ -46,7 +46,7 @@ def mixed(kind: str = "shift_drift") -> Block:
 
 
 def blocks() -> dict[str, Block]:
-    """What both backends must agree on."""
+    """Return what both backends must agree on."""
     out = {kind: rpc_twin(kind).block for kind in KINDS} | {"mixed": mixed(), "mixed shift": mixed("shift")}
     fixed = out["affine"].points.known.fixed.copy()
     fixed[out["affine"].points.where(Role.CONTROL)[:5]] = True
@@ -199,7 +199,7 @@ def test_truth_is_met_within_the_covariance(kind: str) -> None:
 
 
 def _error(twin: RpcTwin, solution: fg.Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Joint error of all compensation unknowns and check points, and its covariance in prior scale."""
+    """Return the joint error of all compensation unknowns and check points, and its covariance in prior scale."""
     check = tuple(int(j) for j in twin.block.points.where(Role.CHECK))
     names = [f"image:{i.id}" for i in twin.block.images] + [f"point:{twin.block.points.ids[j]}" for j in check[:4]]
     codes = list(solution.problem.parameters[0].codes)

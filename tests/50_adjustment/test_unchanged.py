@@ -28,7 +28,7 @@ def full(block: Block) -> Problem:
 
 
 def without(block: Block, row: int) -> Block:
-    """The block without an image point."""
+    """Return the block without an image point."""
     return replace(block, observations=block.observations.take(np.arange(len(block.observations)) != row))
 
 

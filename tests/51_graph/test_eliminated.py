@@ -52,7 +52,7 @@ def problem_of(kind: str) -> Problem:
 
 
 def away(problem: Problem, seed: int, size: float = 0.3) -> np.ndarray:
-    """Image unknowns that are not those of the solution."""
+    """Return the image unknowns that are not those of the solution."""
     return np.random.default_rng(seed).normal(scale=size, size=problem.n_free_unknowns)
 
 
@@ -144,7 +144,7 @@ def test_each_pair_is_in_one_factor_of_three() -> None:
 
 
 def backend_state(backend: GraphBackend, values: gtsam.Values) -> State:
-    """State of values with the points intersected there."""
+    """Return the state of values with the points intersected there."""
     backend.graph.error(values)
     return backend.state(values, complete=True)
 

@@ -24,7 +24,7 @@ def twin() -> Block:
 
 
 def optimised(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
-    """GTSAM's Levenberg-Marquardt with its own rule for the end, then one Gauss-Newton step."""
+    """Run GTSAM's Levenberg-Marquardt with its own rule for the end, then one Gauss-Newton step."""
     found = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
     last = gtsam.GaussNewtonOptimizer(graph, found)
     last.iterate()

@@ -27,7 +27,7 @@ from tests.support.results import sealed
 
 @lru_cache
 def block(noise: float = 0.01) -> Block:
-    """Four images with normal errors of ``noise`` sigmas; points that only image 0 and image 3 see are left out.
+    """Return four images with normal errors of ``noise`` sigmas; points that only image 0 and image 3 see are left out.
 
     The earlier result is linearised at its own values. Its difference to one adjustment of all images is therefore
     quadratic in the errors: 1.6e-3 sigma of an unknown with errors of 1 sigma, 1.3e-7 with errors of 0.01 sigma.
@@ -82,7 +82,7 @@ def require_equal(two: fg.Solution, whole: fg.Solution | Dense, within: float) -
 
 
 def counted_again(one: fg.Solution, two: fg.Solution) -> tuple[float, int]:
-    """Sum of squares and number of the rows that stand for the first campaign, at its solution."""
+    """Return the sum of squares and number of the rows that stand for the first campaign, at its solution."""
     prior = two.block.extra[-1]
     x = [
         one.problem.unknowns(one.state, one.block.image_index(name.partition(":")[2])) if name.startswith("image:")

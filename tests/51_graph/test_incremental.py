@@ -32,7 +32,7 @@ WRONG = np.array([3, 30, 60, 90, 120])
 
 
 def strip(images: int) -> Block:
-    """A strip with control points in every tenth image and the last one."""
+    """Return a strip with control points in every tenth image and the last one."""
     n = 12 * images
     options = StripOptions(seed=1, strips=1, images=images, points=n, control=n, navigation=False)
     block, o = (made := strip_block(options)[0]), made.observations
@@ -43,12 +43,12 @@ def strip(images: int) -> Block:
 
 
 def without_images(block: Block) -> Block:
-    """The ground points alone."""
+    """Return the ground points alone."""
     return replace(block, images=(), observations=block.observations.take(np.zeros(0, np.intp)))
 
 
 def part(block: Block, images: int) -> Block:
-    """The first images, with control points and the tie points that two of these images see."""
+    """Return the first images, with control points and the tie points that two of these images see."""
     o = block.observations
     first = o.image < images
     count = np.bincount(o.point[first], minlength=len(block.points.ids))
@@ -57,7 +57,7 @@ def part(block: Block, images: int) -> Block:
 
 
 def grown(block: Block) -> fg.Incremental:
-    """The block, image by image."""
+    """Return the block, image by image."""
     out, o = fg.Incremental(without_images(block)), block.observations
     for k, image in enumerate(block.images):
         out.add(images=[image], observations=o.take(o.image == k))
@@ -65,12 +65,12 @@ def grown(block: Block) -> fg.Incremental:
 
 
 def of_numpy(block: Block) -> Dense:
-    """The batch adjustment, by numpy from its rows; single rays of tie points say nothing."""
+    """Return the batch adjustment, by numpy from its rows; single rays of tie points say nothing."""
     return Dense.of(compile_problem(part(block, len(block.images))))
 
 
 def difference(incremental: fg.Incremental, batch: Solution | Dense) -> float:
-    """Largest difference of an unknown from a solution, in standard deviations."""
+    """Return the largest difference of an unknown from a solution, in standard deviations."""
     assert batch.cofactors is not None
     out = [0.0]
     for k, image in enumerate(batch.block.images):
@@ -81,7 +81,7 @@ def difference(incremental: fg.Incremental, batch: Solution | Dense) -> float:
 
 
 def solutions_differ(a: Solution, b: Solution | Dense) -> float:
-    """Largest difference of an unknown of two solutions, in standard deviations."""
+    """Return the largest difference of an unknown of two solutions, in standard deviations."""
     assert b.cofactors is not None
     sigma = np.concatenate([np.sqrt(np.diag(b.cofactors.image(k))) for k in range(len(b.block.images))])
     return float(np.abs((a.problem.image_columns(a.state) - b.problem.image_columns(b.state)) / sigma).max())

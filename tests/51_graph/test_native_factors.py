@@ -27,7 +27,7 @@ def block() -> Block:
 
 
 def ties(count: int, of: Block | None = None) -> list[int]:
-    """Ground points that no control equation holds, seen in two or more images."""
+    """Return the ground points that no control equation holds, seen in two or more images."""
     of = of or block()
     rays = np.bincount(of.observations.point, minlength=len(of.points.ids))
     problem = compile_problem(of)

@@ -86,7 +86,7 @@ def mixed(kind: str) -> Block:
 
 
 def measured_twice(block: Block, count: int) -> Block:
-    """The first rays a second time, 0.1 px beside: a point then has two rays of one image."""
+    """Return the first rays a second time, moved by 0.1 px: a point then has two rays of one image."""
     o = block.observations
     again = o.take(np.arange(count))
     names = ("line", "sample", "sigma_line_px", "sigma_sample_px")
@@ -417,7 +417,7 @@ def test_workers_cover_the_range_once() -> None:
 
 
 def pattern_of(images: int, pairs: list[tuple[int, int]], unknowns: int = 9) -> Pattern:
-    """Images with so many unknowns, linked in pairs."""
+    """Return the images with so many unknowns, linked in pairs."""
     row, column = np.array([*((k, k) for k in range(images)), *sorted(pairs)]).T
     return Pattern(np.full(images, unknowns), row, column)
 
@@ -536,7 +536,7 @@ def test_a_wide_network_is_chosen_to_be_solved_without_its_matrix(monkeypatch: p
 
 
 def pattern_with_blocks(problem: Problem) -> Pattern:
-    """Blocks of the reduced system in the order of a backend that forms them."""
+    """Return the blocks of the reduced system in the order of a backend that forms them."""
     return SchurBackend(problem, reduced="blocks").structure.pattern
 
 

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.oracle
 
 @pytest.fixture(scope="module")
 def twin() -> Block:
-    """Give two images, 37 control points and 10 check points."""
+    """Return two images, 37 control points and 10 check points."""
     return zonguldak_block(ZonguldakOptions(seed=1))[0]
 
 

@@ -22,7 +22,7 @@ def with_options(block: Block, **options: object) -> Block:
 
 
 def moved_rays(block: Block, rows: npt.NDArray[np.intp], seed: int, size_px: tuple[float, float]) -> Block:
-    """The block with gross errors in the image points of these rows, in line and in sample."""
+    """Return the block with gross errors in the image points of these rows, in line and in sample."""
     rng, o = np.random.default_rng(seed), block.observations
     line, sample = o.line.copy(), o.sample.copy()
     for column in (line, sample):
@@ -34,7 +34,7 @@ def moved_rays(block: Block, rows: npt.NDArray[np.intp], seed: int, size_px: tup
 def spoiled_block(
     size_px: tuple[float, float], rows: int = 2, columns: int = 3, points: int = 90
 ) -> tuple[Block, npt.NDArray[np.intp]]:
-    """The block with one ray in four spoiled of points seen four times or more, and these rays.
+    """Return the block with one ray in four spoiled of points seen four times or more, and these rays.
 
     One of four contradicts three that agree; with two of four no majority could tell which.
     """

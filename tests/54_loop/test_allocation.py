@@ -16,7 +16,7 @@ CHUNKS, CHUNK_BYTES = 4000, 4096
 
 
 def page_faults_of_a_turn() -> int:
-    """Page faults while some 16 MB of small blocks are taken and freed again."""
+    """Return the page faults while some 16 MB of small blocks are taken and freed again."""
     before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
     blocks = [bytearray(CHUNK_BYTES) for _ in range(CHUNKS)]
     del blocks

@@ -32,7 +32,7 @@ PUBLISHED = {"huber": 1.345, "cauchy": 2.385, "welsch": 2.985, "tukey": 4.685, "
 
 
 def curves() -> dict[str, tuple[object, object, float]]:
-    """Weight, cost and the last place where the weight has a corner, of all losses and surrogates."""
+    """Return the weight, cost and the last place where the weight has a corner, of all losses and surrogates."""
     out: dict[str, tuple[object, object, float]] = {n: (loss.weight, loss.cost, 1.0) for n, loss in losses().items()}
     for name, schedule in SCHEDULES.items():
         for mu in (1e-3, 0.5, 40.0):
@@ -92,7 +92,7 @@ def test_constants_leave_95_percent_efficiency(name: str, dimension: int) -> Non
 
 @lru_cache
 def spoiled() -> Problem:
-    """Forty points in four images; one ray of every other point seen four times is 2 to 4 px off (10 sigmas)."""
+    """Return forty points in four images; one ray of every other point seen four times is 2 to 4 px off (10 sigmas)."""
     block = clean_block(2, 2, 40)
     o = block.observations
     points = np.flatnonzero(np.bincount(o.point) == 4)[::2]
@@ -175,7 +175,7 @@ def test_damped_optimisers_end_where_numpy_has_no_step_left(optimizer: str) -> N
 
 
 def written_out(problem: Problem, name: str, state: State) -> tuple[float, npt.NDArray[np.float64]]:
-    """Cost and gradient from the plain rows: sum of rho, weights by hand."""
+    """Return the cost and gradient from the plain rows: sum of rho, weights by hand."""
     loss = losses()[name]
     residual, design = assemble(problem, state)
     value, gradient, at = 0.0, residual.copy(), 0

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.behaviour
 
 
 def log(*steps: float, mus: tuple[float, ...] = (), accepted: bool = True) -> list[IterationRecord]:
-    """Iterations of half a second each."""
+    """Return the iterations of half a second each."""
     return [
         IterationRecord(k + 1, 1.0, 1.0, 0.0, 1.0, step, 0.0, accepted, 0.5 * (k + 1), mus[k] if mus else math.nan)
         for k, step in enumerate(steps)

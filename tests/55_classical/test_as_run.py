@@ -33,7 +33,7 @@ def gcp_errors(run: TwoStage) -> np.ndarray:
 
 
 def predicted(run: TwoStage) -> np.ndarray:
-    """Errors by second-order theory, (n, 3).
+    """Return the errors by second-order theory, (n, 3).
 
     At the look angles of step 1 ``u1 ~ U^T D R^T w``, so the ray is ``R D U U^T D R^T w = R (1 + K) R^T w`` with, to
     second order, ``K = |a|^2 - a a^T`` (attitude a = (pitch, roll, yaw)) ``- diag(c^2, c^2, 0)`` (c = cos(V, Z)): the

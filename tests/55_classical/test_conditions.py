@@ -27,7 +27,7 @@ ROUNDING = 2e-14
 
 @pytest.fixture(scope="module")
 def block() -> Block:
-    """Radial velocity and attitude: the case in which nothing vanishes."""
+    """Return the radial velocity and attitude: the case in which nothing vanishes."""
     options = ZonguldakOptions(point_set="H-0", radial_velocity_m_s=8.0, attitude_rad=ATTITUDE, distortion_rad=3e-6)
     return zonguldak_block(options)[0]
 
@@ -37,7 +37,7 @@ def nothing(block: Block, codes: tuple[int, ...] = ALL) -> np.ndarray:
 
 
 def look_of(block: Block) -> np.ndarray:
-    """Look angles psi_x, psi_y of the files: linear in the tangent between the detectors."""
+    """Return the look angles psi_x, psi_y of the files: linear in the tangent between the detectors."""
     o = block.observations
     out = np.empty((len(o), 2))
     for k, image in enumerate(block.images):
@@ -48,7 +48,7 @@ def look_of(block: Block) -> np.ndarray:
 
 
 def deviation(found: np.ndarray, expected: np.ndarray) -> float:
-    """Largest difference relative to the largest element of each column (last axis)."""
+    """Return the largest difference relative to the largest element of each column (last axis)."""
     axes = tuple(range(found.ndim - 1))
     scale = np.abs(expected).max(axis=axes)
     return float((np.abs(found - expected).max(axis=axes)[scale > 0.0] / scale[scale > 0.0]).max())
@@ -61,7 +61,7 @@ def tangents_of(eop: np.ndarray, ground: np.ndarray) -> np.ndarray:
 
 
 def shortening_derivatives(eop: np.ndarray) -> np.ndarray:
-    """Derivatives (n, 9) of ln |V x P|/(|V| |P|) with respect to the nine EOPs, by complex step."""
+    """Return the derivatives (n, 9) of ln |V x P|/(|V| |P|) with respect to the nine EOPs, by complex step."""
     columns = []
     for k in range(9):
         moved = eop + 1j * oracle.STEP * np.eye(9)[k]

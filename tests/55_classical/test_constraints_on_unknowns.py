@@ -21,7 +21,7 @@ def conic(l_: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nda
 
 
 def circle(p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Equal curvatures, no mixed term, and the factor that the condition leaves open."""
+    """Return the equal curvatures, no mixed term, and the factor that the condition leaves open."""
     rows = np.array([[1.0, 0.0, -1.0, 0, 0, 0], [0, 1.0, 0, 0, 0, 0], [1.0, 0, 1.0, 0, 0, 0]])
     return rows @ p - [0.0, 0.0, 2.0], rows
 
@@ -37,7 +37,7 @@ def test_circle_as_a_constrained_conic() -> None:
 
 
 def mixed(l_: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Eight points (t, y), both observed, of a curve of four unknowns."""
+    """Return eight points (t, y), both observed, of a curve of four unknowns."""
     t, y = l_.reshape(2, -1)
     a = np.stack([np.ones_like(t), t, t**2, np.sin(x[3] * t)], axis=1)
     slope = x[1] + 2.0 * x[2] * t + x[3] * np.cos(x[3] * t)

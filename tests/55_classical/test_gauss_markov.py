@@ -18,7 +18,7 @@ def line(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def decay(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Amplitude, rate and offset of an exponential: not linear."""
+    """Return the amplitude, rate and offset of an exponential: not linear."""
     e = np.exp(-x[1] * TIMES)
     return x[0] * e + x[2], np.stack([e, -x[0] * TIMES * e, np.ones_like(TIMES)], axis=1)
 

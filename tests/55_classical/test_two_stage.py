@@ -30,7 +30,7 @@ SOLVER = "gauss_partial_pivot_elimination"
 
 @pytest.fixture(scope="module")
 def run() -> TwoStage:
-    """H-10, 0.3 px, constant errors, distortion."""
+    """Return H-10, 0.3 px, constant errors, distortion."""
     return TwoStage(zonguldak_block(ZonguldakOptions(distortion_rad=3e-6))[0])
 
 
@@ -55,7 +55,7 @@ class Independent:
         self.ground[self.check] = self.intersect(self.eop)[self.check]
 
     def intersect(self, eop: np.ndarray, look: np.ndarray | None = None) -> np.ndarray:
-        """All points from both images, (N, 3)."""
+        """Return all points from both images, (N, 3)."""
         u = oracle.ray(eop, self.look if look is None else look, False)
         out = np.full((len(self.block.points.ids), 3), np.nan)
         for j in range(len(out)):
@@ -64,7 +64,7 @@ class Independent:
         return out
 
     def linearised(self, codes: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Full A of EOPs and check points (2n, u), B (2n,), w (2n,)."""
+        """Return the full A of EOPs and check points (2n, u), B (2n,), w (2n,)."""
         ground = self.ground[self.o.point]
         d_eop, d_ground, d_look = oracle.derivatives(self.eop, self.look, ground, False)
         columns = oracle.coefficient_columns(d_eop, self.o.line, codes)
@@ -80,7 +80,7 @@ class Independent:
         return a.reshape(2 * n, -1), b.ravel(), w.ravel()
 
     def corrected(self, codes: tuple[int, ...], dp: np.ndarray) -> np.ndarray:
-        """The nine EOPs (n, 9) with corrections (2, k) of the coefficients."""
+        """Return the nine EOPs (n, 9) with corrections (2, k) of the coefficients."""
         change = np.zeros((2, 27))
         change[:, list(codes)] = dp
         powers = self.o.line[:, None] ** np.arange(3)
@@ -393,7 +393,7 @@ def test_other_point_sets(point_set: str) -> None:
 
 
 def _exact_block() -> tuple[Block, np.ndarray]:
-    """The twin with orbits that are parabolas: what the procedure assumes is true; noise-free; and the truth."""
+    """Return the twin with orbits that are parabolas: what the procedure assumes is true; noise-free; and the truth."""
     options = ZonguldakOptions(errors="none", image_noise_px=0.0, ground_noise_m=(0.0, 0.0, 0.0))
     block, truth = zonguldak_block(options)
     images, line, sample = [], block.observations.line.copy(), block.observations.sample.copy()
@@ -493,7 +493,7 @@ def test_a_point_that_nobody_sees_is_ignored() -> None:
 
 @pytest.fixture(scope="module")
 def pleiades(repository: Path, real_data: Path) -> Block:
-    """The real pair, 20 control points spread over it, 66 check points."""
+    """Return the real pair, 20 control points spread over it, 66 check points."""
     spec = importlib.util.spec_from_file_location("pleiades_pair", repository / "examples" / "pleiades_pair.py")
     example = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(example)
@@ -609,7 +609,7 @@ def one_image(block: Block) -> Block:
 
 
 def few_control_points(block: Block) -> Block:
-    """Two in the right image."""
+    """Return two points in the right image."""
     o, few = block.observations, block.points.where(Role.CONTROL)[:2]
     kept = np.isin(o.point, few) | np.isin(o.point, block.points.where(Role.CHECK)) | (o.image == 0)
     return replace(block, observations=o.take(kept))

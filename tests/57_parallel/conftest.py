@@ -17,19 +17,19 @@ from tests.support.parallel_block import block
 
 @pytest.fixture(scope="session")
 def small() -> Block:
-    """Give the block."""
+    """Return the block."""
     return block()
 
 
 @pytest.fixture(scope="session")
 def problem() -> Problem:
-    """Give its problem."""
+    """Return the problem of the block."""
     return compile_problem(block())
 
 
 @contextmanager
 def processes(count: int) -> Iterator[Any]:
-    """Give a client of processes on this machine."""
+    """Yield a client of processes on this machine."""
     pytest.importorskip("distributed")
     with warnings.catch_warnings(), opened(Execution(workers=count)) as pool:
         yield pool.client
@@ -37,7 +37,7 @@ def processes(count: int) -> Iterator[Any]:
 
 @contextmanager
 def certificate_of(client: Any) -> Iterator[str]:
-    """Give the address of a client's scheduler; meanwhile dask's configuration, which all clients share, names it."""
+    """Yield the address of a client's scheduler; meanwhile dask's configuration, which all clients share, names it."""
     import dask.config
 
     own = client.security
@@ -48,13 +48,13 @@ def certificate_of(client: Any) -> Iterator[str]:
 
 @pytest.fixture(scope="module")
 def client() -> Iterator[Any]:
-    """Give a client of two processes; they take 2 s each to start, so all fast tests with it are in test_workers."""
+    """Yield a client of two processes; they take 2 s each to start, so all fast tests with it are in test_workers."""
     with processes(2) as found:
         yield found
 
 
 @pytest.fixture(scope="module")
 def four() -> Iterator[Any]:
-    """Give a client of four processes, for the slow tests."""
+    """Yield a client of four processes, for the slow tests."""
     with processes(4) as found:
         yield found

@@ -24,14 +24,14 @@ from .conftest import certificate_of
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Project file of the twin; not to be changed."""
+    """Return the project file of the twin; not to be changed."""
     folder = tmp_path_factory.mktemp("twin") / "zonguldak"
     simulate_zonguldak(folder, ZonguldakOptions())
     return folder / "project.toml"
 
 
 def table(path: Path, name: str) -> list[dict[str, str]]:
-    """Rows of a table of a folder."""
+    """Return the rows of a table of a folder."""
     with (path / name).open(encoding="utf-8", newline="") as stream:
         return list(csv.DictReader(stream))
 

@@ -39,7 +39,7 @@ SIGMAS, METRES, COFACTORS = 1e-9, 1e-7, 1e-9
 
 @lru_cache
 def block(kind: str) -> Block:
-    """A strip of 30 frame images, or a grid of 12 satellite images."""
+    """Return a strip of 30 frame images, or a grid of 12 satellite images."""
     if kind == "strip":
         found, _ = strip_block(StripOptions(strips=1, images=30, points=200, control=8, navigation=False))
         return found
@@ -62,7 +62,7 @@ def always(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(params=["strip", "grid"])
 def problem(request: pytest.FixtureRequest) -> Problem:
-    """Give the problem of each block."""
+    """Return the problem of each block."""
     return problem_of(request.param)
 
 

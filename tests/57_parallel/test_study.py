@@ -17,7 +17,7 @@ from fg_orient.studies.comparison.model import Comparison
 
 
 def spectrum(seed: int) -> dict[str, Any]:
-    """Numbers, words, arrays, nested."""
+    """Return nested numbers, words and arrays."""
     values = np.linalg.svd(np.random.default_rng(seed).normal(size=(4, 3)), compute_uv=False)
     return {"seed": seed, "values": values, "nested": [{"nan": math.nan, "text": "é"}, np.float64(values[0])]}
 

@@ -88,7 +88,7 @@ def run(problem: Problem, pool: Pool, optimizer: str = "gauss-newton") -> State:
 
 @pytest.fixture(scope="module")
 def alone(problem: Problem) -> State:
-    """Give the solution of the parts in this process."""
+    """Return the solution of the parts in this process."""
     return run(problem, Pool())
 
 

@@ -22,7 +22,7 @@ OPTIONS: dict[str, Any] = {"eop_set": 20, "priors": False, "regularisation": "ti
 
 @pytest.fixture(scope="module")
 def block() -> Block:
-    """Four images with control and tie points."""
+    """Return four images with control and tie points."""
     return grid_block(BlockOptions(rows=2, columns=2, points=150, seed=5))[0]
 
 

@@ -25,7 +25,7 @@ def block() -> Block:
 
 
 def estimate(rows: Array, held: Array, right: Array) -> Array:
-    """Least squares of all unknowns with rows ``held x = 0``, in columns of unit length."""
+    """Return the least squares of all unknowns with rows ``held x = 0``, in columns of unit length."""
     whole = np.vstack([rows, held])
     scale = np.linalg.norm(whole, axis=0)
     right = np.concatenate([right, np.zeros((len(held), right.shape[1]))])

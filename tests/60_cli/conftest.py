@@ -34,7 +34,7 @@ def fresh(repository: Path) -> Run:
 
 @pytest.fixture(scope="session")
 def twin_source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of the twin; not to be changed."""
+    """Return the folder of the twin; not to be changed."""
     folder = tmp_path_factory.mktemp("twin") / "zonguldak"
     simulate_zonguldak(folder, ZonguldakOptions())
     return folder
@@ -42,20 +42,20 @@ def twin_source(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def adjusted(twin_source: Path, tmp_path_factory: pytest.TempPathFactory, run: Run) -> tuple[Path, Ended]:
-    """Result folder of the twin and how ``adjust --json`` ended; not to be changed."""
+    """Return the result folder of the twin and how ``adjust --json`` ended; not to be changed."""
     out = tmp_path_factory.mktemp("adjusted") / "result"
     return out, run("adjust", twin_source / "project.toml", "--out", out, "--json")
 
 
 @pytest.fixture
 def twin(twin_source: Path, tmp_path: Path) -> Path:
-    """Project file of a copy of the twin that a test may spoil."""
+    """Return the project file of a copy of the twin that a test may spoil."""
     shutil.copytree(twin_source, tmp_path / "twin")
     return tmp_path / "twin" / "project.toml"
 
 
 @pytest.fixture
 def result(adjusted: tuple[Path, Ended], tmp_path: Path) -> Path:
-    """Copy of the result folder that a test may spoil."""
+    """Return the copy of the result folder that a test may spoil."""
     shutil.copytree(adjusted[0], tmp_path / "result")
     return tmp_path / "result"

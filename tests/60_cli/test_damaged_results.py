@@ -111,7 +111,7 @@ DAMAGED: dict[str, tuple[Callable[[Path, Path], object], str]] = {
 
 @pytest.fixture(scope="module")
 def other(twin_source: Path, tmp_path_factory: pytest.TempPathFactory, run: Any) -> Path:
-    """Result of another run of the same project."""
+    """Return the result of another run of the same project."""
     out = tmp_path_factory.mktemp("other") / "result"
     assert run("adjust", twin_source / "project.toml", "--out", out, "--eop-set", 10).code == 0
     return out
@@ -119,7 +119,7 @@ def other(twin_source: Path, tmp_path_factory: pytest.TempPathFactory, run: Any)
 
 @pytest.fixture(scope="module")
 def dem(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Flat elevation model of the scene."""
+    """Return the flat elevation model of the scene."""
     rasterio = pytest.importorskip("rasterio")
     path = tmp_path_factory.mktemp("dem") / "dem.tif"
     place = rasterio.Affine(0.1, 0.0, 31.0, 0.0, -0.1, 42.0)
@@ -131,7 +131,7 @@ def dem(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def commands(folder: Path, twin: Path, dem: Path, out: Path) -> dict[str, tuple[object, ...]]:
-    """Give each command that reads a result folder."""
+    """Return each command that reads a result folder."""
     image = twin / "left.DIM"
     return {
         "report": ("report", folder),
@@ -146,7 +146,7 @@ def commands(folder: Path, twin: Path, dem: Path, out: Path) -> dict[str, tuple[
 
 
 def content(folder: Path) -> dict[str, bytes]:
-    """Give every file of a folder and below."""
+    """Return every file of a folder and below."""
     return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 

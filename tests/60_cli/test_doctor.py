@@ -19,7 +19,7 @@ pytestmark = pytest.mark.behaviour
 
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Cache of two files, which only its owner can write to."""
+    """Return the cache of two files, which only its owner can write to."""
     folder = tmp_path / "above" / "cache"
     (folder / "factors_1").mkdir(parents=True)
     for name in ("a.nbi", "a.1.nbc"):

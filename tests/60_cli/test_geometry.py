@@ -17,7 +17,7 @@ GROUND = ["id", "line", "sample", "lon_deg", "lat_deg", "height_m", "x_m", "y_m"
 
 
 def rows(path: Path) -> list[dict[str, str]]:
-    """Records of a CSV file."""
+    """Return the records of a CSV file."""
     with path.open(encoding="utf-8", newline="") as stream:
         return list(csv.DictReader(stream))
 

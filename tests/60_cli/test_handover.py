@@ -31,7 +31,7 @@ IMAGES = ("left", "right")
 
 @pytest.fixture(scope="module")
 def shifted(tmp_path_factory: pytest.TempPathFactory, run: Run) -> tuple[RpcTwin, Path]:
-    """Twin with a shift per image, and its result folder."""
+    """Return the twin with a shift per image, and its result folder."""
     twin = rpc_twin("shift", seed=4)
     project = write_folder(tmp_path_factory.mktemp("rpc") / "twin", twin)
     ended = run("adjust", project, "--quiet")
@@ -40,13 +40,13 @@ def shifted(tmp_path_factory: pytest.TempPathFactory, run: Run) -> tuple[RpcTwin
 
 
 def places(model: RpcModel, n: int = 50) -> Array:
-    """Longitudes, latitudes, heights (3, n) in the cube of a model."""
+    """Return the longitudes, latitudes, heights (3, n) in the cube of a model."""
     u = np.random.default_rng(1).uniform(-0.9, 0.9, (3, n))
     return model.offsets[2:, None] + model.scales[2:, None] * u
 
 
 def wanted(result: Path, image: str, twin: RpcTwin) -> tuple[Array, Array]:
-    """Places, and pixels (n, 2) of the vendor's model and the adjusted shift, term by term."""
+    """Return the places, and pixels (n, 2) of the vendor's model and the adjusted shift, term by term."""
     model = twin.block.images[IMAGES.index(image)].sensor.model
     table = [line.split(",") for line in (result / "eop.csv").read_text("utf-8").splitlines()]
     shift = [float(row[5]) for row in table if row[0] == image]
@@ -55,7 +55,7 @@ def wanted(result: Path, image: str, twin: RpcTwin) -> tuple[Array, Array]:
 
 
 def blank(path: Path, shape: tuple[int, int]) -> Path:
-    """An image without content, size and sidecar files only."""
+    """Return an image without content, size and sidecar files only."""
     with rasterio.open(
         path, "w", driver="GTiff", width=shape[1], height=shape[0], count=1, dtype="uint8", SPARSE_OK=True
     ):
@@ -64,7 +64,7 @@ def blank(path: Path, shape: tuple[int, int]) -> Path:
 
 
 def by_gdal(image: Path, ground: Array) -> Array:
-    """Pixels (n, 2) of GDAL; its transformer counts from the corner of the first pixel."""
+    """Return the pixels (n, 2) of GDAL; its transformer counts from the corner of the first pixel."""
     with rasterio.open(image) as source, rasterio.transform.RPCTransformer(source.rpcs) as transformer:
         row, column = transformer.rowcol(*ground, op=lambda value: value)
     return np.stack([row, column], axis=1) - 0.5
@@ -242,7 +242,7 @@ def by_orthority(folder: Path, name: str, ground: Array) -> Array:
 
 
 def by_otb(folder: Path, name: str, ground: Array) -> Array:
-    """Pixels by an orthoimage of two bands whose values are line and sample; two places are sufficient."""
+    """Return the pixels by an orthoimage of two bands whose values are line and sample; two places are sufficient."""
     model, cell = read_rpc(folder / f"{name}.geom"), 512
     assert model.n_lines and model.n_samples
     rows, columns = model.n_lines // cell + 4, model.n_samples // cell + 4

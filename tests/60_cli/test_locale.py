@@ -41,7 +41,7 @@ OCCASION = ("seconds", "memory", "us_per_observation_iteration", "provenance")
 
 
 def locales(folder: Path, name: str) -> dict[str, str]:
-    """Environment with a locale: the machine's, or one made here from its sources."""
+    """Return the environment with a locale: the machine's, or one made here from its sources."""
     environment = {**os.environ, "LC_ALL": name, "PYTHONUTF8": "1"}
     probe = [sys.executable, "-c", "import locale; locale.setlocale(locale.LC_ALL, '')"]
     if subprocess.run(probe, env=environment, capture_output=True, check=False).returncode == 0:
@@ -58,7 +58,7 @@ def locales(folder: Path, name: str) -> dict[str, str]:
 
 
 def work(out: Path, environment: dict[str, str]) -> tuple[str, str, list[int], str]:
-    """Locale, its decimal point, exit codes, and what is said of the project."""
+    """Return the locale, its decimal point, exit codes, and what is said of the project."""
     ended = subprocess.run(
         [sys.executable, "-c", PROGRAM, str(out)], env=environment, capture_output=True, text=True, check=False
     )
@@ -68,12 +68,12 @@ def work(out: Path, environment: dict[str, str]) -> tuple[str, str, list[int], s
 
 
 def without_memory(said: str) -> str:
-    """Words of ``validate`` but for the memory that is free at the moment."""
+    """Return the words of ``validate`` but for the memory that is free at the moment."""
     return "\n".join(line for line in said.splitlines() if not line.startswith("memory"))
 
 
 def files(out: Path) -> dict[str, object]:
-    """Content of every file, without what belongs to the occasion."""
+    """Return the content of every file, without what belongs to the occasion."""
     found: dict[str, object] = {}
     for path in sorted(p for p in out.rglob("*") if p.is_file()):
         name = path.relative_to(out).as_posix()
@@ -90,7 +90,7 @@ def files(out: Path) -> dict[str, object]:
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """The same work without a locale."""
+    """Return the same work without a locale."""
     out = tmp_path_factory.mktemp("plain")
     taken, point, codes, said = work(out, {**os.environ, "LC_ALL": "C.UTF-8"})
     assert point == "." and codes == [0] * 6, (taken, codes)

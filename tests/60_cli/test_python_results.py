@@ -16,7 +16,7 @@ from fg_orient.report import write_report
 
 
 def rows(path: Path) -> list[dict[str, str]]:
-    """Records of a CSV file."""
+    """Return the records of a CSV file."""
     with path.open(encoding="utf-8", newline="") as stream:
         return list(csv.DictReader(stream))
 
@@ -29,7 +29,7 @@ def solution(twin_source: Path) -> fg.Solution:
 
 @pytest.fixture(scope="module")
 def saved(solution: fg.Solution, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of it; not to be changed."""
+    """Return the folder of it; not to be changed."""
     folder = tmp_path_factory.mktemp("saved") / "result"
     solution.save(folder)
     return folder

@@ -21,7 +21,10 @@ from tests.support.results import sealed
 
 @pytest.fixture(scope="module")
 def robust(twin_source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Project with the result of a robust run, stopped and gone on with from its checkpoint; not to be changed."""
+    """Return the project with the result of a robust run, stopped and gone on with from its checkpoint.
+
+    Not to be changed.
+    """
     folder = tmp_path_factory.mktemp("robust") / "twin"
     shutil.copytree(twin_source, folder)
     given: dict[str, Any] = {"options": {"eop_set": "PUA", "loss": "huber"}, "checkpoint_every_s": 0.0}
@@ -38,7 +41,7 @@ def robust(twin_source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def spoiled(robust: Path, tmp_path: Path) -> Path:
-    """Copy of the project and its result that a test may spoil."""
+    """Return the copy of the project and its result that a test may spoil."""
     return Path(shutil.copytree(robust, tmp_path / "twin"))
 
 

@@ -22,7 +22,7 @@ FILES = {"result.json", "eop.csv", "points.csv", "residuals.csv", "accuracy.csv"
 
 
 def rows(path: Path) -> list[dict[str, str]]:
-    """Records of a CSV file; comment lines left out."""
+    """Return the records of a CSV file; comment lines left out."""
     with path.open(encoding="utf-8", newline="") as stream:
         return list(csv.DictReader(line for line in stream if not line.startswith("#")))
 

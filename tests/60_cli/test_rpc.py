@@ -46,7 +46,7 @@ def model() -> RpcModel:
 
 @pytest.fixture
 def file(tmp_path: Path, model: RpcModel) -> Path:
-    """A ``_RPC.TXT``."""
+    """Return a ``_RPC.TXT``."""
     write_rpc(tmp_path / "scene_RPC.TXT", model)
     return tmp_path / "scene_RPC.TXT"
 
@@ -76,7 +76,7 @@ def normalised(model: RpcModel, ground: np.ndarray) -> np.ndarray:
 def measured(
     model: RpcModel, n: int = 40, *, values: np.ndarray = TRUE, noise: float = 0.0, seed: int = 5
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels of a compensated model, and ground points."""
+    """Return the pixels of a compensated model, and ground points."""
     ground = np.stack(ground_points(model, n, seed), axis=1)
     ls = normalised(model, ground)
     shift = values[:2] + ls[:, :1] * values[2:4] + ls[:, 1:] * values[4:6]
@@ -740,7 +740,7 @@ def zonguldak(real_data: Path) -> Path:
 
 
 def pleiades_points(zonguldak: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (0-based) and ground of the 86 points."""
+    """Return the pixels (0-based) and ground of the 86 points."""
     with (zonguldak / "points_img1_llh.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     image = np.array([[float(r["line"]) - 1.0, float(r["col"]) - 1.0] for r in rows])
@@ -775,7 +775,7 @@ def test_vendor_rpc_of_pleiades(run: Run, zonguldak: Path, tmp_path: Path) -> No
 
 
 def _spread(image: np.ndarray, n: int) -> np.ndarray:
-    """Farthest-point choice of n points."""
+    """Return the farthest-point choice of n points."""
     unit, chosen = image / image.max(axis=0), [int(np.argmin(image.sum(axis=1)))]
     while len(chosen) < n:
         distance = np.linalg.norm(unit[:, None] - unit[chosen], axis=2).min(axis=1)

@@ -31,7 +31,7 @@ def table(path: Path) -> list[dict[str, str]]:
 
 @pytest.fixture(scope="module")
 def drifting(tmp_path_factory: pytest.TempPathFactory, run: Run) -> tuple[RpcTwin, Path, Any]:
-    """Twin with shift and drift along the lines only (no mixed term), project and how adjust ended."""
+    """Return the twin with shift and drift along the lines only (no mixed term), project and how adjust ended."""
     twin = rpc_twin("shift_drift", seed=4)
     project = write_folder(tmp_path_factory.mktemp("rpc") / "twin", twin)
     return twin, project, run("adjust", project, "--json")

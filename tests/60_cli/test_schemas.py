@@ -17,7 +17,7 @@ WITHOUT = {"completion", "schema"}
 
 
 def names() -> list[str]:
-    """All commands as they are in the names of schemas."""
+    """Return all commands as they are in the names of schemas."""
     found = []
     for name in COMMANDS:
         group = getattr(built(name), "commands", None)

@@ -40,7 +40,7 @@ def events(path: Path) -> list[dict[str, Any]]:
 
 
 def commands() -> Iterator[tuple[str, Any]]:
-    """Name and function of every command."""
+    """Yield the name and function of every command."""
     for name in COMMANDS:
         one = declared(name)
         if isinstance(one, typer.Typer):

@@ -12,12 +12,12 @@ from tests.support.full_statistics import options
 
 @pytest.fixture(scope="session")
 def twin() -> Block:
-    """Give the H-10 twin of seed 1."""
+    """Return the H-10 twin of seed 1."""
     return zonguldak_block(ZonguldakOptions(seed=1))[0]
 
 
 @pytest.fixture(scope="session")
 def grid() -> Block:
-    """Four images, 60 points of 2 to 4 rays, 10 of them control points."""
+    """Return four images, 60 points of 2 to 4 rays, 10 of them control points."""
     chosen = BlockOptions(rows=2, columns=2, points=60, control_share=0.16, check_share=0.0)
     return options(grid_block(chosen)[0], eop_set=10)

@@ -30,7 +30,7 @@ PARTS = ("images", "points", "residuals", "observations")
 
 @pytest.fixture(scope="module")
 def truth() -> Solution:
-    """A pair with 14 points, 6 of them control points; its solution is what observations are simulated from."""
+    """Return a pair with 14 points, 6 of them control points; its solution is what observations are simulated from."""
     chosen = BlockOptions(rows=1, columns=2, points=14, control_share=0.4, check_share=0.0, seed=4)
     return fg.adjust(options(grid_block(chosen)[0], eop_set=10))
 
@@ -44,7 +44,7 @@ class Run:
 
 
 def simulated(truth: Solution, rng: np.random.Generator) -> Run:
-    """Orientation drawn from its priors, control points and pixels with errors of their sigmas."""
+    """Return the orientation drawn from its priors, control points and pixels with errors of their sigmas."""
     problem, block, o = truth.problem, truth.block, truth.problem.observations
     x = rng.normal(size=problem.n_image_unknowns)
     state = State(problem.image_matrix(x), truth.ground_m - problem.origin_m)
@@ -63,7 +63,7 @@ def simulated(truth: Solution, rng: np.random.Generator) -> Run:
 
 
 def with_sigmas(block: Block, factor: float) -> Block:
-    """The same observations with other sigmas of the image points."""
+    """Return the same observations with other sigmas of the image points."""
     o = block.observations
     sigmas = {name: factor * getattr(o, name) for name in ("sigma_line_px", "sigma_sample_px")}
     return replace(block, observations=replace(o, **sigmas))
@@ -98,7 +98,7 @@ class Scatter:
 
     @property
     def ratios(self) -> dict[str, tuple[float, float, float]]:
-        """Mean per degree of freedom, and its 99.9 % interval."""
+        """Return the mean per degree of freedom, and its 99.9 % interval."""
         out = {}
         for part in PARTS:
             total = self.runs * self.freedom[part]

@@ -15,7 +15,7 @@ from tests.support.full_statistics import Full, measured_twice
 
 
 def tie_name(solution: Solution) -> tuple[str, str]:
-    """Image and point of a measurement of a tie point in the second image."""
+    """Return the image and point of a measurement of a tie point in the second image."""
     o, block = solution.problem.observations, solution.block
     ties = np.isin(o.point, block.points.where(Role.TIE)) & (o.image == 1)
     return block.images[1].id, block.points.ids[int(o.point[np.flatnonzero(ties)[0]])]
@@ -29,7 +29,7 @@ def names_of(solution: Solution) -> tuple[str, ...]:
 
 
 def expected(solution: Solution) -> np.ndarray:
-    """The same from the full design matrix: rows of unknowns, adjusted observations and residuals."""
+    """Return the same from the full design matrix: rows of unknowns, adjusted observations and residuals."""
     problem, (_, tie) = solution.problem, tie_name(solution)
     full, o = Full.of(problem, solution.state), solution.problem.observations
     j, columns = problem.block.points.ids.index(tie), np.eye(len(full.unknowns))

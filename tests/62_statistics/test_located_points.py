@@ -40,14 +40,14 @@ def solution(twin: Block) -> Solution:
 
 
 def moved(solution: Solution, step: np.ndarray) -> Solution:
-    """The solution with other orientation unknowns (prior sigmas)."""
+    """Return the solution with other orientation unknowns (prior sigmas)."""
     problem = solution.problem
     image = problem.image_matrix(problem.image_vector(solution.state) + step)
     return replace(solution, state=State(image, solution.state.ground))
 
 
 def differenced(solution: Solution, locate: object, sigma: np.ndarray) -> np.ndarray:
-    """Covariance of a function (solution, errors of the measurements) -> point by central differences."""
+    """Return the covariance of a function (solution, errors of the measurements) -> point by central differences."""
     u = solution.problem.n_image_unknowns
     everything = tuple(range(solution.problem.n_images))
     c = np.zeros((u + len(sigma),) * 2)
@@ -168,7 +168,7 @@ def test_excluded_check_points_that_do_not_settle_have_no_coordinates(
 
 
 def coverage(point: LocatedPoint, factor: float = 1.0, n: int = 40_000) -> list[bool]:
-    """Whether the shares of simulated errors inside CE90, LE90 and SE90 lie in the 99.9 % interval of 90 %."""
+    """Return whether the shares of simulated errors inside CE90, LE90 and SE90 lie in the 99.9 % interval of 90 %."""
     rng = np.random.default_rng(9)
     e = rng.multivariate_normal(np.zeros(3), factor**2 * point.covariance_enu_m2, n, method="eigh")
     low, high = stats.binom.interval(0.999, n, 0.9)

@@ -62,7 +62,7 @@ def own_redundancy(own: BlockReliability) -> float:
 
 
 def biased(solution: Solution, whitened: np.ndarray) -> np.ndarray:
-    """Change of all unknowns by an error of the observations: least squares by numpy, from the same rows."""
+    """Return the change of all unknowns by an error of the observations: least squares by numpy, from the same rows."""
     _, design = assemble(solution.problem, solution.state)
     return np.linalg.lstsq(design, -whitened, rcond=None)[0]
 
@@ -217,7 +217,7 @@ class Rates:
 
 
 def power_of_the_test(solution: Solution, runs: int, *, factor: float = 1.0, seed: int = 62) -> Rates:
-    """Share of linear adjustments with noise and one bias of minimal detectable size whose test finds it.
+    """Return the share of linear adjustments with noise and one bias of minimal detectable size whose test finds it.
 
     ``factor`` multiplies the bias. The bias of the group lies in the direction that is checked least.
     """

@@ -41,7 +41,7 @@ def block(request: pytest.FixtureRequest) -> Block:
 
 
 def with_control(block: Block, change: Callable[[Array], Array]) -> Block:
-    """Block with other coordinates (n, 3), ECEF, of its control points."""
+    """Return the block with other coordinates (n, 3), ECEF, of its control points."""
     ecef, rows = block.points.known.ecef_m.copy(), block.points.where(Role.CONTROL)
     ecef[rows] = change(ecef[rows])
     return replace(block, points=replace(block.points, known=replace(block.points.known, ecef_m=ecef)))
@@ -52,7 +52,7 @@ def written(reading: Reading) -> Callable[[Array], Array]:
 
 
 def cause(solution: fg.Solution) -> str:
-    """Text of the likely cause, "" if none is named."""
+    """Return the text of the likely cause, "" if none is named."""
     return next((str(f) for f in solution.findings if f.code == "verdict.cause"), "")
 
 
@@ -76,12 +76,12 @@ def test_a_mistake_in_the_control_points_is_named(block: Block, change: Callable
 
 
 def named_mistake(solution: fg.Solution) -> str:
-    """Text of the finding that names a mistake found at the start, "" if there is none."""
+    """Return the text of the finding that names a mistake found at the start, "" if there is none."""
     return next((str(f) for f in solution.findings if f.code.startswith("solution.id_")), "")
 
 
 def shown_again(block: Block, a: int, b: int) -> Block:
-    """Block in which the image points of point a are those of point b, measured again."""
+    """Return the block in which the image points of point a are those of point b, measured again."""
     o, noise = block.observations, np.random.default_rng(1)
     line, sample, keep = o.line.copy(), o.sample.copy(), o.point != a
     for k in range(len(block.images)):
@@ -229,7 +229,7 @@ def test_wrong_sigmas_are_named(block: Block) -> None:
 
 
 def packed(angle: Array, decimals: int) -> Array:
-    """Degrees in whole degrees, with minutes (2 decimals) or minutes and seconds (4) in the decimals."""
+    """Return the degrees in whole degrees, with minutes (2 decimals) or minutes and seconds (4) in the decimals."""
     degrees = np.floor(angle)
     minutes = 60.0 * (angle - degrees)
     whole = minutes if decimals == 2 else np.floor(minutes) + 0.6 * (minutes - np.floor(minutes))

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.behaviour
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The twin's project; the line of point 05 is 8 px off in the left image."""
+    """Return the twin's project; the line of point 05 is 8 px off in the left image."""
     folder = tmp_path_factory.mktemp("snoop") / "twin"
     simulate_zonguldak(folder, ZonguldakOptions())
     path = folder / "observations.csv"

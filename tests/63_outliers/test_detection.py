@@ -44,7 +44,7 @@ def test_at_least_forty_kinds_of_mistakes_have_three_sizes() -> None:
 
 
 def certain(names: list[str], block: str) -> list[tuple[str, int, int]]:
-    """Largest size of each of these mistakes."""
+    """Return the largest size of each of these mistakes."""
     return [(block, m, 2) for m, mistake in enumerate(MISTAKES) if mistake.what in names]
 
 

@@ -30,7 +30,7 @@ def codes(solution: fg.Solution) -> list[str]:
 
 
 def clean(kind: str, seed: int) -> Block:
-    """A simulated block without mistakes, whose errors have the stated sigmas."""
+    """Return a simulated block without mistakes, whose errors have the stated sigmas."""
     if kind.startswith("twin"):
         # the position unknowns of set 1 cannot correct simulated errors of the attitude
         errors = "none" if kind == "twin 1" else "constant"
@@ -42,7 +42,7 @@ def clean(kind: str, seed: int) -> Block:
 
 
 def with_shifted_control(block: Block, place: int, metres: float) -> tuple[Block, str]:
-    """Block with one control point moved along the ECEF X axis, and the point's id."""
+    """Return the block with one control point moved along the ECEF X axis, and the point's id."""
     j = int(block.points.where(Role.CONTROL)[place])
     ecef = block.points.known.ecef_m.copy()
     ecef[j, 0] += metres

@@ -34,7 +34,7 @@ def with_error(block: Block, row: int, line: float, sample: float) -> Block:
 
 
 def row_of(block: Block, role: Role, place: int = 0, image: int = 0) -> int:
-    """Row of an image point of the place-th point of a role."""
+    """Return the row of an image point of the place-th point of a role."""
     j = block.points.where(role)[place]
     o = block.observations
     return int(np.flatnonzero((o.point == j) & (o.image == image))[0])

@@ -29,7 +29,7 @@ def interval(rate: float, runs: int) -> tuple[float, float]:
 
 
 def preselected(twin: LinearTwin) -> dict[str, tuple[Suspects, int]]:
-    """One suspect of each part: that of a control point in the middle of the list."""
+    """Return one suspect of each part: that of a control point in the middle of the list."""
     problem = twin.solution.problem
     control = np.flatnonzero(problem.observed)
     j = int(control[len(control) // 2])
@@ -38,13 +38,13 @@ def preselected(twin: LinearTwin) -> dict[str, tuple[Suspects, int]]:
 
 
 def one(found: Suspects, k: int) -> Suspects:
-    """A single suspect."""
+    """Return a single suspect."""
     parts = (found.point, found.row, found.rows, found.v, found.q, found.columns)
     return Suspects(found.part, found.unit, *(part[[k]] for part in parts))
 
 
 def alarm_rates(twin: LinearTwin, v: np.ndarray, scale: float = 1.0) -> dict[tuple[str, str, float], float]:
-    """Rate of alarms per part, test and level; ``scale`` multiplies all residuals."""
+    """Return the rate of alarms per part, test and level; ``scale`` multiplies all residuals."""
     chi2, out = scale**2 * np.sum(v**2, axis=1), {}
     for part, (found, k) in preselected(twin).items():
         t, d, _ = twin.drawn(one(found, k), scale * v).quadratic()
@@ -124,7 +124,7 @@ CONTROLS = ("bonferroni", "sidak", "holm", "benjamini_hochberg")
 
 
 def any_alarm(twin: LinearTwin, v: np.ndarray, test: str, level: float) -> dict[str, float]:
-    """Share of the adjustments with any alarm among all image points, positions and heights."""
+    """Return the share of the adjustments with any alarm among all image points, positions and heights."""
     families = twin.suspects()
     parts = [twin.drawn(f, v).quadratic() for f in families]
     t, d = np.concatenate([p[0] for p in parts], axis=1), np.concatenate([p[1] for p in parts])

@@ -35,7 +35,7 @@ def with_loose_control(seed: int, stated_m: tuple[float, float]) -> Block:
 
 
 def codes(solution: fg.Solution) -> dict[str, str]:
-    """Code and place of the findings on sigmas."""
+    """Return the code and place of the findings on sigmas."""
     return {f.code: f.place for f in solution.findings if f.code.startswith("verdict.sigmas")}
 
 

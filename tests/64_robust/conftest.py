@@ -33,7 +33,7 @@ def with_options(block: Block, **options: object) -> Block:
 
 
 def control_rays(block: Block, image: int | None = None) -> Index:
-    """Image points of control points, of one image or of all."""
+    """Return the image points of control points, of one image or of all."""
     o = block.observations
     mine = np.isin(o.point, block.points.where(Role.CONTROL))
     return np.flatnonzero(mine if image is None else mine & (o.image == image))
@@ -49,7 +49,7 @@ def moved(block: Block, rows: Index, line_px: npt.ArrayLike, sample_px: npt.Arra
 
 
 def with_sigmas(block: Block, factor: float) -> Block:
-    """The block with the sigmas of image points and control points changed, and nothing else."""
+    """Return the block with the sigmas of image points and control points changed, and nothing else."""
     o, points = block.observations, block.points
     changed = ImagePoints(o.image, o.point, o.line, o.sample, o.sigma_line_px * factor, o.sigma_sample_px * factor)
     known = Coordinates(points.known.ecef_m, points.known.sigma_enu_m * factor, points.known.fixed)
@@ -57,7 +57,7 @@ def with_sigmas(block: Block, factor: float) -> Block:
 
 
 def spoiled(block: Block, share: float, seed: int, size_px: tuple[float, float] = (3.0, 30.0)) -> tuple[Block, Index]:
-    """The block with errors in a share of the image points of its control points, and which."""
+    """Return the block with errors in a share of the image points of its control points, and which."""
     rng, rows = np.random.default_rng(seed), control_rays(block)
     bad = np.sort(rng.choice(rows, round(share * len(rows)), replace=False))
     angle, size = rng.uniform(0.0, 2.0 * np.pi, len(bad)), rng.uniform(*size_px, len(bad))

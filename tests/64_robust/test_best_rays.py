@@ -23,7 +23,10 @@ LIMITS = (inlier_limit(0.99, IMAGE), inlier_limit(0.99, CONTROL))
 
 
 def solved(seed: int) -> tuple[Block, Problem, State, Array]:
-    """Clean block and its solution; the block with errors of 5 to 50 px in a tenth of all rays as a problem."""
+    """Return the clean block and its solution, and a problem.
+
+    The problem is the block with errors of 5 to 50 px in a tenth of all rays as a problem.
+    """
     block, _ = grid_block(BlockOptions(rows=2, columns=3, points=150, control_share=0.2, check_share=0.0, seed=seed))
     clean, o, rng = fg.adjust(block), block.observations, np.random.default_rng(seed)
     bad = rng.random(len(o)) < 0.1
@@ -34,7 +37,7 @@ def solved(seed: int) -> tuple[Block, Problem, State, Array]:
 
 
 def cost(problem: Problem, state: State, j: int) -> float:
-    """Truncated cost of a point, from all residuals."""
+    """Return the truncated cost of a point, from all residuals."""
     rows = problem.observations.point == j
     total = float(np.minimum(np.sum(residuals(problem, state)[rows] ** 2, axis=1), LIMITS[0] ** 2).sum())
     if problem.observed[j]:

@@ -30,7 +30,7 @@ def integral(loss: Loss, end: float) -> float:
 
 
 def inconsistency(loss: Loss) -> float:
-    """Largest difference of the cost from the integral of the weight."""
+    """Return the largest difference of the cost from the integral of the weight."""
     return max(
         abs(float(loss.cost(np.array(u))) - integral(loss, u))
         for u in (0.2, 0.9, 1.1, 1.9, 2.5, 3.0, 3.3, 4.9, 6.0, 30.0)

@@ -15,7 +15,7 @@ LEVEL = 0.999
 
 
 def centres(x: np.ndarray, loss: Loss, constant: float) -> np.ndarray:
-    """Centres (runs, d) of clouds (runs, n, d) by reweighting, from the mean."""
+    """Return the centres (runs, d) of clouds (runs, n, d) by reweighting, from the mean."""
     at = x.mean(axis=1)
     for _ in range(40):
         w = loss.weight(np.linalg.norm(x - at[:, None], axis=2) / constant)[..., None]
@@ -26,7 +26,7 @@ def centres(x: np.ndarray, loss: Loss, constant: float) -> np.ndarray:
 
 
 def relative_variance(loss: Loss, constant: float, dimension: int, runs: int, n: int, seed: int) -> tuple[float, float]:
-    """Efficiency, and the half width of its 99.9 % interval.
+    """Return the efficiency, and the half width of its 99.9 % interval.
 
     The logarithm of the ratio of variances of two estimates of correlation r has the variance 4 (1 - r^2) / m.
     """

@@ -18,7 +18,7 @@ Array = npt.NDArray[np.float64]
 
 
 def line(seed: int, n: int = 40, bad: int = 8) -> tuple[Array, Array]:
-    """A straight line with some observations far off."""
+    """Return a straight line with some observations far off."""
     rng = np.random.default_rng(seed)
     a = np.column_stack([np.ones(n), np.linspace(-1.0, 1.0, n)])
     b = a @ [2.0, -1.0] + rng.standard_normal(n)
@@ -27,7 +27,7 @@ def line(seed: int, n: int = 40, bad: int = 8) -> tuple[Array, Array]:
 
 
 def fitted(a: Array, b: Array, dimension: int, rule: Rule = least_absolute) -> Array:
-    """Unknowns by the cycles; rows of one observation stand together."""
+    """Return the unknowns by the cycles; rows of one observation stand together."""
 
     def fit(groups: tuple[Array, ...], last: Array | None) -> Array:
         root = np.sqrt(np.repeat(groups[0], dimension)) if groups else np.ones(len(b))

@@ -24,7 +24,7 @@ def test_factors_are_medians_of_chi_square() -> None:
 
 
 def exact_image_scale(solution: fg.Solution) -> float:
-    """The same median with the cofactors of the residuals from the full matrix, by numpy."""
+    """Return the same median with the cofactors of the residuals from the full matrix, by numpy."""
     whole = Full.of(solution.problem, solution.state).residuals
     q = np.array([whole[k : k + 2, k : k + 2] for k in range(0, 2 * len(solution.problem.observations), 2)])
     v = residuals(solution.problem, solution.state)

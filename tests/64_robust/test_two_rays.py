@@ -32,7 +32,7 @@ def spoiled(seed: int, share: float) -> tuple[Block, Array, Array]:
 
 
 def across(problem: Problem, state: State, pairs: Array) -> Array:
-    """Directions (p, 3) across the plane of both rays of each point."""
+    """Return the directions (p, 3) across the plane of both rays of each point."""
     rays = [np.linalg.svd(linearised(problem, state, pairs[:, k]).ground)[2][:, 2] for k in (0, 1)]
     normal = np.cross(*rays)
     return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))

@@ -26,25 +26,25 @@ def run() -> Run:
 
 @pytest.fixture(scope="session")
 def twin() -> Block:
-    """The twin in memory."""
+    """Return the twin in memory."""
     return zonguldak_block(ZonguldakOptions())[0]
 
 
 @pytest.fixture(scope="session")
 def comparison(twin: Block) -> Comparison:
-    """Three sets, all backends."""
+    """Return three sets, all backends."""
     return compare(twin, eop_sets=SETS, solvers=SOLVERS)
 
 
 @pytest.fixture(scope="session")
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Project file of the same twin; not to be changed."""
+    """Return the project file of the same twin; not to be changed."""
     return simulate_zonguldak(tmp_path_factory.mktemp("compare") / "zonguldak", ZonguldakOptions())
 
 
 @pytest.fixture(scope="session")
 def written(project: Path, tmp_path_factory: pytest.TempPathFactory, run: Run) -> tuple[Path, Ended]:
-    """Comparison folder of the project and how ``compare --json`` ended; not to be changed."""
+    """Return the comparison folder of the project and how ``compare --json`` ended; not to be changed."""
     out = tmp_path_factory.mktemp("compared") / "comparison"
     sets, solvers = ",".join(map(str, SETS)), ",".join(SOLVERS)
     return out, run("compare", project, "--eop-sets", sets, "--solvers", solvers, "--out", out, "--json")

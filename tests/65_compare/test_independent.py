@@ -29,14 +29,14 @@ SEED = 28
 
 
 def random_rows(comparison: Comparison) -> list[Row]:
-    """Ten rows of adjustments with a solution."""
+    """Return ten rows of adjustments with a solution."""
     rows = [r for r in comparison.rows if r.backend != "faithful" and not r.failure]
     chosen = np.random.default_rng(SEED).choice(len(rows), 10, replace=False)
     return [rows[k] for k in chosen]
 
 
 def minimum(problem: Problem) -> tuple[Array, Array]:
-    """Corrections of all images and points by scipy's trust region, and Jacobian (n, u) at the start.
+    """Return the corrections of all images and points by scipy's trust region, and Jacobian (n, u) at the start.
 
     A shared unknown is one column, and its correction is that of all its images.
     """
@@ -54,7 +54,7 @@ def minimum(problem: Problem) -> tuple[Array, Array]:
 
 
 def joined(problem: Problem) -> Array:
-    """Unknowns of all images and points (rows) by those without repetitions (columns)."""
+    """Return the unknowns of all images and points (rows) by those without repetitions (columns)."""
     assert problem.ties is not None
     z, wide = problem.n_free_unknowns, problem.n_image_unknowns
     out = np.zeros((problem.n_columns, problem.n_unknowns))
@@ -64,7 +64,7 @@ def joined(problem: Problem) -> Array:
 
 
 def rmse(problem: Problem, x: Array, block: Block, role: Role) -> Array:
-    """RMSE of a role along the ECEF axes, point by point."""
+    """Return the RMSE of a role along the ECEF axes, point by point."""
     ground = problem.moved(problem.start, x).ground + problem.origin_m
     opened = block.withheld.open()
     known = dict(zip(block.withheld.ids, opened.ecef_m, strict=True))
@@ -77,7 +77,7 @@ def rmse(problem: Problem, x: Array, block: Block, role: Role) -> Array:
 
 
 def eliminated(pattern: Array, sizes: list[int]) -> tuple[float, float]:
-    """Elements and operations of the Cholesky factor of a block pattern (n, n), block by block."""
+    """Return the elements and operations of the Cholesky factor of a block pattern (n, n), block by block."""
     filled, elements, operations = pattern.copy(), 0.0, 0.0
     for k, size in enumerate(sizes):
         later = [m for m in range(k + 1, len(sizes)) if filled[k, m]]

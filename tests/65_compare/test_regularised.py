@@ -226,7 +226,7 @@ def test_error_vectors_are_those_of_the_published_rows(twin: Block, written: tup
 
 
 def geodetic(block: Block) -> tuple[float, float]:
-    """Longitude and latitude, rad, of the middle of the control points by pyproj."""
+    """Return the longitude and latitude, rad, of the middle of the control points by pyproj."""
     from pyproj import Transformer
 
     middle = block.points.known.ecef_m[block.points.where(Role.CONTROL)].mean(axis=0)

@@ -41,7 +41,7 @@ def solution() -> fg.Solution:
 
 
 def relative_errors(seeds: range) -> tuple[np.ndarray, np.ndarray]:
-    """Estimated over true variances minus 1 (runs, groups), and their stated covariances (runs, g, g)."""
+    """Return the estimated over true variances minus 1 (runs, groups), and their stated covariances (runs, g, g)."""
     errors, stated = [], []
     for seed in seeds:
         found = estimated(drawn(seed)).components
@@ -52,7 +52,7 @@ def relative_errors(seeds: range) -> tuple[np.ndarray, np.ndarray]:
 
 
 def calibrated(errors: np.ndarray, stated: np.ndarray) -> bool:
-    """Whether the mean of e^T C^-1 e is within its 99.9 % interval; variances are spread by C of the true ones.
+    """Return whether the mean of e^T C^-1 e is within its 99.9 % interval; variances are spread by C of the true ones.
 
     e is a sum of squares of normal errors: its kurtosis widens the interval of the chi-square by the root of
     1 + 12 / (2 nu) per component, nu = 2 / C_ii.
@@ -387,7 +387,7 @@ def test_freedom_of_an_unknown_is_that_of_its_variance(solution: fg.Solution, mo
 
 
 def false_alarms(seeds: range, level: float) -> tuple[int, int]:
-    """Alarms and tests of good blocks whose sigmas are estimated."""
+    """Return the alarms and tests of good blocks whose sigmas are estimated."""
     alarms, total = 0, 0
     for seed in seeds:
         tests = estimated(drawn(seed)).outlier_tests(level=level, control="none")

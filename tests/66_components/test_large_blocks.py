@@ -22,13 +22,13 @@ LEVEL = 0.05
 
 
 def interval(runs: int, level: float = LEVEL) -> tuple[int, int]:
-    """Alarms of ``runs`` independent tests, 99.9 %."""
+    """Return the alarms of ``runs`` independent tests, 99.9 %."""
     low, high = binom.ppf([5e-4, 1.0 - 5e-4], runs, level)
     return int(low), int(high)
 
 
 def alarms(runs: int, seed: int, monkeypatch: pytest.MonkeyPatch) -> dict[str, tuple[int, int]]:
-    """Alarms of one preselected observation of each part: with its freedom, and with that of its own group.
+    """Return the alarms of one preselected observation of each part: with its freedom, and with that of its own group.
 
     Linear model at a solution, errors of the stated sigmas; one round of Helmert's equations gives the components, and
     the variance of each error is the mixture of them.
@@ -63,7 +63,7 @@ def alarms(runs: int, seed: int, monkeypatch: pytest.MonkeyPatch) -> dict[str, t
 
 
 def _count(t: np.ndarray, freedom: float) -> int:
-    """Alarms at the level, T and f as ``fg_orient.quality.outliers`` hands them on."""
+    """Return the alarms at the level, from T and f as ``fg_orient.quality.outliers`` hands them on."""
     f = np.full(len(t), freedom)
     return int(np.sum(hypotheses.probabilities(np.minimum(t, f), np.ones(len(t), int), f, f, "t") < LEVEL))
 

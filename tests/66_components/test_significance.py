@@ -31,7 +31,7 @@ LINEAR = {"eop_set": 10, "priors": False, "backend": "dense"}
 
 
 def without_priors(residual: np.ndarray, design: np.ndarray, x: np.ndarray, at: list[int]) -> tuple:  # type: ignore[type-arg]
-    """Linear adjustment without the priors of unknowns ``at``: their values, cofactors, and v^T v."""
+    """Return the linear adjustment without the priors of unknowns ``at``: their values, cofactors, and v^T v."""
     alone = np.count_nonzero(design, axis=1) == 1
     rows = [np.flatnonzero(alone & (design[:, k] != 0.0))[0] for k in at]
     rest, v = np.delete(design, rows, axis=0), np.delete(residual, rows)
@@ -168,7 +168,7 @@ def test_holm_is_the_step_down_rule() -> None:
 
 
 def false_alarms(seeds: range) -> tuple[int, int]:
-    """Coefficients that are zero in truth, called significant at 5 % each; their number."""
+    """Return the coefficients that are zero in truth, called significant at 5 % each; their number."""
     alarms, total = 0, 0
     for seed in seeds:
         block, _ = zonguldak_block(ZonguldakOptions(seed=seed))

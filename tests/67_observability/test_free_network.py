@@ -34,19 +34,19 @@ def everything(solution: Solution) -> list[str]:
 
 
 def jacobian(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals and Jacobian of the observations alone, without any datum."""
+    """Return the residuals and Jacobian of the observations alone, without any datum."""
     problem = compile_problem(options(solution.block, priors=False))
     return assemble(replace(problem, block=replace(problem.block, extra=())), solution.state)
 
 
 def scaled(difference: np.ndarray, q: np.ndarray) -> float:
-    """Largest element in units of sqrt(q_ii q_jj)."""
+    """Return the largest element in units of sqrt(q_ii q_jj)."""
     size = np.sqrt(np.diag(q))
     return float(np.abs(difference / np.outer(size, size)).max())
 
 
 def pseudo_inverse(design: np.ndarray, rank: int) -> np.ndarray:
-    """Moore-Penrose inverse of the normal matrix by the SVD of J, which is not squared."""
+    """Return the Moore-Penrose inverse of the normal matrix by the SVD of J, which is not squared."""
     _, s, vt = np.linalg.svd(design, full_matrices=False)
     assert s[rank] < 1e-10 * s[0] < s[rank - 1]
     return (vt[:rank].T / s[:rank] ** 2) @ vt[:rank]
@@ -146,7 +146,7 @@ def test_shape_is_that_of_the_damped_solution() -> None:
 
 
 def minimal(solution: Solution, held: np.ndarray) -> np.ndarray:
-    """Cofactors with some unknowns held, which is an adjustment with that datum: their rows are zero."""
+    """Return the cofactors with some unknowns held, which is an adjustment with that datum: their rows are zero."""
     _, design = jacobian(solution)
     keep = np.setdiff1d(np.arange(design.shape[1]), held)
     r = np.linalg.qr(design[:, keep], mode="r")
@@ -157,7 +157,7 @@ def minimal(solution: Solution, held: np.ndarray) -> np.ndarray:
 
 
 def transformed(solution: Solution, q: np.ndarray, select: np.ndarray) -> np.ndarray:
-    """Cofactors (n, n) in the datum of some unknowns, from those of any other datum."""
+    """Return the cofactors (n, n) in the datum of some unknowns, from those of any other datum."""
     problem, motions = solution.problem, solution.in_datum().null_space
     return FreeNetwork(problem, MatrixCofactors(problem, q), solution.state, motions, select).cofactors
 
@@ -213,7 +213,7 @@ def test_trace_is_least_for_what_carries_the_datum() -> None:
 
 
 def variances_of_shape(solution: Solution, q: np.ndarray) -> np.ndarray:
-    """Variances of ratios of distances and of angles between points: free of shift, turn and scale."""
+    """Return the variances of ratios of distances and of angles between points: free of shift, turn and scale."""
     ground, first = solution.state.ground, solution.problem.n_image_unknowns
 
     def functions(v: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ from tests.support.degenerate_blocks import options, pinhole, seen_once, two_pin
 
 
 def thinned(seed: int, *, priors: bool) -> Problem:
-    """A pinhole block with observations left out at random: short of points, rays, or nothing."""
+    """Return a pinhole block with observations left out at random: short of points, rays, or nothing."""
     rng = np.random.default_rng(seed)
     block = pinhole((0, 7, 12)[: int(rng.integers(0, 4))])
     o = block.observations
@@ -28,7 +28,7 @@ def thinned(seed: int, *, priors: bool) -> Problem:
 
 
 def incidence(problem: Problem) -> np.ndarray:
-    """Which single observation holds which single unknown, from the definition."""
+    """Return which single observation determines which single unknown, by the definition."""
     rows = list[np.ndarray]()
     for k, j in zip(problem.observations.image, problem.observations.point, strict=True):
         row = np.zeros(problem.n_columns, bool)

@@ -22,7 +22,7 @@ from tests.support.rpc_block import rpc_twin
 
 
 def without_control(noise_px: float = 0.3, seed: int = 3) -> tuple[Block, np.ndarray]:
-    """RPC pair whose points are all tie points, and their true coordinates."""
+    """Return the RPC pair whose points are all tie points, and their true coordinates."""
     twin = rpc_twin("affine", seed=seed, noise_px=noise_px)
     points = twin.block.points
     known = replace(points.known, ecef_m=np.full(points.known.ecef_m.shape, np.nan))
@@ -32,7 +32,7 @@ def without_control(noise_px: float = 0.3, seed: int = 3) -> tuple[Block, np.nda
 
 
 def shares(block: Block) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Shares mu, directions (u, h), N and the limit of mu, from all rows by numpy."""
+    """Return the shares mu, directions (u, h), N and the limit of mu, from all rows by numpy."""
     problem = compile_problem(replace(block, options=replace(block.options, datum="priors")))
     residual, design = assemble(problem, problem.start)
     rows = design[: 2 * len(problem.observations)]
@@ -157,7 +157,7 @@ def test_control_leaves_nothing_to_hold() -> None:
 
 
 def neo(real_data: Path) -> Block:
-    """The Pléiades Neo pair with the points of both images as tie points."""
+    """Return the Pléiades Neo pair with the points of both images as tie points."""
     block = pleiades_neo(real_data)
     o = block.observations
     points = replace(

@@ -28,7 +28,7 @@ def decay_derivatives(x: Any, height: Any, rate: Any, level: Any) -> Any:
 
 @pytest.fixture
 def observed(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Observations of unequal weight, and their standard deviations."""
+    """Return the observations of unequal weight, and their standard deviations."""
     sigma = rng.uniform(0.02, 0.2, len(X))
     return decay(X, 5.0, 0.7, 2.0) + sigma * rng.standard_normal(len(X)), sigma
 

@@ -15,7 +15,7 @@ rasterio = pytest.importorskip("rasterio")
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Result of a small block."""
+    """Return the result of a small block."""
     base = tmp_path_factory.mktemp("accuracy")
     made = in_process("simulate", "block", "--rows", 1, "--columns", 2, "--points", 60, "--out", base / "block")
     assert made.code == 0, made.stderr

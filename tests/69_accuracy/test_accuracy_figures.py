@@ -110,7 +110,7 @@ def test_tests_of_check_points_have_their_size(control: int) -> None:
 
 
 def with_control(count: int) -> Block:
-    """The synthetic pair with this many control points; all others are check points."""
+    """Return the synthetic pair with this many control points; all others are check points."""
     block = zonguldak_block(ZonguldakOptions(seed=1))[0]
     opened, points = block.withheld.open(), block.points
     ecef, sigma, fixed = (
@@ -244,7 +244,7 @@ def test_honest_predictions_are_believed_and_others_not() -> None:
 
 
 def scaled(solution: Solution, scale: float) -> PredictionTest:
-    """The test with all standard deviations multiplied."""
+    """Return the test with all standard deviations multiplied."""
 
     class Scaled:
         def joint(self, images: tuple[int, ...], index: tuple[int, ...]) -> np.ndarray:

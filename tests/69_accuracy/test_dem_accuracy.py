@@ -40,7 +40,7 @@ class Hills:
 
 
 def on_the_hills(hills: Hills, seed: int, shift: tuple[float, float, float], noise: float, n: int = 200) -> np.ndarray:
-    """Points of the surface (n, 3), moved by a shift in East, North, Up, with noise in height."""
+    """Return the points of the surface (n, 3), moved by a shift in East, North, Up, with noise in height."""
     rng = np.random.default_rng(seed)
     lon, lat = LON + rng.uniform(-0.08, 0.08, n), LAT + rng.uniform(-0.08, 0.08, n)
     ground = geodetic_to_ecef(lon, lat, hills.height_m(lon, lat) + noise * rng.standard_normal(n))

@@ -30,7 +30,7 @@ def solution(block: Block) -> Solution:
 
 
 def wrong(block: Block) -> Block:
-    """One line sigma of all halved."""
+    """Halve the line sigma of one image point."""
     sigma = block.observations.sigma_line_px.copy()
     sigma[0] *= 0.5
     return replace(block, observations=replace(block.observations, sigma_line_px=sigma))

@@ -17,7 +17,7 @@ def pixels(rng: np.random.Generator) -> np.ndarray:
 
 
 def split(point_set: str, pixels: np.ndarray, seed: int = 4) -> tuple[np.ndarray, np.ndarray]:
-    """Indices of control and of check points."""
+    """Return the indices of control and of check points."""
     roles = roles_of(point_set, pixels, np.random.default_rng(seed))
     return tuple(np.array([k for k, r in enumerate(roles) if r is role], int) for role in (Role.CONTROL, Role.CHECK))
 

@@ -38,7 +38,7 @@ GSD_M = 5.0
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of the twin with every option away from its default."""
+    """Return the folder of the twin with every option away from its default."""
     return simulate_zonguldak(tmp_path_factory.mktemp("twin") / "zonguldak", OPTIONS).parent
 
 

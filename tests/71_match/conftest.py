@@ -22,13 +22,13 @@ VIEWS = (
 
 @pytest.fixture(scope="session")
 def scene() -> Scene:
-    """Give a surface with hills and a few walls."""
+    """Return a surface with hills and a few walls."""
     return Scene(85.0, 3, relief_m=5.0, walls=3)
 
 
 @pytest.fixture(scope="session")
 def rendered(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Give the folder of the images and of a project without tables."""
+    """Return the folder of the images and of a project without tables."""
     folder = tmp_path_factory.mktemp("rendered")
     write_pair(folder, scene, VIEWS, snr=50.0)
     return folder
@@ -36,7 +36,7 @@ def rendered(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def matched(rendered: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
-    """Give the folder and the record of a run."""
+    """Return the folder and the record of a run."""
     folder = tmp_path_factory.mktemp("matched")
     shutil.copytree(rendered, folder, dirs_exist_ok=True)
     return folder, match_project(folder / "project.toml")
@@ -44,14 +44,14 @@ def matched(rendered: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[P
 
 @pytest.fixture
 def project(rendered: Path, tmp_path: Path) -> Path:
-    """Give a copy of the project, to be matched by a test."""
+    """Return a copy of the project, to be matched by a test."""
     shutil.copytree(rendered, tmp_path, dirs_exist_ok=True)
     return tmp_path / "project.toml"
 
 
 @pytest.fixture
 def interrupted() -> Callable[[int], Callable[[int, int, str], None]]:
-    """Give a callback that stops a run after some cells."""
+    """Return a callback that stops a run after some cells."""
 
     def after(count: int) -> Callable[[int, int, str], None]:
         def callback(done: int, total: int, text: str) -> None:

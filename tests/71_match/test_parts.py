@@ -20,7 +20,7 @@ SIZE, CENTRE = 64, 32
 
 
 def texture(line: np.ndarray, sample: np.ndarray) -> np.ndarray:
-    """Smooth pattern, known everywhere."""
+    """Return the smooth pattern, known everywhere."""
     x, y = line - CENTRE, sample - CENTRE
     return np.asarray(
         400.0 + 60.0 * np.sin(0.31 * x + 0.2 * y) + 50.0 * np.cos(0.17 * x - 0.29 * y + 0.5) + 40.0 * np.sin(0.4 * y)
@@ -28,7 +28,7 @@ def texture(line: np.ndarray, sample: np.ndarray) -> np.ndarray:
 
 
 def pair(place: np.ndarray, a: np.ndarray, curvature: float, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Template, and an image with 1.5 its contrast, such that q + A u + c u_line^2 e is the place of u."""
+    """Return the template, and an image with 1.5 its contrast, such that q + A u + c u_line^2 e is the place of u."""
     grid = np.stack(np.meshgrid(np.arange(SIZE), np.arange(SIZE), indexing="ij"), axis=-1).astype(float)
     template = texture(grid[..., 0], grid[..., 1])
     away = grid - place

@@ -22,7 +22,7 @@ CELL = 20
 
 
 def nmad(values: np.ndarray) -> float:
-    """Give the normalised median absolute deviation."""
+    """Return the normalised median absolute deviation."""
     return float(1.4826 * np.median(np.abs(values - np.median(values))))
 
 
@@ -36,7 +36,7 @@ def adjusted(project: Path) -> tuple[Any, np.ndarray, float]:
 
 
 def dsm_differences(file: Path, geodetic: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Heights above the DSM and cells (n, 2) of the points on it."""
+    """Return the heights above the DSM and cells (n, 2) of the points on it."""
     dsm = RasterDem(file)
     d = geodetic[:, 2] - dsm.height_m(*geodetic[:, :2].T)
     good = np.isfinite(d)

@@ -18,13 +18,13 @@ SPATIAL = ("affine-3d", "parallel", "dlt")
 
 @pytest.fixture(scope="session")
 def reproduction() -> Reproduction:
-    """All cells of İpbüker 1994."""
+    """Return all cells of İpbüker 1994."""
     return reproduce("ipbuker1994")
 
 
 @pytest.fixture(scope="session")
 def rows(reproduction: Reproduction) -> dict[tuple[str, str, str], Row]:
-    """Rows by table, row and quantity."""
+    """Return the rows by table, row and quantity."""
     found = {}
     for row in reproduction.rows:
         quantity, _, name = row.cell.partition(", ")
@@ -34,7 +34,10 @@ def rows(reproduction: Reproduction) -> dict[tuple[str, str, str], Row]:
 
 
 def scene(rng: np.random.Generator, n: int = 30, noise_m: float = 15.0) -> tuple[Array, Array, Array]:
-    """Line, sample; easting, northing (full UTM metres); height of points of a 1024 x 1024 TM scene with noise."""
+    """Return line and sample, easting and northing, and height of points of a TM scene with noise.
+
+    Map coordinates are full UTM metres; the scene has 1024 x 1024 TM scene with noise.
+    """
     image = rng.uniform(0.0, 1023.0, (n, 2))
     line, sample = image.T
     east = 660_000.0 + 28.4 * sample + 4.1 * line + 2e-4 * sample**2
@@ -62,5 +65,5 @@ def write_points(
 
 
 def key(table: str, row: str, quantity: str) -> CellKey:
-    """Address of a cell."""
+    """Return the address of a cell."""
     return CellKey(table, quantity=quantity, parameter=row)

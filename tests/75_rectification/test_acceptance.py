@@ -44,7 +44,7 @@ def test_1_tables_of_the_islands_follow_from_each_other_with_the_two_corrections
 
 
 def gauss_jordan(matrix: np.ndarray) -> np.ndarray:
-    """Inverse by Gauss-Jordan elimination in place with full pivoting: the method of appendix EK 2."""
+    """Return the inverse by Gauss-Jordan elimination in place with full pivoting: the method of appendix EK 2."""
     a, n = matrix.copy(), len(matrix)
     free, swaps = np.ones(n, dtype=bool), []
     for _ in range(n):

@@ -23,7 +23,7 @@ FILES = ["coefficients.csv", "points.csv", "report.html", "residuals.svg", "resu
 
 @pytest.fixture
 def points(tmp_path: Path, rng: np.random.Generator) -> Path:
-    """A scene of 30 control and 10 check points with heights."""
+    """Return a scene of 30 control and 10 check points with heights."""
     image, plane, heights = scene(rng, 40)
     return write_points(tmp_path / "points.csv", image, plane, check=10, heights=heights)
 

@@ -25,7 +25,7 @@ CASES = [("polynomial", 2), ("polynomial", 5), *((name, None) for name in NAMES[
 
 
 def plane_points(rng: np.random.Generator, n: int = 40) -> Observations:
-    """Points whose true transformation is projective, in full metres, with unequal sigmas."""
+    """Return the points whose true transformation is projective, in full metres, with unequal sigmas."""
     x, y = rng.uniform(0.0, 6000.0, (2, n))
     below = 1.0 + 2e-5 * x - 1e-5 * y
     target = np.stack([4.2 * x - 0.8 * y, 0.8 * x + 4.2 * y], axis=1) / below[:, None] + (660_000.0, 4_550_000.0)
@@ -49,7 +49,7 @@ def points_for(name: str, seed: int = 3, n: int = 40) -> Observations:
 
 
 def formula(name: str, degree: int | None, source: Array, x: Array) -> Array:
-    """The transformations written out once more, for normalised coordinates."""
+    """Return the transformations written out once more, for normalised coordinates."""
     s = source.T
     one = np.ones(s.shape[1])
     if name in {"polynomial", "affine"}:
@@ -175,7 +175,7 @@ def test_pruning_drops_the_bad_points_and_says_so(rule: str) -> None:
 
 
 def refused(points: Observations, name: str, degree: int | None = None) -> str:
-    """Code of the refusal."""
+    """Return the code of the refusal."""
     with pytest.raises(InputError) as caught:
         fit(points, find_model(name, degree))
     return caught.value.problems[0].code

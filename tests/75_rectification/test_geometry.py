@@ -156,7 +156,7 @@ def test_lambert_by_the_formulas() -> None:
 
 
 def som(lon: float, lat: float, lon0: float, inclination: float, p: float) -> tuple[float, float]:
-    """Space Oblique Mercator of a circular orbit, ellipsoid (Snyder), by quadrature and a root finder."""
+    """Return the Space Oblique Mercator of a circular orbit, ellipsoid (Snyder), by quadrature and a root finder."""
     a, e2, si, ci = 6_378_206.4, 0.00676866, math.sin(inclination), math.cos(inclination)
     j, q = (1 - e2) ** 3, e2 * si**2 / (1 - e2)
     w, t = ((1 - e2 * ci**2) / (1 - e2)) ** 2 - 1, e2 * si**2 * (2 - e2) / (1 - e2) ** 2
@@ -235,7 +235,7 @@ def test_area_on_the_ellipsoid_equals_that_of_the_plane_by_its_scale() -> None:
 
 
 def inside(outline: Array, point: Array) -> bool:
-    """Even-odd rule, one edge at a time."""
+    """Return the even-odd rule, one edge at a time."""
     odd = False
     for (x1, y1), (x2, y2) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
         if (y1 > point[1]) != (y2 > point[1]) and point[0] < x1 + (point[1] - y1) * (x2 - x1) / (y2 - y1):

@@ -27,7 +27,7 @@ CENTRE = np.array([500.0, 400.0])
 def strip(
     width: float, angle: float, *, n: int = 30, noise_px: float = 0.5, scale: float = 28.5, seed: int = 1
 ) -> Observations:
-    """Points in a strip of 1000 pixels in a direction; noise of the image points, map points without."""
+    """Return the points in a strip of 1000 pixels in a direction; noise of the image points, map points without."""
     rng = np.random.default_rng(seed)
     along, across = rng.uniform(-500.0, 500.0, n), rng.uniform(-0.5, 0.5, n) * width
     turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])

@@ -21,7 +21,7 @@ from fg_orient.rectification.standards import (
 
 
 def assess_rmse(x: float, y: float, n_points: int = 40, **options: object) -> tuple[StandardCompliance, ...]:
-    """Compliance of points with these RMSEs."""
+    """Return the compliance of points with these RMSEs."""
     return check_accuracy(np.full((n_points, 2), (x, y)), **options)
 
 

@@ -45,13 +45,13 @@ class Twin:
 
     @cached_property
     def left(self) -> SensorModel:
-        """The left image by its metadata."""
+        """Return the left image by its metadata."""
         return SensorModel(self.sensors["left"], None, CRS, self.dem.range_m[1])
 
 
 @pytest.fixture(scope="session")
 def twin(tmp_path_factory: pytest.TempPathFactory) -> Twin:
-    """Squares of 80 pixels about the points of both images, rendered; the block adjusted from its files."""
+    """Return the squares of 80 pixels about the points of both images, rendered; the block adjusted from its files."""
     folder = tmp_path_factory.mktemp("ortho") / "twin"
     done = run("simulate", "zonguldak", "--raster", "--raster-window", 80, "--dem-step", DEM_STEP_M, "--out", folder)
     assert done.code == 0, done.stderr
@@ -60,7 +60,7 @@ def twin(tmp_path_factory: pytest.TempPathFactory) -> Twin:
 
 
 def true_positions(folder: Path) -> Array:
-    """Easting and northing of the points, from ``truth/``."""
+    """Return the easting and northing of the points, from ``truth/``."""
     with (folder / "truth/points.csv").open(encoding="utf-8", newline="") as stream:
         rows = list(csv.DictReader(stream))
     lon, lat = (np.array([float(row[name]) for row in rows]) for name in ("lon_deg", "lat_deg"))

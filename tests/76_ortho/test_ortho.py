@@ -44,7 +44,7 @@ def ortho(twin: Twin, out: Path, dem: RasterDem | None = None, **options: object
 
 
 def plain(east: float, north: float, size: float, *, forward: bool) -> Transformation:
-    """Pixel (line, sample) to map: centre of the first pixel at (east, north), square pixels, north up."""
+    """Return the pixel (line, sample) to map: centre of the first pixel at (east, north), square pixels, north up."""
     plane, unit = Scaling(np.array([east, north]), np.ones(2)), Scaling(np.zeros(2), np.ones(2))
     slope = size if forward else 1.0 / size
     rows = np.array([[0.0, slope, 0.0], [0.0, 0.0, -slope]])
@@ -58,7 +58,7 @@ def plain(east: float, north: float, size: float, *, forward: bool) -> Transform
 
 @pytest.fixture
 def picture(tmp_path: Path, rng: np.random.Generator) -> Path:
-    """An image of 40 x 60 pixels, two bands, without georeferencing."""
+    """Return an image of 40 x 60 pixels, two bands, without georeferencing."""
     path = tmp_path / "picture.tif"
     with pytest.warns(rasterio.errors.NotGeoreferencedWarning):
         with rasterio.open(path, "w", driver="GTiff", width=60, height=40, count=2, dtype="uint16") as sink:

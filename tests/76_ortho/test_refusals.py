@@ -22,7 +22,7 @@ Array = np.ndarray
 
 
 def model() -> PointModel:
-    """Map to image: north up, 30 m, the centre of the first pixel at (1005, 5025)."""
+    """Return the map to image: north up, 30 m, the centre of the first pixel at (1005, 5025)."""
     sample, line = (a.ravel() for a in np.meshgrid(np.linspace(0.0, 299.0, 4), np.linspace(0.0, 199.0, 4)))
     ground = np.stack([1005.0 + 30.0 * sample, 5025.0 - 30.0 * line], axis=1)
     found = fit(Observations.of(ground, np.stack([sample, line], axis=1)), find_model("affine"),
@@ -31,7 +31,7 @@ def model() -> PointModel:
 
 
 def picture(path: Path, dtype: str = "uint8", **settings: object) -> Path:
-    """An image of 200 x 300 pixels of noise."""
+    """Return an image of 200 x 300 pixels of noise."""
     grey = np.random.default_rng(5).integers(1, 200, (200, 300)).astype(dtype)
     with pytest.warns(rasterio.errors.NotGeoreferencedWarning):
         with rasterio.open(path, "w", driver="GTiff", width=300, height=200, count=1, dtype=dtype, **settings) as sink:
@@ -107,7 +107,7 @@ def test_newton_ends_or_says_nan() -> None:
 
 
 def folded(east: Array) -> Array:
-    """Samples of a map to image that turns round at its middle: none is above 150."""
+    """Return the samples of a map to image that turns round at its middle: none is above 150."""
     return 150.0 - ((east - 5000.0) / 500.0) ** 2
 
 

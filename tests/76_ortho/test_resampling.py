@@ -25,7 +25,7 @@ def image(rng: np.random.Generator) -> Array:
 
 @pytest.fixture
 def places(rng: np.random.Generator) -> tuple[Array, Array]:
-    """Places all over, the half pixel of border included."""
+    """Return the places all over, the half pixel of border included."""
     return rng.uniform(-0.5, 22.5, (20, 25)), rng.uniform(-0.5, 30.5, (20, 25))
 
 

@@ -26,13 +26,13 @@ def values() -> dict[CellKey, float]:
 
 @pytest.fixture(scope="session")
 def land(values: dict[CellKey, float]) -> Array:
-    """Geodetic coordinates (49, 3) of appendix 1."""
+    """Return the geodetic coordinates (49, 3) of appendix 1."""
     return points_of(values, "ek1.points", ("x_geodetic_m", "y_geodetic_m", "z_geodetic_m"))
 
 
 @pytest.fixture(scope="session")
 def reference() -> Reference:
-    """Columns of a file of the independent program as numbers."""
+    """Return the columns of a file of the independent program as numbers."""
 
     def read(name: str, *columns: str) -> Array:
         path = Path(__file__).parent / "reference" / f"reference_float64_{name}.csv"

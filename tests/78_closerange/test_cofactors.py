@@ -24,12 +24,12 @@ CENTRES = np.array([[0.0, 0.0, 0.0], [2.0, 0.3, 0.2], [-1.5, 0.4, 1.0]])
 
 
 def turned(vector: Array, rotation: Array) -> Array:
-    """A camera turned about its own axes."""
+    """Return a camera turned about its own axes."""
     return np.asarray(Rotation.from_rotvec(vector).as_matrix() @ rotation)
 
 
 def cofactors(function: Callable[[Array], Array], n: int) -> Array:
-    """Inverse normal matrix of weighted residuals by central differences at zero."""
+    """Return the inverse normal matrix of weighted residuals by central differences at zero."""
     h = 1e-6
     slopes = [(function(h * e) - function(-h * e)).ravel() / (2.0 * h) for e in np.eye(n)]
     return np.asarray(np.linalg.inv(np.array(slopes) @ np.array(slopes).T))
@@ -42,7 +42,7 @@ def scene(seed: int, n: int = 10) -> tuple[list[Array], Array, np.random.Generat
 
 
 def alike(found: Array, expected: Array, tolerance: float = 1e-4) -> bool:
-    """Equal by their own standard deviations."""
+    """Return whether values are equal within their own standard deviations."""
     sd = np.sqrt(np.diag(expected))
     return bool(np.abs((found - expected) / np.outer(sd, sd)).max() <= tolerance)
 

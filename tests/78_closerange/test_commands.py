@@ -37,7 +37,7 @@ def photos(k1: float) -> list[Photo]:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> tuple[Path, Array]:
-    """Tables and cameras of a stereo pair without noise; 12 control and 3 check points."""
+    """Return the tables and cameras of a stereo pair without noise; 12 control and 3 check points."""
     points = np.array([10.6, 25.0, 2.0]) + np.random.default_rng(1).uniform(-1.0, 1.0, (15, 3))
     for ending, k1 in (("", 1e-5), ("_plain", 0.0)):
         control, image = ["id,photo,role,x,y,x_m,y_m,z_m"], ["id,photo,x,y"]

@@ -41,7 +41,7 @@ def test_bend_of_a_parabola() -> None:
 
 
 def squares(distance_m: float, runs: int) -> tuple[Array, Array, Array]:
-    """Resections of six points: squares by the covariance (n,), by single deviations (n, 6), and bends."""
+    """Return the resections of six points: squares by the covariance (n,), by single deviations (n, 6), and bends."""
     whole, single, bends = [], [], []
     for seed in range(runs):
         rng = np.random.default_rng(seed)

@@ -28,7 +28,7 @@ SIGMA = 0.003
 
 
 def looking(centre: Array, rng: np.random.Generator) -> Array:
-    """Rotation of a camera that looks at the origin, turned about its axis at random."""
+    """Return the rotation of a camera that looks at the origin, turned about its axis at random."""
     along = -centre / np.linalg.norm(centre)
     right = np.cross(along, rng.normal(size=3))
     right /= np.linalg.norm(right)
@@ -38,7 +38,7 @@ def looking(centre: Array, rng: np.random.Generator) -> Array:
 def pair(
     rng: np.random.Generator, points: Array, *, turned: bool, base_m: float = 1.0, sigma: float = SIGMA
 ) -> tuple[Array, Array, list[Array]]:
-    """Rotation and base of the second camera from the first, and noisy images of points."""
+    """Return the rotation and base of the second camera from the first, and noisy images of points."""
     first = np.append(rng.normal(scale=1.5, size=2), 5.0)
     across = np.cross(first, rng.normal(size=3))
     second = first + base_m * across / np.linalg.norm(across)

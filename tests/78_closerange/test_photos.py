@@ -47,7 +47,7 @@ def scene(seed: int, n: int = 20, *, y_axis: str = "up") -> tuple[PhotoInterior,
 
 
 def _pose(photo: Photo, seed: int) -> tuple[Array, Array]:
-    """Rotation and centre of the first photo of a scene."""
+    """Return the rotation and centre of the first photo of a scene."""
     return scene(seed)[2][0], photo.origin_m
 
 

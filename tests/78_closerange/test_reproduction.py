@@ -29,7 +29,7 @@ TABLES = (
 
 
 def differing(reproduction: Reproduction) -> dict[str, list[str]]:
-    """Cells that differ, by table."""
+    """Return the cells that differ, by table."""
     out: dict[str, list[str]] = {}
     for row in reproduction.rows:
         if row.verdict == "differs":
@@ -195,7 +195,7 @@ def test_the_parallax_row_ignores_the_convergence(reproduction: Reproduction) ->
 
 
 def altered(tmp_path: Path, file: str, old: str, new: str) -> Path:
-    """Copy of the tables with one value changed."""
+    """Return the copy of the tables with one value changed."""
     folder = tmp_path / "ayhan1996"
     shutil.copytree(Path(published.__file__).parent / "ayhan1996", folder)
     text = (folder / file).read_text("utf-8")

@@ -27,7 +27,7 @@ SEMI = np.array([1.0, 0.7, 0.5])
 
 
 def ellipsoid_points(n: int, seed: int, noise: float = 0.0, semi: Array = SEMI) -> Array:
-    """Points on all sides of a turned ellipsoid far from the origin."""
+    """Return the points on all sides of a turned ellipsoid far from the origin."""
     rng = np.random.default_rng(seed)
     ball = rng.normal(size=(n, 3))
     ball /= np.linalg.norm(ball, axis=1, keepdims=True)
@@ -101,7 +101,10 @@ def test_algebraic_fits_equal_the_independent_program(
 
 
 def spheroid_of_scipy(points: Array, sigma: Array, fit: SurfaceFit) -> tuple[Array, Array, float]:
-    """The spheroid about y from points on it at unknown angles: a, b, centre; their cofactors; weighted squares."""
+    """Return the spheroid about y from points on it at unknown angles.
+
+    The result has a, b and the centre, their cofactors, and the weighted squares.
+    """
     p, n = fit.parameters, len(points)
     first = np.array([p[name] for name in ("a", "b", "x0", "y0", "z0")])
     q = (points - first[2:]) / first[[0, 1, 0]]

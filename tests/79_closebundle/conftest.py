@@ -44,7 +44,7 @@ class Scene:
         return np.tile(np.arange(self.n), len(self.centres))
 
     def photos(self, **more: object) -> list[BundlePhoto]:
-        """Photos with start values off by a milliradian and some centimetres."""
+        """Return the photos with start values off by a milliradian and some centimetres."""
         shift = rotation_from_ayhan(1e-3, -1e-3, 1e-3) @ rotation_from_ayhan(0.0, 0.0, 0.0).T
         return [
             BundlePhoto(f"ph{k}", self.interior, shift @ r, c + 0.02 * (k + 1), **more)  # type: ignore[arg-type]

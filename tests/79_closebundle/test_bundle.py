@@ -31,7 +31,7 @@ Values = dict[CellKey, float]
 
 
 def adjusted(scene: Scene, photos: list[BundlePhoto], **more: object) -> BundleResult:
-    """All points new but the first five, which are held."""
+    """Make all points new except the first five, which are held."""
     control = {name: (scene.points[k], 0.0) for k, name in enumerate(scene.ids[:5])}
     start = scene.points + np.random.default_rng(1).normal(scale=0.01, size=scene.points.shape)
     given = {"sigma": SIGMA, "control": control, **more}

@@ -26,7 +26,7 @@ def _rows(path: Path, head: str, rows: Iterable[Iterable[object]]) -> None:
 
 @pytest.fixture(scope="module")
 def camcal(tmp_path_factory: pytest.TempPathFactory, real_data: Path) -> Path:
-    """Photos, points and marks of the export as tables; coordinates in mm, y down."""
+    """Return the photos, points and marks of the export as tables; coordinates in mm, y down."""
     folder, data = tmp_path_factory.mktemp("camcal"), real_data / "dbat" / "dbat"
     export = read_photomodeler(data / "pmexports" / "camcal-pmexport.txt")
     control = photomodeler.read_control(data / "ref" / "camcal-fixed.txt")
@@ -50,7 +50,7 @@ def calibrate(camcal: Path, image: Path, *more: object) -> Ended:
 
 
 def without(camcal: Path, folder: Path, gone: dict[str, int]) -> tuple[Path, int]:
-    """Table without image points of some points but for the first so many, and its number of coordinates."""
+    """Return the table without image points of some points but for the first so many, and its number of coordinates."""
     head, *lines = (camcal / "image.csv").read_text("utf-8").splitlines()
     left, kept = dict(gone), []
     for line in lines:

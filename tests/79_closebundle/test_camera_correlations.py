@@ -18,7 +18,7 @@ NAMES = ("c", "x0", "y0", "k1", "k2", "p1", "p2")
 
 
 def scene(folder: Path, distance: float, noise: float = 0.002) -> list[str | Path]:
-    """Tables of eight rolled photos on a ring around points of 6 m x 6 m x 4 m, from a distance (m)."""
+    """Return the tables of eight rolled photos on a ring around points of 6 m x 6 m x 4 m, from a distance (m)."""
     rng, focal = np.random.default_rng(3), 50.0
     grid = np.stack(np.meshgrid(np.arange(7.0), np.arange(7.0)), -1).reshape(-1, 2) - 3.0
     points = np.column_stack([grid, rng.uniform(-2.0, 2.0, 49)])

@@ -107,7 +107,7 @@ def _quadric(points: Array) -> Array:
 
 
 def _round_misfit(points: Array) -> Array:
-    """Misfits (n,) of a circle or sphere of least squares in the axes of the points, m^2."""
+    """Return the misfits (n,) of a circle or sphere of least squares in the axes of the points, m^2."""
     p = points - points.mean(axis=0)
     squares = np.sum(p**2, axis=1)
     design = np.column_stack([p, np.ones(len(p))])
@@ -115,7 +115,7 @@ def _round_misfit(points: Array) -> Array:
 
 
 def _spread(points: Array, free: int) -> Array:
-    """Extents of points across their ``free`` main directions, m."""
+    """Return the extents of points across their ``free`` main directions, m."""
     return np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[free:]
 
 
@@ -156,7 +156,7 @@ class Configuration:
 
     @property
     def rotations(self) -> list[Array]:
-        """Photos that look to the origin, but for some degrees."""
+        """Return the photos that look to the origin, but for some degrees."""
         turns = Rotation.from_rotvec(np.random.default_rng(self.seed + 1).normal(scale=0.05, size=(3, 3))).as_matrix()
         out = []
         for centre, turn in zip(CENTRES, turns, strict=True):
@@ -176,7 +176,7 @@ class Configuration:
     def adjusted(
         self, sigma: float | None, backend: str = "dense", optimizer: str = "levenberg-marquardt"
     ) -> BundleResult:
-        """Bundle with the constraint; photos are held, those of a constraint of photos observed with noise."""
+        """Return the bundle with the constraint. Photos are held; those with a constraint are observed with noise."""
         rng, rotations = np.random.default_rng(self.seed + 2), self.rotations
         points = rng.uniform(-3.0, 3.0, (8, 3)) if self.of_photos else self.shape
         names, photos, interior = [f"p{k}" for k in range(len(points))], ("ph0", "ph1", "ph2"), PhotoInterior(60.0)
@@ -202,7 +202,7 @@ class Configuration:
         )  # fmt: skip
 
     def misclosure(self, found: BundleResult) -> float:
-        """Largest misclosure at a solution, m, m^2 or a sine."""
+        """Return the largest misclosure at a solution, m, m^2 or a sine."""
         if self.kind == "base":
             return float(abs(np.linalg.norm(found.centres_m[1] - found.centres_m[0]) - self.base_m))
         if self.kind == "equal attitude":
@@ -215,7 +215,7 @@ def configuration(kind: str, seed: int) -> Configuration:
 
 
 def unknowns(found: BundleResult) -> Array:
-    """Points and stations as one vector, m and rad."""
+    """Return the points and stations as one vector, m and rad."""
     return np.concatenate([found.points_m.ravel(), *(photo.values for photo in found.photos)])
 
 

@@ -18,7 +18,7 @@ MIDDLE = np.array([1001.0, 2005.0, 50.0])
 def adjusted(
     points: Array, *stated: Constraint, seed: int = 1, backend: str = "dense", off_m: float = 0.005
 ) -> BundleResult:
-    """Three photos; the last four points are control points."""
+    """Return three photos; the last four points are control points."""
     scene = make(seed, points=points)
     start = points + np.random.default_rng(seed).normal(scale=off_m, size=points.shape)
     control = {scene.ids[k]: (points[k], 1e-3) for k in range(len(points) - 4, len(points))}
@@ -31,7 +31,7 @@ def cloud(n: int = 8) -> Array:
 
 
 def on_sphere(n: int) -> Array:
-    """Points of a sphere of 0.8 m, then four anywhere."""
+    """Return the points of a sphere of 0.8 m, then four anywhere."""
     rng = np.random.default_rng(7)
     u = rng.normal(size=(n, 3))
     return np.vstack([MIDDLE + 0.8 * u / np.linalg.norm(u, axis=1, keepdims=True), cloud(4)])

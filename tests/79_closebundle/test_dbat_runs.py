@@ -27,7 +27,7 @@ LONG = ("cam-fixed", "wsmart", "prior-eo")
 
 @pytest.fixture
 def data(real_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder in which DBAT's files have the names of the page; the current one."""
+    """Return a folder in which DBAT's files have the names of the page; the current one."""
     for name in ("prague2016", "dbat"):
         (tmp_path / name).symlink_to(real_data / "dbat" / name)
     monkeypatch.chdir(tmp_path)
@@ -44,7 +44,7 @@ def run(name: str) -> list[str]:
 
 
 def orientation(record: dict, shift: np.ndarray) -> dict[str, dict[str, tuple[float, float]]]:
-    """Angles and centres of the photos by number, with their deviations over m0."""
+    """Return the angles and centres of the photos by number, with their deviations over m0."""
     out = {}
     for k, photo in enumerate(record["photos"], start=1):
         outer = photo["exterior"]

@@ -22,7 +22,7 @@ BACKENDS = ("dense", "graph", "schur")
 
 
 def planted(*, height: bool = True, noise: float = SIGMA) -> tuple[Scene, dict[str, tuple[Array, float]]]:
-    """Scene of four photos and its control points with gross errors."""
+    """Return the scene of four photos and its control points with gross errors."""
     scene = make(3, 20, 4, noise=noise)
     for row, error in WRONG.items():
         scene.image[row] += error
@@ -133,7 +133,7 @@ def test_other_options_are_refused(name: str) -> None:
 
 @pytest.fixture
 def words(tmp_path: Path) -> tuple[object, ...]:
-    """Words of the command for the planted scene without the wrong height."""
+    """Return the words of the command for the planted scene without the wrong height."""
     scene, control = planted(height=False)
     rows = [f"p{k},ph{p},{float(x)!r},{float(y)!r}"
             for (x, y), p, k in zip(scene.image, scene.which, scene.of, strict=True)]  # fmt: skip

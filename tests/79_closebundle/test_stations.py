@@ -27,7 +27,7 @@ TURNED = ",omega_deg,phi_deg,kappa_deg,sigma_x_deg,sigma_y_deg,sigma_z_deg"
 
 
 def written(folder: Path, scene: Scene, n_control: int) -> list[object]:
-    """Tables of a scene; words of the command."""
+    """Return the tables of a scene; words of the command."""
     seen = zip(scene.image.tolist(), scene.which.tolist(), scene.of.tolist(), strict=True)
     rows = [f"p{k},ph{p},{x!r},{y!r}" for (x, y), p, k in seen]
     (folder / "image.csv").write_text("\n".join(["id,photo,x,y", *rows, ""]), "utf-8")
@@ -48,7 +48,7 @@ def stations(folder: Path, rows: list[list[object]], more: str = "") -> Path:
 
 
 def observed(scene: Scene, sigma: float) -> list[list[object]]:
-    """Rows of all stations, exact to what is written."""
+    """Return the rows of all stations, exact to what is written."""
     return [[f"ph{k}", *map(repr, c.tolist()), sigma, sigma, sigma] for k, c in enumerate(scene.centres)]
 
 

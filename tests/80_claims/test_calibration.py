@@ -25,7 +25,7 @@ SEEDS = [
 
 
 def interval(degrees: int, level: float = LEVEL) -> tuple[float, float]:
-    """Two-sided chi-square interval of this probability."""
+    """Return the two-sided chi-square interval of this probability."""
     tail = 0.5 * (1.0 - level)
     return float(stats.chi2.ppf(tail, degrees)), float(stats.chi2.isf(tail, degrees))
 

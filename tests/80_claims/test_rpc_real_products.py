@@ -45,7 +45,7 @@ def test_bias_of_pleiades_1_is_removed(real_data: Path) -> None:
 
 
 def _others(block: Block, control: list[int]) -> list[str]:
-    """Points of a single image that are no control: nothing intersects there."""
+    """Return the points of a single image that are no control: nothing intersects there."""
     return [name for j, name in enumerate(block.points.ids) if j not in control]
 
 

@@ -31,7 +31,7 @@ SET_12_BELOW_10_M = {(12, 5)}
 
 @pytest.fixture(scope="module")
 def runs() -> Callable[[range, int | None], Runs]:
-    """Give the runs of some seeds, made once."""
+    """Return the runs of some seeds, made once."""
     cache: dict[tuple[range, int | None], Runs] = {}
 
     def of(seeds: range, look_polynomial: int | None) -> Runs:

@@ -20,13 +20,13 @@ Computed = dict[CellKey, npt.NDArray[np.float64]]
 
 @pytest.fixture(scope="session")
 def printed() -> dict[str, PublishedTables]:
-    """The published tables as packaged."""
+    """Return the published tables as packaged."""
     return {name: load(name) for name in SOURCES}
 
 
 @pytest.fixture(scope="session")
 def computed(printed: dict[str, PublishedTables]) -> dict[str, Computed]:
-    """All cells of the publications that are computed on the twin, seed 1."""
+    """Return all cells of the publications that are computed on the twin, seed 1."""
     return {
         name: source.compute(tuple(printed[name].titles), [1], as_run=False, progress=None)
         for name, source in SOURCES.items()

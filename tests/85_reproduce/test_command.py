@@ -28,7 +28,7 @@ def run(*words: object) -> Any:
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
-    """Folder and JSON of a run of a few tables and the claims; not to be changed."""
+    """Return the folder and JSON of a run of a few tables and the claims; not to be changed."""
     out = tmp_path_factory.mktemp("reproduced") / "topan"
     done = run("reproduce", "topan2010", "--tables", "text,1", "--seeds", "1", "--out", out, "--json")
     assert done.exit_code == 0, done.output

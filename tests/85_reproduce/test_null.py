@@ -18,12 +18,12 @@ Computed = dict[str, dict[CellKey, npt.NDArray[np.float64]]]
 
 
 def cell(key: CellKey, text: str) -> PublishedCell:
-    """Cell with a printed number."""
+    """Return the cell with a printed number."""
     return PublishedCell(key, float(text), text, text)
 
 
 def by_set(texts: list[str], quantity: str = "rmse_x", role: str = "icp") -> list[PublishedCell]:
-    """Cells of one role that differ by EOP set alone."""
+    """Return the cells of one role that differ by EOP set alone."""
     return [
         cell(CellKey("2", str(number), "bundle", point_role=role, quantity=quantity), text)
         for number, text in enumerate(texts, start=1)

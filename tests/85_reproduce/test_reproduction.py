@@ -29,7 +29,7 @@ Printed = dict[str, PublishedTables]
 
 
 def rows_of(name: str, printed: PublishedTables, computed: Computed) -> tuple[Row, ...]:
-    """All rows of a publication."""
+    """Return all rows of a publication."""
     return pair(printed, computed[name], SOURCES[name], tuple(printed.titles))[0]
 
 
@@ -87,14 +87,14 @@ def test_correlations_equal_those_of_an_orthogonal_basis(computed: Computed) -> 
 
 
 def records_of(path: Path) -> tuple[list[str], list[dict[str, str]]]:
-    """Columns and records of a CSV file."""
+    """Return the columns and records of a CSV file."""
     with path.open(encoding="utf-8", newline="") as stream:
         reader = csv.DictReader(stream)
         return list(reader.fieldnames or ()), list(reader)
 
 
 def key_of(record: dict[str, str]) -> CellKey:
-    """Key of a published record."""
+    """Return the key of a published record."""
     columns = ("table", "eop_set_no", "stage", "pre_adjustment_type", "point_role", "quantity", "method", "parameter",
                "point_set")  # fmt: skip
     return CellKey(*(record.get(column, "") for column in columns))

@@ -46,7 +46,7 @@ def twin() -> ControlPoints:
 
 @pytest.fixture(scope="module")
 def computed(twin: ControlPoints) -> dict[CellKey, np.ndarray]:
-    """Degrees 1 and 2, three permutations."""
+    """Return the degrees 1 and 2, three permutations."""
     with one_blas_thread():
         return tables_spot6.compute(tables_spot6.TABLES, twin, permutations=3, degrees=(1, 2))
 
@@ -121,7 +121,7 @@ def test_printed_coefficients_give_the_printed_kappas(printed: dict[str, Publish
 
 
 def judged(value: float, text: str, runs: list[float], **key: str) -> str:
-    """CellComparison kind of a made-up cell."""
+    """Return the kind of CellComparison of a made-up cell."""
     cell = PublishedCell(
         CellKey(**{"table": "4.44", "stage": "rfm degree 2", "quantity": "m0", "method": "x"} | key), value, text, text
     )
@@ -233,7 +233,7 @@ def points(real_data: Path) -> ControlPoints:
 
 @pytest.fixture(scope="module")
 def verdicts(points: ControlPoints, printed: dict[str, PublishedTables]) -> Verdicts:
-    """Degrees 1 and 2 with five permutations."""
+    """Return the degrees 1 and 2 with five permutations."""
     with one_blas_thread():
         values = tables_spot6.compute(tables_spot6.TABLES, points, permutations=5, degrees=(1, 2))
     return {c.key: spot6.assess(c, values) for c in printed["terlemezoglu2019"].cells if c.key in values}

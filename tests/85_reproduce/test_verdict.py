@@ -30,7 +30,7 @@ NAN = math.nan
 
 
 def verdict(key: CellKey, text: str, runs: list[float] | None, order: float | None = None) -> str:
-    """Kind of the verdict on a printed number."""
+    """Return the kind of the verdict on a printed number."""
     cell = PublishedCell(key, float(text or "nan"), text, text or "words")
     return assess_runs(cell, None if runs is None else np.array(runs), order).kind
 
@@ -141,7 +141,7 @@ def test_every_rule_is_used_and_documented(repository_rules: str) -> None:
 
 @pytest.fixture
 def repository_rules(repository: object) -> str:
-    """The page that documents the rules."""
+    """Return the page that documents the rules."""
     from pathlib import Path
 
     return (Path(str(repository)) / "docs" / "reproduce.md").read_text("utf-8")

@@ -24,7 +24,7 @@ pytestmark = pytest.mark.behaviour
 
 @pytest.fixture(scope="module")
 def twin(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Give the folder of a sound project."""
+    """Return the folder of a sound project."""
     folder = tmp_path_factory.mktemp("sound") / "zonguldak"
     simulate_zonguldak(folder, ZonguldakOptions(seed=1))
     return folder

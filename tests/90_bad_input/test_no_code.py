@@ -19,7 +19,7 @@ _WORDS = (*(f"{name}(" for name in RUNNING), *MODULES, "shell", "np.load")
 
 
 def calls(tree: ast.AST) -> list[tuple[str, str, ast.Call]]:
-    """Give object and name of each call."""
+    """Return the object and the name of each call."""
     found = []
     for node in ast.walk(tree):
         if isinstance(node, ast.Call):
@@ -30,7 +30,7 @@ def calls(tree: ast.AST) -> list[tuple[str, str, ast.Call]]:
 
 
 def faults(text: str) -> list[str]:
-    """Give the calls of a module that may run what data contain."""
+    """Return the calls of a module that may run what data contain."""
     if not any(word in text for word in _WORDS):
         return []  # most modules; parsing takes seconds
     bad = []

@@ -52,7 +52,7 @@ def tiff(path: Path, entries: Sequence[Entry], pixels: bytes = b"", directories:
 
 
 def size(columns: int, rows: int, compression: int = 1) -> list[Entry]:
-    """Tags of one band of float32."""
+    """Return the tags of one band of float32."""
     return [(WIDTH, LONG, 1, columns), (LENGTH, LONG, 1, rows), (BITS, SHORT, 1, 32),
             (COMPRESSION, SHORT, 1, compression), (PHOTOMETRIC, SHORT, 1, 1), (BANDS, SHORT, 1, 1),
             (FORMAT, SHORT, 1, 3)]  # fmt: skip

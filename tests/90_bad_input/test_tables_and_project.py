@@ -110,7 +110,7 @@ CASES = {
 
 
 def refused(folder: ProjectFolder) -> tuple[Finding, ...]:
-    """Problems of the project; the same from reading and from validating, one printable line each."""
+    """Return the problems of the project; the same from reading and from validating, one printable line each."""
     with pytest.raises(InputError) as caught:
         read_project(folder.project)
     found = caught.value.problems

@@ -20,7 +20,7 @@ HOSTILE = ("</script><script>document.title = 'broken'</script>", "<img src=x on
 
 @pytest.fixture(scope="session")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Result folder with its report; not to be changed."""
+    """Return the result folder with its report; not to be changed."""
     made = tmp_path_factory.mktemp("report")
     simulate_zonguldak(made / "twin", ZonguldakOptions())
     out = made / "result"
@@ -37,13 +37,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def result(folder: Path) -> Result:
-    """The folder as read."""
+    """Return the folder as read."""
     return read_result(folder)
 
 
 @pytest.fixture(scope="session")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    """One browser for all tests, or a skip."""
+    """Yield one browser for all tests, or a skip."""
     program = executable()
     if program is None:
         pytest.skip(f"no browser: {VARIABLE} names none, and there is neither chromium nor google-chrome on the path")
@@ -53,13 +53,13 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
 
 @pytest.fixture(scope="session")
 def tab(browser: Browser) -> Page:
-    """One tab of it."""
+    """Return one tab of it."""
     return browser.page()
 
 
 @pytest.fixture
 def page(tab: Page, folder: Path) -> Iterator[Page]:
-    """The report as a person opens it; nothing may have gone wrong when the test ends."""
+    """Yield the report as a person opens it; nothing may have gone wrong when the test ends."""
     tab.size(1000, 900)
     tab.open(folder / "report.html", wait="performance.getEntriesByName('drawn').length > 0")
     yield tab

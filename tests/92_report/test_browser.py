@@ -29,14 +29,14 @@ def find(page: Page, words: str, plot: str = "map") -> None:
 
 
 def middle(page: Page) -> tuple[float, float]:
-    """Place of the middle of the map on the screen."""
+    """Return the place of the middle of the map on the screen."""
     page.value(f"{MAP}.scrollIntoView({{block: 'center'}})")
     box = page.value(f"(() => {{ const b = {MAP}.getBoundingClientRect(); return [b.x, b.y, b.width, b.height] }})()")
     return box[0] + box[2] / 2, box[1] + box[3] / 2
 
 
 def drawn(page: Page) -> str:
-    """What the map looks like, once it has nothing more to draw."""
+    """Return what the map looks like, once it has nothing more to draw."""
     page.value("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
     return str(page.value(f"{MAP}.toDataURL()"))
 

@@ -36,7 +36,7 @@ BUNDLE = ("closerange", "bundle", "image.csv", "cameras.toml", "--sigma", "0.001
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Tables of two photos and of a surface, and the folder of a bundle with check points, ``out``."""
+    """Return the tables of two photos and of a surface, and the folder of a bundle with check points, ``out``."""
     folder = tmp_path_factory.mktemp("closerange")
     page_files.photos_and_control(folder)
     page_files.surface_points(folder)

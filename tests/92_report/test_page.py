@@ -29,7 +29,7 @@ from tests.support.page import of_large_images, structure, with_columns
 
 
 def elements(text: str) -> list[tuple[str, str]]:
-    """Attributes and text of the script elements."""
+    """Return the attributes and text of the script elements."""
     return re.findall(r"<script([^>]*)>(.*?)</script>", text, re.DOTALL)
 
 

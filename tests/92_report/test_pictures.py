@@ -42,7 +42,7 @@ def adjusted(project: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Give a folder with a project of three rendered images, one wrong measurement, and its result."""
+    """Return a folder with a project of three rendered images, one wrong measurement, and its result."""
     folder, rng = tmp_path_factory.mktemp("pixels"), np.random.default_rng(5)
     scene = Scene(45.0, 3, relief_m=5.0, walls=0)
     project = write_pair(folder, scene, VIEWS, 50.0)
@@ -67,12 +67,12 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def copy(rendered: Path, tmp_path: Path) -> Path:
-    """Give a copy of the folder, to be changed."""
+    """Return a copy of the folder, to be changed."""
     return Path(shutil.copytree(rendered, tmp_path / "copy"))
 
 
 def decoded(href: str) -> np.ndarray:
-    """Grey values of an address."""
+    """Return the grey values of an address."""
     with warnings.catch_warnings(), MemoryFile(base64.b64decode(href.partition("base64,")[2])) as memory:
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         with memory.open() as source:
@@ -80,7 +80,7 @@ def decoded(href: str) -> np.ndarray:
 
 
 def page(folder: Path) -> str:
-    """Text of the page that ``report`` writes."""
+    """Return the text of the page that ``report`` writes."""
     assert in_process("report", folder, "--quiet").code == 0
     return (folder / "report.html").read_text("utf-8")
 

@@ -19,13 +19,13 @@ def run() -> Run:
 
 @pytest.fixture(scope="session")
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Project file of the twin; not to be changed."""
+    """Return the project file of the twin; not to be changed."""
     return simulate_zonguldak(tmp_path_factory.mktemp("figures") / "zonguldak", ZonguldakOptions())
 
 
 @pytest.fixture(scope="session")
 def adjusted(project: Path, tmp_path_factory: pytest.TempPathFactory, run: Run) -> Path:
-    """Result folder of the twin; not to be changed."""
+    """Return the result folder of the twin; not to be changed."""
     out = tmp_path_factory.mktemp("adjusted") / "result"
     assert run("adjust", project, "--out", out).code == 0
     return out
@@ -33,6 +33,6 @@ def adjusted(project: Path, tmp_path_factory: pytest.TempPathFactory, run: Run) 
 
 @pytest.fixture
 def result(adjusted: Path, tmp_path: Path) -> Path:
-    """Copy of the result folder that a test may spoil."""
+    """Return the copy of the result folder that a test may spoil."""
     shutil.copytree(adjusted, tmp_path / "result")
     return tmp_path / "result"

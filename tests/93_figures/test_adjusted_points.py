@@ -39,7 +39,7 @@ def rows_of(path: Path) -> list[dict[str, str]]:
 
 
 def read_las(path: Path) -> tuple[np.ndarray, Columns, str, str]:
-    """Coordinates, columns, name of the CRS and the text, by laspy."""
+    """Return the coordinates, columns, name of the CRS and the text, by laspy."""
     cloud = laspy.read(path)
     text = next(v.record_data_bytes() for v in cloud.header.vlrs if (v.user_id, v.record_id) == ("LASF_Spec", 3))
     columns = {name: np.asarray(cloud[name]) for name in cloud.point_format.extra_dimension_names}
@@ -48,7 +48,7 @@ def read_las(path: Path) -> tuple[np.ndarray, Columns, str, str]:
 
 
 def read_ply(path: Path) -> tuple[np.ndarray, Columns, str, str]:
-    """The same of binary PLY, as its header says."""
+    """Return the same of binary PLY, as its header says."""
     head, _, body = path.read_bytes().partition(b"end_header\n")
     lines = head.decode("ascii").splitlines()
     assert lines[:2] == ["ply", "format binary_little_endian 1.0"]
@@ -81,7 +81,7 @@ READ = {".laz": read_las, ".las": read_las, ".ply": read_ply, ".csv": read_csv, 
 
 
 def joint_covariances(result: Path) -> dict[str, np.ndarray]:
-    """Covariances (3, 3) East, North, Up of the points from the joint cofactors, posterior scale."""
+    """Return the covariances (3, 3) East, North, Up of the points from the joint cofactors, posterior scale."""
     sigma0 = json.loads((result / "result.json").read_text("utf-8"))["sigma0"]
     with np.load(result / "covariance.npz") as stored:
         names, q, values = stored["names"].tolist(), stored["cofactors"], stored["values"]
@@ -147,7 +147,10 @@ def test_covariances_of_check_points_are_predictions(run: Run, adjusted: Path, t
 
 @pytest.fixture(scope="module")
 def orthometric(project: Path, tmp_path_factory: pytest.TempPathFactory, run: Run) -> Path:
-    """Result folder of the twin with UTM coordinates and heights above a geoid file; a gross error at a tie point."""
+    """Return the result folder of the twin with UTM coordinates and heights above a geoid file.
+
+    A tie point has a gross error.
+    """
     folder = tmp_path_factory.mktemp("orthometric")
     shutil.copytree(project.parent, folder, dirs_exist_ok=True)
     step, west, north = 0.25, 31.0, 42.0

@@ -35,14 +35,14 @@ def folder(adjusted: Path) -> Result:
 
 @pytest.fixture(scope="module")
 def written(adjusted: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """All figures as SVG."""
+    """Return all figures as SVG."""
     out = tmp_path_factory.mktemp("written") / "figures"
     assert figures.write_figures(adjusted, out, formats=("svg",))[0] == out
     return out
 
 
 def charts_of(folder: Result, name: str, images: list[str]) -> list[Chart]:
-    """Charts of one kind of figure."""
+    """Return the charts of one kind of figure."""
     return [chart for chart in figures.PLOTS[name][1](folder, images) if chart is not None]
 
 

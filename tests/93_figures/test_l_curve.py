@@ -25,7 +25,7 @@ from tests.support.command import Run
 
 @pytest.fixture(scope="module")
 def damped(project: Path, tmp_path_factory: pytest.TempPathFactory, run: Run) -> Path:
-    """Two steps are enough: with this kappa the iteration creeps."""
+    """Allow only two steps, because with this kappa the iteration creeps."""
     out = tmp_path_factory.mktemp("damped") / "result"
     run("adjust", project, "--out", out, "--backend", "dense", "--solver", "tikhonov_gcv", "--max-iterations", 2)
     return out

@@ -29,7 +29,7 @@ NAMES = ("points", "error_vectors", "footprints")
 
 
 def read(path: Path, layer: str | None = None) -> tuple[Any, dict[str, Any]]:
-    """Geometries and columns of a layer; missing values as the driver gives them."""
+    """Return the geometries and columns of a layer; missing values as the driver gives them."""
     meta, _, wkb, fields = pyogrio.raw.read(path, layer=layer)
     assert meta["crs"] == "EPSG:4326"
     return shapely.from_wkb(wkb), dict(zip(meta["fields"], fields, strict=True))

@@ -145,7 +145,7 @@ def test_read_dimap_says_what_is_wrong(repository: Path, tmp_path: Path) -> None
 
 
 def cells_of(path: Path) -> list[str]:
-    """Code cells of a notebook."""
+    """Return the code cells of a notebook."""
     cells = json.loads(path.read_text("utf-8"))["cells"]
     return ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
 

@@ -149,7 +149,7 @@ ALONE = {
 
 @pytest.fixture(scope="module")
 def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Give the folder of files that pages without data of their own speak of."""
+    """Return the folder of files that pages without data of their own speak of."""
     folder = tmp_path_factory.mktemp("pages")
     page_files.satellite_files(folder)
     return folder
@@ -174,7 +174,7 @@ def test_no_list_names_what_is_no_longer_there() -> None:
 
 
 def parts(fence: Fence) -> list[Command | Fence]:
-    """Give what is taken or left as one: a Python block, a command."""
+    """Return the parts that run as a whole: a Python block, a command."""
     return [fence] if fence.language in ("python", "toml") else list(pages.commands(fence))
 
 
@@ -232,7 +232,7 @@ def start(name: str, prepared: Path, folder: Path) -> dict[str, Any]:
 
 @functools.cache
 def block_and_solution(prepared: Path) -> dict[str, Any]:
-    """Give the prepared project as read and adjusted."""
+    """Return the prepared project as read and adjusted."""
     import fg_orient as fg
 
     block = fg.read_project(prepared / "project.toml")
@@ -254,7 +254,7 @@ def run_page(name: str, prepared: Path, folder: Path, *, slow: bool) -> None:
 
 
 def with_blocks(*, slow: bool) -> list[str]:
-    """Give the pages of which the fast, or only the slow, tests run something."""
+    """Return the pages of which the fast, or only the slow, tests run something."""
     found = []
     for name, path in PAGES.items():
         items = [item for fence in pages.fences(path, name) for item in parts(fence) if not listed(NOT_RUN, item)]
@@ -265,7 +265,7 @@ def with_blocks(*, slow: bool) -> list[str]:
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Give the folder that a page is run in, the current one; terminals are 80 columns wide."""
+    """Return the folder that a page is run in, the current one; terminals are 80 columns wide."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "80")
     return tmp_path

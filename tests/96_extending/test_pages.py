@@ -47,7 +47,7 @@ PAGES = {
 
 @pytest.fixture(scope="module")
 def registries() -> Iterator[pytest.MonkeyPatch]:
-    """Copies of all registries, of the modules and their path: what a page adds goes with them."""
+    """Yield the copies of all registries, of the modules and their path: what a page adds goes with them."""
     registry.solvers(), kappa.kappa_rules(), losses.losses()  # all loaded before the copies
     format_registry.formats("image"), format_registry.formats("rpc"), format_registry.formats()
     with pytest.MonkeyPatch.context() as patch:
@@ -63,7 +63,7 @@ def registries() -> Iterator[pytest.MonkeyPatch]:
 def files(
     repository: Path, tmp_path_factory: pytest.TempPathFactory, registries: pytest.MonkeyPatch
 ) -> dict[str, Path]:
-    """The first Python block of each page as a file, the only one in its folder."""
+    """Return the first Python block of each page as a file, the only one in its folder."""
     out = {}
     for page, name in PAGES.items():
         out[page] = tmp_path_factory.mktemp("own") / f"{name}.py"
@@ -72,13 +72,13 @@ def files(
 
 
 def fences_of(repository: Path, page: str) -> list[Fence]:
-    """Give the blocks of a page on extending, or of the one above them."""
+    """Return the blocks of a page on extending, or of the one above them."""
     path = repository / "docs" / ("extending.md" if page == "extending" else f"extending/{page}.md")
     return pages.fences(path, page)
 
 
 def python_of(repository: Path, page: str) -> list[Fence]:
-    """Give the Python blocks of a page on extending."""
+    """Return the Python blocks of a page on extending."""
     return [fence for fence in fences_of(repository, page) if fence.language == "python"]
 
 
@@ -249,7 +249,7 @@ def test_a_wrong_kernel_of_a_new_equation_is_named(
 
 
 def place_of(middle: tuple[float, float, float], matrix: np.ndarray, pixel: np.ndarray, height_m: float) -> np.ndarray:
-    """Ground point by Newton on East, North, Up, its height being that above the ellipsoid."""
+    """Return the ground point by Newton on East, North, Up, its height being that above the ellipsoid."""
     enu, axes = np.zeros(3), enu_from_ecef(*middle[:2])[0]
     centre = geodetic_to_ecef(*middle)[0]
     for _ in range(10):

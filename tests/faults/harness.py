@@ -192,7 +192,7 @@ def run(
 
 
 def command(*words: object) -> Callable[[], int]:
-    """Command of ``fg-orient`` for :func:`run`."""
+    """Return the command of ``fg-orient`` for :func:`run`."""
 
     def call() -> int:
         sys.argv = ["fg-orient", *map(str, words)]

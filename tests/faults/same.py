@@ -73,7 +73,7 @@ def _masked(value: Any) -> Any:
 
 
 def _manifest(path: Path, content: dict[str, Any]) -> bytes:
-    """Names of its files; their digests depend on times and are checked."""
+    """Return the names of its files; their digests depend on times and are checked."""
     for name, entry in content["files"].items():
         data = (path.parent / name).read_bytes()
         assert entry["sha256"] == hashlib.sha256(data).hexdigest(), f"{path}: {name} has another digest"
@@ -81,7 +81,7 @@ def _manifest(path: Path, content: dict[str, Any]) -> bytes:
 
 
 def _database(path: Path) -> bytes:
-    """Definitions and rows of an SQLite file but for times."""
+    """Return the definitions and rows of an SQLite file but for times."""
     with sqlite3.connect(f"file:{path}?mode=ro", uri=True) as database:
         found: list[Any] = database.execute("SELECT type, name, sql FROM sqlite_master ORDER BY type, name").fetchall()
         for table in [row[1] for row in found if row[0] == "table" and not row[1].startswith("rtree_")]:

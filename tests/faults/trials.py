@@ -91,7 +91,7 @@ class Faults:
         shutil.copytree(self.scenario.template, self.root)
 
     def _alone(self, *more: str) -> tuple[Ended, dict[str, str]]:
-        """Undisturbed run on a new copy, and the files after it."""
+        """Return the undisturbed run on a new copy, and the files after it."""
         self._copy()
         ended = run(command(*self.scenario.words(self.root), *more), self.root)
         assert ended.code in self.scenario.tolerated, ended

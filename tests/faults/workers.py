@@ -49,7 +49,7 @@ def adjusted(problem: Problem, pool: Pool) -> State:
 
 
 def children() -> list[int]:
-    """Processes that this one started and that are, or become, workers."""
+    """Return the processes that this one started and that are, or become, workers."""
     found = []
     for folder in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError, ValueError, IndexError):
@@ -62,7 +62,7 @@ def children() -> list[int]:
 
 @contextlib.contextmanager
 def killer(kills: int, longest_s: float, seed: int) -> Iterator[Counter[str]]:
-    """Thread that kills a random worker after random pauses; counts of what it did."""
+    """Yield the thread that kills a random worker after random pauses; counts of what it did."""
     rng, counts, stop = random.Random(seed), Counter[str](), threading.Event()
 
     def work() -> None:

@@ -33,7 +33,10 @@ class TooSlow(BaseException):
 
 
 def _memory(name: str) -> float:
-    """Memory of this process, bytes: VmRSS now, VmHWM at most since :func:`_reset`; 0 on other systems than Linux."""
+    """Return the memory of this process, bytes: VmRSS now, VmHWM at most since :func:`_reset`.
+
+    0 on other systems than Linux.
+    """
     with suppress(OSError, StopIteration):
         line = next(line for line in _STATUS.read_text("ascii").splitlines() if line.startswith(f"{name}:"))
         return 1024.0 * int(line.split()[1])
@@ -70,7 +73,7 @@ class Broken:
 
     @property
     def key(self) -> str:
-        """Kind and the innermost line of this program: one for each fault."""
+        """Return the kind and the innermost line of this program: one for each fault."""
         own = [line.strip() for line in self.text.splitlines() if "/fg_orient/" in line or "/factors/" in line]
         return f"{self.kind} {own[-1] if own else ''}"
 
@@ -108,7 +111,7 @@ def outcome(read: Callable[[], object], size: int, *, limits: bool = True) -> Br
 
 
 def _printable(text: str) -> bool:
-    """Whether a terminal shows a text as it is: no lone surrogates, no control characters."""
+    """Return whether a terminal shows a text as it is: no lone surrogates, no control characters."""
     return not any(c < " " or "\x7f" <= c <= "\x9f" or "\ud800" <= c <= "\udfff" for c in text)
 
 

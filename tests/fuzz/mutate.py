@@ -52,7 +52,7 @@ def mutated(data: bytes, rng: random.Random, others: Sequence[bytes] = ()) -> by
 
 
 def _inside(data: bytes, rng: random.Random, others: Sequence[bytes]) -> bytes | None:
-    """Archive with one member changed, left out, doubled or renamed; None if it is not readable."""
+    """Return the archive with one member changed, left out, doubled or renamed; None if it is not readable."""
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             members = [(info.filename, archive.read(info), info.compress_type) for info in archive.infolist()]
@@ -74,7 +74,7 @@ def _inside(data: bytes, rng: random.Random, others: Sequence[bytes]) -> bytes |
 
 
 def _unpacked(data: bytes, rng: random.Random, others: Sequence[bytes]) -> bytes | None:
-    """Gzip file with changed content; None if it is not readable."""
+    """Return the gzip file with changed content; None if it is not readable."""
     try:
         content = gzip.decompress(data)
     except Exception:
@@ -83,7 +83,7 @@ def _unpacked(data: bytes, rng: random.Random, others: Sequence[bytes]) -> bytes
 
 
 def _at(data: bytes, rng: random.Random) -> int:
-    """Position in a file, near its beginning in half of the cases."""
+    """Return the position in a file, near its beginning in half of the cases."""
     end = len(data) if rng.random() < 0.5 else min(len(data), 300)
     return rng.randrange(end + 1)
 
@@ -129,7 +129,7 @@ def _splice(data: bytes, rng: random.Random, others: Sequence[bytes]) -> bytes:
 def _replaced(
     pattern: re.Pattern[bytes], words: Sequence[str]
 ) -> Callable[[bytes, random.Random, Sequence[bytes]], bytes]:
-    """Mutation that replaces one match of a pattern by a word, or by another match of the file."""
+    """Return the mutation that replaces one match of a pattern by a word, or by another match of the file."""
 
     def change(data: bytes, rng: random.Random, others: Sequence[bytes]) -> bytes:
         start = _at(data, rng)

@@ -40,13 +40,13 @@ class Reader:
     only: str = ""
 
     def changes(self, name: str) -> bool:
-        """Whether a file is one of those that are changed."""
+        """Return whether a file is one of those that are changed."""
         return re.search(self.only, name) is not None
 
 
 @cache
 def _form(name: str) -> Any:
-    """Format of points; a search through all modules would take most of the time."""
+    """Return the format of points; a search through all modules would take most of the time."""
     from fg_orient.formats.registry import formats
 
     return formats()[name]
@@ -58,7 +58,7 @@ def _form(name: str) -> Any:
 def _exchange(
     name: str, paths: Sequence[str], makes: Iterable[Make], crs: str = "", sized: Sequence[str] = ()
 ) -> Reader:  # fmt: skip
-    """Reader of a format of points or bundles, and of its frame model; ``sized``: images without a size."""
+    """Return the reader of a format of points or bundles, and of its frame model; ``sized``: images without a size."""
 
     def read(folder: Path) -> None:
         from fg_orient.formats.exchange.convert import read_survey
@@ -249,7 +249,7 @@ def _dimap2(folder: Path) -> None:
 
 
 def _wide(metadata: Any) -> Any:
-    """Metadata with a field of view of 1.6e-4 rad: that of 24 real detectors is refused as too small."""
+    """Return the metadata with a field of view of 1.6e-4 rad: that of 24 real detectors is refused as too small."""
     return replace(metadata, look=replace(metadata.look, tan_psi_y=np.array([-0.014222, 7.113e-6])))
 
 

@@ -23,7 +23,7 @@ class Case:
 
     @property
     def needs_real_data(self) -> bool:
-        """Whether the case reads files that are not part of the repository."""
+        """Return whether the case reads files that are not part of the repository."""
         return "{real}" in self.command
 
 
@@ -144,5 +144,5 @@ CASES = (
 
 
 def real_data() -> str:
-    """Folder of real data, or "" where there is none."""
+    """Return the folder of real data, or "" where there is none."""
     return os.environ.get("FG_ORIENT_REAL_DATA", "")

@@ -42,7 +42,7 @@ class Signs:
         return cls([(a, b, c, kind) for a, b, c, kind in filter(None, kept)])
 
     def change(self, case: str, file: str, column: str) -> str:
-        """How the values of a column change on purpose; "" where they do not."""
+        """Return how the values of a column change on purpose; "" where they do not."""
         return next((
             kind for a, b, c, kind in self.rows
             if fnmatchcase(case, a) and fnmatchcase(file, b) and fnmatchcase(column, c)
@@ -65,7 +65,7 @@ class Difference:
 
 
 def compare(before: Path, after: Path, within: float, signs: Signs) -> Iterator[Difference]:
-    """Give every difference between two folders of :func:`tests.golden.keep.keep`."""
+    """Yield every difference between two folders of :func:`tests.golden.keep.keep`."""
     for name in sorted({path.relative_to(root) for root in (before, after) for path in root.rglob("*")}):
         one, other = before / name, after / name
         if one.is_dir() or other.is_dir():
@@ -103,7 +103,7 @@ def _different(case: str, file: str, one: Path, other: Path, within: float, sign
 
 
 def columns(path: Path) -> dict[str, list[Value]]:
-    """Values of a file by the name of their column, key or line."""
+    """Return the values of a file by the name of their column, key or line."""
     if path.suffix == ".npz":
         with np.load(path, allow_pickle=False) as arrays:
             return {name: [_value(v) for v in np.ravel(arrays[name])] for name in arrays.files}
@@ -129,7 +129,7 @@ def _table(text: str) -> dict[str, list[Value]]:
 
 
 def _leaves(tree: Any, place: str = "") -> dict[str, list[Value]]:
-    """Values of a record by their keys; those of the same key in a list stand together."""
+    """Return the values of a record by their keys; those of the same key in a list stand together."""
     out = dict[str, list[Value]]()
     if OTHER_EACH_TIME.search(place):
         return out
@@ -143,7 +143,7 @@ def _leaves(tree: Any, place: str = "") -> dict[str, list[Value]]:
 
 
 def _lines(text: str) -> dict[str, list[Value]]:
-    """Numbers and words of a page or text, line by line."""
+    """Return the numbers and words of a page or text, line by line."""
     out = dict[str, list[Value]]()
     for line in text.splitlines():
         if OTHER_LINES.search(line):

@@ -27,7 +27,7 @@ PATIENCE = 600.0
 
 
 def executable() -> str | None:
-    """Give the first browser there is: of the variable, then on the path; None without one."""
+    """Return the first browser found: of the variable, then on the path; None if there is none."""
     for name in (os.environ.get(VARIABLE, ""), "chromium", "google-chrome"):
         if name and (found := shutil.which(name)):
             return found
@@ -63,7 +63,7 @@ class Page:
         self.until(f"location.href !== 'about:blank' && ({wait})")
 
     def value(self, expression: str) -> Any:
-        """Value of an expression in the page; promises are awaited."""
+        """Return the value of an expression in the page; promises are awaited."""
         found = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
         if "exceptionDetails" in found:
             raise BrowserError(f"{expression}: {found['exceptionDetails']}")

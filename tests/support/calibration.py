@@ -33,7 +33,7 @@ def calibration_block(
     unknown: tuple[str, ...] = ("k1",), sigma_px: float = NOISE_PX, n: int = 80, priors: bool = True,
     noise_px: float = NOISE_PX,
 ) -> Block:  # fmt: skip
-    """Block of six photos with the true distortion (5,) and direction; the cameras start without distortion.
+    """Return the block of six photos with the true distortion (5,) and direction; the cameras start without distortion.
 
     ``stated``: direction of the cameras of the block; ``unknown``: terms that they share, with a wide prior.
     """
@@ -67,7 +67,7 @@ _NOTHING = WithheldCoordinates((), lambda: Coordinates(np.zeros((0, 3)), np.zero
 
 
 def _points(ground: Array, rng: np.random.Generator) -> GroundPoints:
-    """Control points with an error of 2 mm, other points with start coordinates."""
+    """Return the control points with an error of 2 mm, other points with start coordinates."""
     n = len(ground)
     at, sigma = ground + rng.normal(0.0, 0.05, ground.shape), np.full((n, 3), np.nan)
     at[:N_CONTROL] = ground[:N_CONTROL] + rng.normal(0.0, 0.002, (N_CONTROL, 3))

@@ -13,7 +13,7 @@ Array = npt.NDArray[np.float64]
 def simulate_pixel_areas_m2(
     vertices: npt.ArrayLike, pixel_m: float, n_placements: int, seed: int, *, turn: bool = True
 ) -> Array:
-    """Pixel-count areas (n_placements,) on grids at random positions and, with ``turn``, orientations, m2.
+    """Return the pixel-count areas (n_placements,) on grids at random positions and, with ``turn``, orientations, m2.
 
     The formula of ``pixel_area_sigma_m2`` holds for all orientations. With a single orientation the standard
     deviation for the coast of an island is 0.8 to 1.25 times that value.

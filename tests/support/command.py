@@ -33,7 +33,7 @@ class Ended:
 
     @property
     def json(self) -> Any:
-        """Standard output as exactly one JSON object, nan refused."""
+        """Return the standard output as exactly one JSON object, nan refused."""
 
         def refuse(word: str) -> float:
             raise AssertionError(f"{word} in JSON")
@@ -46,7 +46,7 @@ Run = Callable[..., Ended]
 
 @functools.cache
 def command_line() -> Any:
-    """Give the command line; typer takes 0.15 s to build it from its declarations."""
+    """Return the command line; typer takes 0.15 s to build it from its declarations."""
     return typer.main.get_command(app)
 
 

@@ -21,7 +21,7 @@ Derived = tuple[Example, tuple[np.ndarray, ...]]
 
 
 def complex_step(equation: Equation, example: Example, which: int) -> np.ndarray:
-    """Jacobian of the residual with respect to one argument, to rounding.
+    """Return the Jacobian of the residual with respect to one argument, to rounding.
 
     The record ends after the equation's ``n_constants``: Python, unlike the compiled form, refuses to read behind them.
     """

@@ -28,7 +28,7 @@ class State:
         ]) / (x * x + y * y + z * z + w * w)  # fmt: skip
 
     def undistorted(self, x: float, y: float) -> tuple[float, float]:
-        """Ideal coordinates, mm."""
+        """Return the ideal coordinates, mm."""
         c = self.s["m_opticalDistCoeffs"]
         kind = self.s["m_distortionType"]
         if kind == 0:
@@ -47,7 +47,7 @@ class State:
         return sum(c[i] * f[i] for i in range(10)), sum(c[10 + i] * f[i] for i in range(10))
 
     def _brown(self, x: float, y: float) -> tuple[float, float]:
-        """Type 7: k1, k2, p1, p2, k3 as in OpenCV, in units of the focal length."""
+        """Return the distortion of type 7: k1, k2, p1, p2, k3 as in OpenCV, in units of the focal length."""
         f = self.s["m_focalLength"]
         k1, k2, p1, p2, k3 = self.s["m_opticalDistCoeffs"]
         a, b = x / f, y / f
@@ -71,7 +71,7 @@ class State:
         return u, v
 
     def pixel(self, ground: Array) -> Array:
-        """Line and sample of CSM (0.5 at the centre of the first pixel) of a body-fixed point, m."""
+        """Return the line and sample of CSM (0.5 at the centre of the first pixel) of a body-fixed point, m."""
         q = self.m.T @ (ground - np.array(self.s["m_currentParameterValue"][:3]))
         f = self.s["m_focalLength"]
         x, y = self.distorted(f * q[0] / q[2] + self.s["m_samplePp"], f * q[1] / q[2] + self.s["m_linePp"])

@@ -16,7 +16,7 @@ MODEL = "USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL"
 
 
 def read_state(path: Path) -> State:
-    """Fields of a state: the name of the model, then JSON."""
+    """Read the fields of a state: the name of the model, then JSON."""
     name, _, text = path.read_text(encoding="utf-8").partition("\n")
     state: State = json.loads(text)
     assert name.strip() == state["m_modelName"] == MODEL
@@ -24,7 +24,7 @@ def read_state(path: Path) -> State:
 
 
 def interpolated(values: np.ndarray, start_s: float, step_s: float, time_s: float) -> np.ndarray:
-    """Lagrange polynomial of order 8 through the samples around a time; of order 6, 4, 2 near the ends."""
+    """Return the Lagrange polynomial of order 8 through the samples around a time; of order 6, 4, 2 near the ends."""
     n = len(values)
     position = (time_s - start_s) / step_s
     index = min(max(int(np.floor(position)), 0), n - 2)
@@ -38,7 +38,7 @@ def interpolated(values: np.ndarray, start_s: float, step_s: float, time_s: floa
 
 
 def rotation(q: np.ndarray) -> np.ndarray:
-    """Body-fixed axes from camera axes: quaternion x, y, z, w."""
+    """Return the body-fixed axes from camera axes: quaternion x, y, z, w."""
     x, y, z, w = q / np.linalg.norm(q)
     return np.array([
         [x * x - y * y - z * z + w * w, 2 * (x * y - z * w), 2 * (x * z + y * w)],
@@ -48,7 +48,7 @@ def rotation(q: np.ndarray) -> np.ndarray:
 
 
 def line_time(state: State, line: float) -> float:
-    """Time of the centre of a line."""
+    """Return the time of the centre of a line."""
     starts = np.array(state["m_intTimeLines"])
     k = max(int(np.searchsorted(starts, line, side="right")) - 1, 0)
     return float(state["m_intTimeStartTimes"][k] + state["m_intTimes"][k] * (line - starts[k] + 0.5))
@@ -61,7 +61,7 @@ def transverse(x: float, y: float, c: np.ndarray) -> np.ndarray:
 
 
 def ideal(state: State, xy: np.ndarray) -> np.ndarray:
-    """Focal-plane coordinates without distortion."""
+    """Return the focal-plane coordinates without distortion."""
     c = np.array(state["m_opticalDistCoeffs"])
     if state["m_distortionType"] == 0:
         r = xy @ xy
@@ -85,7 +85,7 @@ def ideal(state: State, xy: np.ndarray) -> np.ndarray:
 
 
 def ray(state: State, line: float, sample: float) -> tuple[np.ndarray, np.ndarray]:
-    """Position of the sensor (3,) m and unit viewing direction (3,), body-fixed, of a CSM pixel."""
+    """Return the position of the sensor (3,) m and unit viewing direction (3,), body-fixed, of a CSM pixel."""
     assert not np.any(state["m_currentParameterValue"])
     time_s = line_time(state, line)
     centre = interpolated(np.reshape(state["m_positions"], (-1, 3)), state["m_t0Ephem"], state["m_dtEphem"], time_s)
@@ -104,7 +104,7 @@ def ray(state: State, line: float, sample: float) -> tuple[np.ndarray, np.ndarra
 
 
 def to_ground(state: State, line: float, sample: float, height_m: float) -> np.ndarray:
-    """Ground point (3,) m of a CSM pixel on the ellipsoid of the state, its axes raised by a height."""
+    """Return the ground point (3,) m of a CSM pixel on the ellipsoid of the state, its axes raised by a height."""
     p, u = ray(state, line, sample)
     axes = np.array([state["m_majorAxis"], state["m_majorAxis"], state["m_minorAxis"]]) + height_m
     a, b, c = (u / axes) @ (u / axes), (u / axes) @ (p / axes), (p / axes) @ (p / axes) - 1.0
@@ -112,7 +112,7 @@ def to_ground(state: State, line: float, sample: float, height_m: float) -> np.n
 
 
 def to_image(state: State, ground: np.ndarray) -> tuple[float, float]:
-    """CSM line and sample of a ground point (3,) m: Newton on the angle between ray and point."""
+    """Return the CSM line and sample of a ground point (3,) m: Newton on the angle between ray and point."""
     pixel = np.array([0.5 * state["m_nLines"], 0.5 * state["m_nSamples"]])
 
     def miss(at: np.ndarray) -> np.ndarray:

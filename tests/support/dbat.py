@@ -50,7 +50,7 @@ class Format:
 
 
 def table(path: Path) -> np.ndarray:
-    """Numbers of a file, comments left out."""
+    """Return the numbers of a file, comments left out."""
     raw = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
     lines = [line for line in raw.decode().splitlines() if line.strip() and not line.startswith("#")]
     return np.array([[float(v) for v in re.sub(r"[A-Z]\w*", "0", line).split(",")] for line in lines])
@@ -65,7 +65,7 @@ def camera(
     sigma: dict,
     aspect: float = 0.0,
 ) -> FrameCamera:
-    """Camera of DBAT's interior orientation; what it has in common with the others is all of its interior."""
+    """Return the camera of DBAT's interior orientation. All cameras share the whole interior orientation."""
     s = form.px_per_mm
     return FrameCamera(
         pose[0], pose[1], focal_mm * s, np.array([principal_mm[1], principal_mm[0]]) * s,
@@ -76,7 +76,7 @@ def camera(
 
 def block(cameras: list[FrameCamera], form: Format, marks: np.ndarray, known: dict[int, list[float]], sigma_px: float,
           options: Options) -> Block:  # fmt: skip
-    """Block of all image points; known points are fixed."""
+    """Return the block of all image points; known points are fixed."""
     ids, point = np.unique(marks[:, 1].astype(int), return_inverse=True)
     xyz = np.array([known.get(i, [np.nan] * 3) for i in ids.tolist()])
     fixed = np.isfinite(xyz[:, 0])
@@ -113,7 +113,7 @@ def camcal(folder: Path) -> Block:
 
 
 def _oriented(interior: PhotoInterior, marks: np.ndarray, ground: dict[int, list[float]], form: Format) -> tuple:
-    """Rotation and projection centre of a photo by the points that are known so far."""
+    """Return the rotation and projection centre of a photo by the points that are known so far."""
     own = marks[np.isin(marks[:, 1], list(ground))]
     found = resect(interior, [ground[int(i)] for i in own[:, 1]], own[:, 2:4] / form.px_per_mm)
     return found.rotation, found.centre_m
@@ -140,7 +140,11 @@ def roma(folder: Path, *, calibrate: bool = True, aspect: float = 0.0) -> Block:
 
 
 def report(path: Path) -> tuple[dict[str, str], dict[str, dict[str, tuple[str, str]]]]:
-    """Figures of a report, as printed: those of the bundle by name; value and deviation by camera or photo and name."""
+    """Return the figures of a report, as printed.
+
+    Figures of the bundle have names; others have value and deviation by camera or photo and
+    name.
+    """
     figures: dict[str, str] = {}
     values: dict[str, dict[str, tuple[str, str]]] = {}
     where, name, value = "", "", ""
@@ -162,7 +166,10 @@ def report(path: Path) -> tuple[dict[str, str], dict[str, dict[str, tuple[str, s
 
 
 def camera_values(solved: Problem, state: State, q: Cofactors, form: Format) -> dict[str, tuple[float, float]]:
-    """Camera parameters of the report in its units, and their cofactor roots; from the first image that has them."""
+    """Return the camera parameters of the report in its units, and their cofactor roots.
+
+    They come from the first image that has them.
+    """
     k = next(i for i, p in enumerate(solved.parameters) if "focal" in p.names)
     names, sigma = solved.parameters[k].names, solved.parameters[k].sigma
     camera = solved.block.images[k].sensor.camera
@@ -181,7 +188,7 @@ def camera_values(solved: Problem, state: State, q: Cofactors, form: Format) -> 
 
 
 def photo_values(solved: Problem, state: State, q: Cofactors, k: int) -> dict[str, tuple[float, float]]:
-    """Angles (deg) and projection centre of a photo with their cofactor roots."""
+    """Return the angles (deg) and projection centre of a photo with their cofactor roots."""
     p, sensor = solved.parameters[k], solved.block.images[k].sensor
     correction = solved.models[k].correction(solved.unknowns(state, k))
     found = sensor.camera.corrected(correction)
@@ -200,7 +207,7 @@ def photo_values(solved: Problem, state: State, q: Cofactors, k: int) -> dict[st
 
 
 def same_figures(problem: Problem, estimate: Estimate, figures: dict[str, str]) -> float:
-    """Our sigma0; number of unknowns, redundancy and sigma0 must be those of the report."""
+    """Return our sigma0; number of unknowns, redundancy and sigma0 must be those of the report."""
     sigma0 = float(np.sqrt(estimate.chi2 / problem.redundancy))
     assert (problem.n_unknowns, problem.redundancy) == (int(figures["Number of params"]), int(figures["Redundancy"]))
     assert abs(sigma0 - float(figures["Sigma0"])) <= 0.5 * last_digit(figures["Sigma0"])
@@ -211,7 +218,7 @@ def units_apart(
     ours: dict[str, dict[str, tuple[float, float]]], theirs: dict[str, dict[str, tuple[str, str]]], sigma0: float,
     unfinished: float = 0.0,
 ) -> list[float]:  # fmt: skip
-    """Differences of values and deviations in units of the last printed digit.
+    """Return the differences of values and deviations in units of the last printed digit.
 
     ``unfinished``: share of a deviation by which a value of theirs may miss the minimum.
     """

@@ -45,7 +45,7 @@ def options(block: Block, **changes: object) -> Block:
 
 
 def pinhole(control: Sequence[int] = (), *, on_line: bool = False, seed: int = 2) -> Block:
-    """Four pinhole images, 25 points; control points from the truth.
+    """Return four pinhole images, 25 points; control points from the truth.
 
     ``on_line``: the block is observed anew (without noise) with three points moved onto a line.
     """
@@ -72,7 +72,10 @@ def pinhole(control: Sequence[int] = (), *, on_line: bool = False, seed: int = 2
 
 
 def two_pinhole_blocks(control: Sequence[int]) -> Block:
-    """Two blocks that no point links, of images 1-4 and 5-8; control points by their number, 0-24 in the first."""
+    """Return two blocks that no point links, of images 1-4 and 5-8.
+
+    Control points by their number, 0-24 in the first.
+    """
     a, b = pinhole_block(4, 25, views=3, seed=2), pinhole_block(4, 25, views=3, seed=3)
     truth = np.vstack([a[1].ground_m, b[1].ground_m])
     first, second = a[0], b[0]

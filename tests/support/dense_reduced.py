@@ -31,7 +31,7 @@ class Dense(NamedTuple):
 
 
 def twin() -> Block:
-    """The Zonguldak pair: 37 control and 10 check points."""
+    """Return the Zonguldak pair: 37 control and 10 check points."""
     return zonguldak_block(ZonguldakOptions(seed=1))[0]
 
 
@@ -45,13 +45,13 @@ def dense_of(problem: Problem) -> Dense:
 
 
 def regularised(block: Block, eop_set: int, **options: Any) -> tuple[Problem, Problem]:
-    """A problem of the set without priors: plain, and with the regularisation of the options."""
+    """Return a problem of the set without priors: plain, and with the regularisation of the options."""
     plain = compiled_problem(with_options(block, "test", eop_set=eop_set, **{"priors": False, **options}))
     return plain, with_regularisation(plain)
 
 
 def explicit_step(problem: Problem) -> Array:
-    """Image unknowns after one step of GTSAM with a factor for each image point."""
+    """Return the image unknowns after one step of GTSAM with a factor for each image point."""
     backend = ExplicitBackend(problem)
     values = backend.values(problem.start)
     return problem.image_vector(backend.state(backend.retract(values, backend.linearise(values).solve(0.0))))

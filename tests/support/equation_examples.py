@@ -55,7 +55,7 @@ def random_rotation(rng: np.random.Generator) -> Array:
 
 
 def look_angle_collinearity(rng: np.random.Generator) -> Example:
-    """SPOT-like observation; both kinds of files, both attitude forms and curves occur."""
+    """Return the SPOT-like observation; both kinds of files, both attitude forms and curves occur."""
     p = rng.normal(size=3)
     p *= 7.2e6 / np.linalg.norm(p)
     v = np.cross(p, rng.normal(size=3))
@@ -78,7 +78,10 @@ def look_angle_collinearity(rng: np.random.Generator) -> Example:
 
 
 def frame_collinearity(rng: np.random.Generator) -> Example:
-    """Wide-angle camera; both directions of the polynomial, small and large rotations, subsets of unknowns."""
+    """Return the wide-angle camera.
+
+    Both directions of the polynomial, small and large rotations, subsets of unknowns.
+    """
     start, n = random_rotation(rng), frame.N_UNKNOWNS
     centre, depth = rng.normal(scale=100.0, size=3), rng.uniform(50.0, 500.0)
     ground = centre + start.T @ (depth * np.array([*rng.uniform(-0.4, 0.4, 2), 1.0]))
@@ -100,7 +103,7 @@ def frame_collinearity(rng: np.random.Generator) -> Example:
 
 
 def frame_angles_collinearity(rng: np.random.Generator) -> Example:
-    """Camera that looks forwards or backwards along its third axis; any angles, subsets of unknowns."""
+    """Return the camera that looks forwards or backwards along its third axis; any angles, subsets of unknowns."""
     angles, inertial, mounting = rng.uniform(-1.4, 1.4, 3), random_rotation(rng), random_rotation(rng)
     centre, focal = rng.normal(scale=1e3, size=3), rng.choice([-1.0, 1.0]) * rng.uniform(20.0, 200.0)
     f, s, t = 0.5 * np.pi + angles[0], 0.5 * np.pi - angles[1], angles[2]
@@ -118,14 +121,14 @@ def frame_angles_collinearity(rng: np.random.Generator) -> Example:
 
 
 def _axis_turn(axis: int, angle: float) -> Array:
-    """Rotation of the axes about one of them."""
+    """Return the rotation of the axes about one of them."""
     i, j, out = (axis + 1) % 3, (axis + 2) % 3, np.eye(3)
     out[[i, i, j, j], [i, j, i, j]] = np.cos(angle), np.sin(angle), -np.sin(angle), np.cos(angle)
     return out
 
 
 def latitudinal_point(rng: np.random.Generator) -> Example:
-    """Point near its observed place, anywhere on a sphere but the poles."""
+    """Return the point near its observed place, anywhere on a sphere but the poles."""
     lon, lat, radius = rng.uniform(-np.pi, np.pi), rng.uniform(-1.4, 1.4), rng.uniform(1e3, 1e4)
     place = radius * np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
     origin = place + rng.normal(scale=100.0, size=3)
@@ -134,7 +137,7 @@ def latitudinal_point(rng: np.random.Generator) -> Example:
 
 
 def rational_function(rng: np.random.Generator) -> Example:
-    """Metre-resolution image; shift, drift and affine compensation occur."""
+    """Return the metre-resolution image; shift, drift and affine compensation occur."""
     c = rng.normal(scale=1e-3, size=(4, 20))
     c[1::2, 0] = 1.0
     c[0, 1:4] += 0.1 * rng.normal(), -1.0, 0.1 * rng.normal()
@@ -176,14 +179,14 @@ def frame_extended_collinearity(rng: np.random.Generator) -> Example:
 
 
 def _plane_record(rng: np.random.Generator) -> Array:
-    """Record of a normalised point with correlated coordinates."""
+    """Return the record of a normalised point with correlated coordinates."""
     w11, w12, w22 = rng.uniform(0.5, 2.0), rng.normal(), rng.uniform(0.5, 2.0)
     source, target = rng.uniform(-1.0, 1.0, 3), rng.uniform(-1.0, 1.0, 2)
     return plane.RECORD.pack(source=source, target=target, w11=w11, w12=w12, w22=w22)
 
 
 def dlt(rng: np.random.Generator) -> Example:
-    """Eleven parameters and some coefficients of the distortion."""
+    """Return the state of eleven parameters and some coefficients of the distortion."""
     x = np.concatenate([rng.normal(size=8), rng.uniform(-0.2, 0.2, 3)])
     most = dlt_equation.N_DISTORTION
     codes = np.sort(rng.permutation(most)[: rng.integers(0, most + 1)]).astype(float)
@@ -193,7 +196,10 @@ def dlt(rng: np.random.Generator) -> Example:
 
 
 def plane_transformation(n_linear: int, n_quotient: int = 0) -> Callable[[np.random.Generator], Example]:
-    """Transformation with these numbers of unknowns of numerators and denominators; 0: a polynomial of any degree."""
+    """Return the transformation with these numbers of unknowns of numerators and denominators.
+
+    0: a polynomial of any degree.
+    """
 
     def draw(rng: np.random.Generator) -> Example:
         degree = 0 if n_linear else int(rng.integers(1, plane.MAX_DEGREE + 1))
@@ -209,7 +215,10 @@ def _turned(rng: np.random.Generator, angle_rad: float) -> Array:
 
 
 def _navigation_parts(rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
-    """Rotations R_0 and B_0, setup and unknowns; large and small corrections occur, and subsets of unknowns."""
+    """Return the rotations R_0 and B_0, setup and unknowns.
+
+    Large and small corrections occur, and subsets of unknowns.
+    """
     most = navigation.UNKNOWN.size
     codes = np.sort(rng.permutation(most)[: rng.integers(1, most + 1)])
     sigma = np.repeat([rng.choice([1e-5, 1e-2, 0.2]), 0.3, 1.0, 0.5, 0.1, 1e-3, 1e-4, 0.05, 1e-2],
@@ -219,7 +228,7 @@ def _navigation_parts(rng: np.random.Generator) -> tuple[Array, Array, Array, Ar
 
 
 def antenna_position(rng: np.random.Generator) -> Example:
-    """Position of a receiver."""
+    """Return the position of a receiver."""
     rotation, mounting, setup, x = _navigation_parts(rng)
     record = POSITION.pack(
         offset=rng.normal(scale=0.5, size=3), arm=rng.normal(size=3), strip=_turned(rng, 1.0).ravel(),
@@ -229,7 +238,7 @@ def antenna_position(rng: np.random.Generator) -> Example:
 
 
 def inertial_attitude(rng: np.random.Generator) -> Example:
-    """Attitude of an inertial unit, near its observation or far from it."""
+    """Return the attitude of an inertial unit, near its observation or far from it."""
     rotation, mounting, setup, x = _navigation_parts(rng)
     away = _turned(rng, rng.choice([0.0, 1e-5, 1e-2, 0.5]))
     record = ATTITUDE.pack(
@@ -240,14 +249,14 @@ def inertial_attitude(rng: np.random.Generator) -> Example:
 
 
 def circle(rng: np.random.Generator) -> Example:
-    """Tilted circle."""
+    """Return the tilted circle."""
     normal, e_1, e_2 = np.linalg.qr(rng.normal(size=(3, 3)))[0].T
     record = circles.CIRCLE_RECORD.pack(factor=rng.uniform(0.5, 2.0), normal=normal, e_1=e_1, e_2=e_2)
     return Example(record, _NONE, (rng.normal(scale=0.3, size=6), rng.normal(size=3)))
 
 
 def equal_attitude(rng: np.random.Generator) -> Example:
-    """Two cameras."""
+    """Return the state of two cameras."""
     first, second, between = (random_rotation(rng).ravel() for _ in range(3))
     record = circles.ATTITUDE_RECORD.pack(factor=rng.uniform(0.5, 2.0), first=first, second=second, between=between)
     return Example(record, _NONE, (rng.normal(scale=0.3, size=3), rng.normal(scale=0.3, size=3)))
@@ -259,7 +268,7 @@ def _figure(rng: np.random.Generator) -> Array:
 
 
 def ellipsoid(rng: np.random.Generator) -> Example:
-    """Ellipsoid with a subset of its unknowns."""
+    """Return the ellipsoid with a subset of its unknowns."""
     start, most = random_rotation(rng), surfaces.UNKNOWN.size
     record = surfaces.RECORD.pack(factor=rng.uniform(0.5, 2.0), centre=rng.normal(size=3), rotation=start.ravel(),
                                   semi_axes=rng.uniform(1.0, 3.0, 3))  # fmt: skip
@@ -270,14 +279,14 @@ def ellipsoid(rng: np.random.Generator) -> Example:
 
 
 def control_point(rng: np.random.Generator) -> Example:
-    """Control point with correlated coordinates."""
+    """Return the control point with correlated coordinates."""
     a = rng.normal(size=(3, 3))
     w = control.whitening(a @ a.T + np.eye(3))
     return Example(control.POINT.pack(whitening=w.ravel(), place=rng.normal(size=3)), _NONE, (rng.normal(size=3),))
 
 
 def relative_orientation(rng: np.random.Generator) -> Example:
-    """Two images and one point."""
+    """Return the state of two images and one point."""
     start = random_rotation(rng)
     base, n_1, n_2 = np.linalg.qr(rng.normal(size=(3, 3)))[0].T
     record = coplanarity.RECORD.pack(
@@ -287,7 +296,7 @@ def relative_orientation(rng: np.random.Generator) -> Example:
 
 
 def similarity_point(rng: np.random.Generator) -> Example:
-    """Point of a model and its control point."""
+    """Return the point of a model and its control point."""
     start = random_rotation(rng)
     model, ground, whitening = rng.normal(size=3), rng.normal(size=3), rng.normal(size=9)
     record = similarity.RECORD.pack(model=model, place=ground, whitening=whitening, rotation=start.ravel(),
@@ -296,7 +305,7 @@ def similarity_point(rng: np.random.Generator) -> Example:
 
 
 def curve_point(rng: np.random.Generator) -> Example:
-    """Point near the middle of a segment of a straight line, or of a spline of four segments."""
+    """Return the point near the middle of a segment of a straight line, or of a spline of four segments."""
     if rng.integers(2):
         setup = np.concatenate([rng.normal(size=6), np.zeros(6)])[None]
     else:
@@ -309,7 +318,7 @@ def curve_point(rng: np.random.Generator) -> Example:
 
 
 def _simple(record: Callable[[np.random.Generator], Array], *sizes: int) -> Callable[[np.random.Generator], Example]:
-    """State with normal unknowns of these sizes."""
+    """Return the state with normal unknowns of these sizes."""
     return lambda rng: Example(record(rng), _NONE, tuple(rng.normal(size=n) for n in sizes))
 
 

@@ -14,7 +14,7 @@ _ROUNDING = re.compile(r"[+-]?\d+(\.\d+)?e[+-]\d+")
 
 
 def shown_of(repository: Path) -> dict[str, Command]:
-    """Give the command of the page by the name of its script, what is shown below it with it."""
+    """Return the command of the page by the name of its script, what is shown below it with it."""
     blocks = [fence for fence in fences(repository / PAGE, str(PAGE)) if fence.language == "console"]
     return {Path(command.words[1]).name: command for block in blocks for command in commands(block)}
 

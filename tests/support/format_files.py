@@ -84,7 +84,7 @@ def binary(folder: Path) -> None:
 
 
 def samples(page: str) -> list[str]:
-    """Give the lines of files that a page shows."""
+    """Return the lines of files that a page shows."""
     text = (PAGES / f"{page}.md").read_text("utf-8")
     return re.findall(r"^```text\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
 

@@ -17,7 +17,7 @@ NOISE_PX = 0.5
 
 
 def with_frame_above(block: Block) -> Block:
-    """Give the block with one more image, which sees every point from 500 km; noise of half a pixel, seed 4."""
+    """Return the block with one more image, which sees every point from 500 km; noise of half a pixel, seed 4."""
     problem = compile_problem(block)
     ground = problem.start.ground + problem.origin_m
     lon, lat, _ = ecef_to_geodetic(problem.origin_m[None])

@@ -22,7 +22,7 @@ DISTORTIONS = {
 def frame_model(
     distortions: tuple[str, ...] = tuple(DISTORTIONS), *, principal: bool = True, noise_px: float = 0.3, seed: int = 5
 ) -> FrameModel:
-    """One image per camera and a second one of the first; points within 1 m, seen from 5 m in any attitude."""
+    """Return one image per camera and a second one of the first; points within 1 m, seen from 5 m in any attitude."""
     rng = np.random.default_rng(seed)
     cameras = {
         str(k + 1): Interior(

@@ -63,7 +63,7 @@ class Dense:
 
     @classmethod
     def of(cls, problem: Problem) -> Dense:
-        """Gauss-Newton from the start of the problem until the steps are rounding."""
+        """Iterate Gauss-Newton from the start of the problem until the steps are rounding errors."""
         state = problem.start
         for _ in range(30):
             last, state = state, after_numpy(problem, state)
@@ -91,7 +91,7 @@ class Dense:
 
 
 def after_numpy(problem: Problem, state: State, robust: Robust | None = None) -> State:
-    """State after a Gauss-Newton step by numpy's least squares, with the weights of a loss at the state."""
+    """Return the state after a Gauss-Newton step by numpy's least squares, with the weights of a loss at the state."""
     v, design = assemble(problem, state)
     if robust is not None:
         n, m = 2 * len(problem.observations), 3 * int(problem.observed.sum())
@@ -107,7 +107,7 @@ def after_numpy(problem: Problem, state: State, robust: Robust | None = None) ->
 
 
 def of_pairs(problem: Problem, norm: np.ndarray) -> np.ndarray:
-    """Norms of image points, with the same for both rays of a tie point that has two, and nothing else."""
+    """Return the norms of image points, with the same for both rays of a tie point that has two, and nothing else."""
     out = norm.copy()
     for j in np.flatnonzero(problem.active & ~problem.observed):
         rays = np.flatnonzero(problem.observations.point == j)
@@ -147,17 +147,20 @@ def dogleg_of_numpy(problem: Problem, v: np.ndarray, design: np.ndarray, radius:
 
 
 def step_of_numpy(problem: Problem, state: State, robust: Robust | None = None) -> tuple[float, float]:
-    """Largest part of that step: image unknowns (sigmas), points (m). None is left at the minimum."""
+    """Return the largest part of that step: image unknowns (sigmas), points (m). None is left at the minimum."""
     return largest(problem, after_numpy(problem, state, robust), state)
 
 
 def turned_design(problem: Problem, state: State) -> np.ndarray:
-    """Whitened Jacobian with the rows of control points in East, North, Up, in sigmas; shared unknowns once."""
+    """Return the whitened Jacobian with the rows of control points in East, North, Up, in sigmas.
+
+    Shared unknowns once.
+    """
     return turned_rows(problem, state)[1]
 
 
 def turned_rows(problem: Problem, state: State) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals and Jacobian of :func:`turned_design`."""
+    """Return the residuals and Jacobian of :func:`turned_design`."""
     v, a = assemble(problem, state)
     a, n = a if problem.ties is None else problem.ties.columns(a), 2 * len(problem.observations)
     for k, j in enumerate(np.flatnonzero(problem.observed)):

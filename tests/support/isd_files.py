@@ -19,7 +19,7 @@ RADIUS_M, RATE_RAD_S = 6_378_137.0 + 617_000.0, 1.085e-3
 
 
 def orbit(time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Earth-fixed positions and velocities (n, 3) at times about 0."""
+    """Return the Earth-fixed positions and velocities (n, 3) at times about 0."""
     angle = 0.7 + RATE_RAD_S * time_s
     plane = Rotation.from_euler("zx", [1.2, 1.7]).as_matrix()
     turn = np.array([Rotation.from_euler("z", -EARTH_RATE * t).as_matrix() for t in time_s])

@@ -20,7 +20,7 @@ E2 = 1.0 - (B / A) ** 2
 
 
 def instant(text: str) -> float:
-    """Seconds of a UTC time since 1970."""
+    """Return the seconds of a UTC time since 1970."""
     return (datetime.fromisoformat(text.replace("Z", "")) - datetime(1970, 1, 1)).total_seconds()
 
 
@@ -58,7 +58,7 @@ class IsdCamera:
                       for name in ("LINE", "SAMP", "LAT", "LONG", "HEIGHT")}  # fmt: skip
 
     def rays(self, line: np.ndarray, sample: np.ndarray, aberration: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Positions (n, 3) m and unit directions (n, 3), Earth-fixed."""
+        """Return the positions (n, 3) m and unit directions (n, 3), Earth-fixed."""
         k = np.clip(np.searchsorted(self.lines, line, side="right") - 1, 0, len(self.lines) - 2)
         rate = (self.times[k + 1] - self.times[k]) / (self.lines[k + 1] - self.lines[k])
         t = self.times[k] + rate * (line - self.lines[k])
@@ -75,7 +75,7 @@ class IsdCamera:
         return p, u
 
     def to_ground(self, line: np.ndarray, sample: np.ndarray, height_m: float, aberration: bool) -> np.ndarray:
-        """Ground points (n, 3) m at an ellipsoidal height."""
+        """Return the ground points (n, 3) m at an ellipsoidal height."""
         p, u = self.rays(line, sample, aberration)
         h = np.full(len(p), height_m)
         for _ in range(6):  # the ellipsoid of raised axes is not the surface of equal height: correct its height
@@ -87,7 +87,7 @@ class IsdCamera:
         return ground
 
     def rpc_pixels(self, ground: np.ndarray) -> np.ndarray:
-        """Lines and samples (n, 2) of the RPC."""
+        """Return the lines and samples (n, 2) of the RPC."""
         lon, lat, height = geodetic(ground)
         given = {"LAT": np.degrees(lat), "LONG": np.degrees(lon), "HEIGHT": height}
         P, L, H = ((v - self.scale[name][0]) / self.scale[name][1] for name, v in given.items())
@@ -102,7 +102,7 @@ class IsdCamera:
 
 
 def geodetic(ground: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Longitude, latitude (rad) and ellipsoidal height (m), by iteration."""
+    """Return the longitude, latitude (rad) and ellipsoidal height (m), by iteration."""
     x, y, z = ground.T
     r = np.hypot(x, y)
     lat = np.arctan2(z, r * (1.0 - E2))

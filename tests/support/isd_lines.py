@@ -16,7 +16,7 @@ RATE_RAD_S = 7.088218e-5
 
 
 def quaternion(matrix: np.ndarray) -> list[float]:
-    """Quaternion, scalar first, of a rotation matrix, by its eigenvector of the eigenvalue 1."""
+    """Return the quaternion, scalar first, of a rotation matrix, by its eigenvector of the eigenvalue 1."""
     m = matrix
     k = np.array([
         [m[0, 0] + m[1, 1] + m[2, 2], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]],
@@ -28,14 +28,14 @@ def quaternion(matrix: np.ndarray) -> list[float]:
 
 
 def matrix_of(q: np.ndarray) -> np.ndarray:
-    """Rotation matrix of a unit quaternion, scalar first."""
+    """Return the rotation matrix of a unit quaternion, scalar first."""
     w, v = q[0], q[1:]
     cross = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
     return (w * w - v @ v) * np.eye(3) + 2.0 * np.outer(v, v) + 2.0 * w * cross
 
 
 def turn(axis: int, angle: float) -> np.ndarray:
-    """Matrix of a rotation of points about an axis."""
+    """Return the matrix of a rotation of points about an axis."""
     i, j = (axis + 1) % 3, (axis + 2) % 3
     out = np.eye(3)
     out[i, i] = out[j, j] = np.cos(angle)
@@ -47,7 +47,10 @@ def turn(axis: int, angle: float) -> np.ndarray:
 def simulated(
     pitch_rad: float = 0.0, *, lines: int = 2000, samples: int = 800, backwards: bool = False, ahead_rad: float = 0.0
 ) -> Isd:
-    """ISD of a camera 300 km above Mars; it looks forwards by ``pitch_rad`` and is further on its orbit by an angle."""
+    """Return the ISD of a camera 300 km above Mars.
+
+    It looks forwards by ``pitch_rad`` and is further on its orbit by an angle.
+    """
     centre, period = 3.5e8 + 0.25, 1.9e-3
     radius, speed, node = MARS_KM[0] + 300.0, 3.4 / (MARS_KM[0] + 300.0), 0.7
     span = 0.5 * lines * period + 0.5
@@ -104,7 +107,7 @@ def slerp(isd: Isd, place: str, time: float) -> np.ndarray:
 
 
 def position(isd: Isd, time: float) -> np.ndarray:
-    """Position (3,) km at a time from the centre by Hermite's polynomial of degree 3."""
+    """Return the position (3,) km at a time from the centre by Hermite's polynomial of degree 3."""
     own = isd["instrument_position"]
     times, p, v = (np.array(own[name]) for name in ("ephemeris_times", "positions", "velocities"))
     times = times - isd["center_ephemeris_time"]  # exact; times since 2000 are rounded to 6e-8 s
@@ -118,7 +121,7 @@ def position(isd: Isd, time: float) -> np.ndarray:
 
 
 def ideal(isd: Isd, x: float, y: float) -> tuple[float, float]:
-    """Coordinates without distortion, mm."""
+    """Return the coordinates without distortion, mm."""
     ((kind, own),) = isd["optical_distortion"].items()
     if kind == "radial":
         c, r = own["coefficients"], x * x + y * y
@@ -145,7 +148,7 @@ def ideal(isd: Isd, x: float, y: float) -> tuple[float, float]:
 
 
 def to_ground(isd: Isd, line: float, sample: float) -> np.ndarray:
-    """Body-fixed point (3,) m of a CSM pixel on the ellipsoid."""
+    """Return the body-fixed point (3,) m of a CSM pixel on the ellipsoid."""
     rates = np.array(isd["line_scan_rate"])
     k = max(int(np.searchsorted(rates[:, 0], line, side="right")) - 1, 0)
     time = rates[k, 1] + rates[k, 2] * (line - rates[k, 0] + 0.5)

@@ -24,7 +24,7 @@ RHO = 180.0 / np.pi
 
 
 def rotation(q: Array) -> Array:
-    """Rotation of a quaternion, scalar first, as SPICE q2m."""
+    """Return the rotation of a quaternion, scalar first, as SPICE q2m."""
     a, b, c, d = q
     return np.array([
         [1 - 2 * (c * c + d * d), 2 * (b * c - a * d), 2 * (b * d + a * c)],
@@ -34,25 +34,25 @@ def rotation(q: Array) -> Array:
 
 
 def r1(a: Any) -> Array:
-    """Rotation of the axes about the first axis."""
+    """Return the rotation of the axes about the first axis."""
     c, s = np.cos(a), np.sin(a)
     return np.array([[1, 0, 0], [0, c, s], [0, -s, c]])
 
 
 def r3(a: Any) -> Array:
-    """Rotation of the axes about the third axis."""
+    """Return the rotation of the axes about the third axis."""
     c, s = np.cos(a), np.sin(a)
     return np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
 
 
 def euler(angles_deg: Array) -> Array:
-    """Camera axes from J2000, of right ascension, declination, twist."""
+    """Return the camera axes from J2000, of right ascension, declination, twist."""
     ra, dec, twist = angles_deg / RHO
     return r3(twist) @ r1(np.pi / 2 - dec) @ r3(np.pi / 2 + ra)
 
 
 def angles_of(c: Array) -> Array:
-    """Right ascension, declination, twist (degrees) of a rotation."""
+    """Return the right ascension, declination, twist (degrees) of a rotation."""
     return np.array([np.arctan2(c[2, 1], c[2, 0]), np.arcsin(c[2, 2]), np.arctan2(c[0, 2], c[1, 2])]) * RHO
 
 
@@ -72,7 +72,7 @@ class Frame:
     centre: float
 
     def ideal(self, sample: float, line: float) -> Array:
-        """Ideal coordinates (mm) of an ISIS pixel."""
+        """Return the ideal coordinates (mm) of an ISIS pixel."""
         a = (sample - 0.5) * SCALE + 0.5 - self.centre
         b = (line - 0.5) * SCALE + 0.5 - self.centre
         x, y = np.array([-PITCH_MM * a, PITCH_MM * b]) - self.principal_mm
@@ -114,17 +114,17 @@ class Point:
 
 
 def spherical(xyz: Array) -> Array:
-    """Latitude, longitude (rad), radius."""
+    """Return the latitude, longitude (rad), radius."""
     return np.array([np.arctan2(xyz[2], np.hypot(xyz[0], xyz[1])), np.arctan2(xyz[1], xyz[0]), np.linalg.norm(xyz)])
 
 
 def cartesian(s: Array) -> Array:
-    """Inverse of :func:`spherical`."""
+    """Return the inverse of :func:`spherical`."""
     return s[2] * np.array([np.cos(s[0]) * np.cos(s[1]), np.cos(s[0]) * np.sin(s[1]), np.sin(s[0])])
 
 
 def slope(s: Array) -> Array:
-    """Derivatives (3, 3) of :func:`cartesian`."""
+    """Return the derivatives (3, 3) of :func:`cartesian`."""
     b, l, r = s  # noqa: E741
     return np.array([
         [-r * np.sin(b) * np.cos(l), -r * np.cos(b) * np.sin(l), np.cos(b) * np.cos(l)],
@@ -169,11 +169,11 @@ class Bundle:
     iterations: int
 
     def image_sigmas(self) -> Array:
-        """Standard deviations (m, 6) of km, degrees."""
+        """Return the standard deviations (m, 6) of km, degrees."""
         return self.sigma0 * np.sqrt(np.diag(self.image_cofactors)).reshape(-1, 6)
 
     def point_sigmas(self) -> Array:
-        """Standard deviations (n, 3) of latitude, longitude, radius in m."""
+        """Return the standard deviations (n, 3) of latitude, longitude, radius in m."""
         s = self.sigma0 * np.sqrt(np.einsum("nii->ni", self.point_cofactors))
         r = self.place[:, 2]
         return 1e3 * s * np.column_stack([r, r * np.cos(self.place[:, 0]), np.ones(len(s))])
@@ -207,7 +207,7 @@ class Network:
         self.sigma0, self.redundancy = np.nan, 0
 
     def step(self) -> float:
-        """One iteration with the points eliminated; the largest step in its standard deviation before it."""
+        """Return one iteration with the points eliminated; the largest step in its standard deviation before it."""
         m, n = len(self.frames), len(self.points)
         normal, right, chi2, rays = np.diag(np.tile(1 / self.prior**2, m)), np.zeros(6 * m), 0.0, 0
         w = np.where(self.fixed[:, None], 0.0, (self.image - self.first) / self.prior)
@@ -253,7 +253,7 @@ class Network:
         return float(max(size.max() for size in sizes))
 
     def solved(self, iterations: int) -> Bundle:
-        """Give the result after the last step."""
+        """Return the result after the last step."""
         return Bundle(self.frames, self.points, self.image.copy(), self.place.copy(), self.image_cofactors,
                       self.point_cofactors, self.sigma0, self.redundancy, iterations)  # fmt: skip
 
@@ -268,7 +268,7 @@ def adjust(frames: list[Frame], points: list[Point], *, held: tuple[str, ...] = 
 
 
 def project(frame: Frame, x: Array, s: Array) -> tuple[Array, Array, Array]:
-    """Ideal coordinates (mm) and their derivatives by the image (km, degrees) and the point (rad, km)."""
+    """Return the ideal coordinates (mm) and their derivatives by the image (km, degrees) and the point (rad, km)."""
     ra, dec, twist = x[3:] / RHO
     a, b, c = r3(twist), r1(np.pi / 2 - dec), r3(np.pi / 2 + ra)
     turn = a @ b @ c
@@ -283,7 +283,7 @@ def project(frame: Frame, x: Array, s: Array) -> tuple[Array, Array, Array]:
 
 
 def flagged(solved: Bundle, out: frozenset[tuple[str, str]], multiplier: float = 3.0) -> frozenset[tuple[str, str]]:
-    """Measures that the rule of jigsaw rejects after a state with the rejected measures ``out``."""
+    """Return the measures that the rule of jigsaw rejects after a state with the rejected measures ``out``."""
     every = {key: float(np.linalg.norm(v)) for key, v in solved.residuals().items()}
     accepted = np.array([size for key, size in every.items() if key not in out])
     median = np.median(accepted)

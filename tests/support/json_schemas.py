@@ -27,13 +27,16 @@ Schema = dict[str, Any]
 
 
 def command_of(words: list[str]) -> str:
-    """Name of the command of a command line, as that of its schema; options of the program stand before it."""
+    """Return the name of the command of a command line, as that of its schema.
+
+    Options of the program stand before it.
+    """
     first = next(k for k, word in enumerate(words) if word in COMMANDS)
     return "_".join(words[first : first + (2 if words[first] in GROUPS else 1)])
 
 
 def joined(one: Schema | None, other: Schema) -> Schema:
-    """Narrowest schema that allows what either allows."""
+    """Return the narrowest schema that allows what either allows."""
     if not one or not other:
         return {} if one == {} or other == {} else one or other
     types = sorted({*_types(one), *_types(other)})
@@ -70,7 +73,7 @@ def _as_map(schema: Schema) -> Schema:
 
 
 def schema_of(value: Any) -> Schema:
-    """Schema of one value; numbers can be null, as nan is written."""
+    """Return the schema of one value; numbers can be null, as nan is written."""
     if isinstance(value, dict):
         own = {"type": ["object"], "properties": {k: schema_of(v) for k, v in value.items()}, "required": list(value)}
         if {"code", "severity", "data"} <= set(value):
@@ -84,7 +87,7 @@ def schema_of(value: Any) -> Schema:
 
 
 def faults(value: Any, schema: Schema, place: str = "$") -> Iterator[str]:
-    """Where a value is not as its schema says, also with a key that it does not name."""
+    """Yield where a value is not as its schema says, also with a key that it does not name."""
     if not schema:
         return
     kind = "object" if isinstance(value, dict) else "array" if isinstance(value, list) else _TYPES[type(value)]
@@ -106,7 +109,7 @@ def faults(value: Any, schema: Schema, place: str = "$") -> Iterator[str]:
 
 
 def opened(schema: Schema) -> Schema:
-    """Schema that allows everything where only null was seen: null says nothing of the type."""
+    """Return the schema that allows everything where only null was seen: null says nothing of the type."""
     if schema.get("type") == ["null"]:
         return {}
     out = {key: opened(schema[key]) for key in ("items", "additionalProperties") if key in schema}

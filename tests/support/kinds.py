@@ -32,7 +32,7 @@ def counted(items: Iterable[pytest.Item]) -> dict[str, int]:
 
 
 def sentence(numbers: dict[str, int]) -> str:
-    """Give the shares in one line."""
+    """Return the shares in one line."""
     total = sum(numbers.values())
     shares = ", ".join(f"{kind} {100 * n / total:.1f} %" for kind, n in numbers.items())
     outside = 100 * sum(numbers[kind] for kind in OUTSIDE) / total

@@ -16,20 +16,20 @@ ROWS, COLUMNS = np.arange(-400.0, 4801.0, 400.0), np.arange(0.0, 4101.0, 410.0)
 
 
 def looks(sample: np.ndarray) -> np.ndarray:
-    """Directions (n, 3) in the spacecraft of the invented camera: cubic distortion, 22 urad a pixel."""
+    """Return the directions (n, 3) in the spacecraft of the invented camera: cubic distortion, 22 urad a pixel."""
     s = sample - 2000.0
     k = np.stack([1e-3 + 1e-10 * s**2, 2.2e-5 * s * (1.0 + 1e-9 * s**2), np.ones(len(s))], axis=1)
     return k / np.linalg.norm(k, axis=1, keepdims=True)
 
 
 def exact(line: np.ndarray, sample: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (n, 3) m and directions (n, 3) of pixels, Earth-fixed."""
+    """Return the positions (n, 3) m and directions (n, 3) of pixels, Earth-fixed."""
     p, _, turn = states(PERIOD_S * line)
     return p, turn.apply(looks(sample))
 
 
 def lattice() -> tuple[np.ndarray, np.ndarray]:
-    """Records (r c, 5) of line, sample and direction, and (r, 4) of line and position."""
+    """Return the records (r c, 5) of line, sample and direction, and (r, 4) of line and position."""
     line, sample = (a.ravel() for a in np.meshgrid(ROWS, COLUMNS, indexing="ij"))
     _, direction = exact(line, sample)
     return np.column_stack([line, sample, direction]), np.column_stack([ROWS, exact(ROWS, 0.0 * ROWS)[0]])
@@ -98,7 +98,7 @@ class LatticeCamera:
         self.positions = np.array(root.findtext("SAT_POS").split(), float).reshape(-1, 3)
 
     def rays(self, line: np.ndarray, sample: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Positions (n, 3) m and unit directions (n, 3)."""
+        """Return the positions (n, 3) m and unit directions (n, 3)."""
         along = CubicSpline(self.rows, self.directions)(line)
         u = np.array([CubicSpline(self.columns, one)(s) for one, s in zip(along, sample, strict=True)])
         return CubicSpline(self.rows, self.positions)(line), u / np.linalg.norm(u, axis=1, keepdims=True)

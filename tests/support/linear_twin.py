@@ -25,18 +25,18 @@ class LinearTwin:
         return self.solution.redundancy
 
     def residuals(self, noise: np.ndarray) -> np.ndarray:
-        """Whitened residuals (runs, N) of adjustments with these whitened errors (runs, N)."""
+        """Return the whitened residuals (runs, N) of adjustments with these whitened errors (runs, N)."""
         return noise - (noise @ self.basis) @ self.basis.T
 
     def noise(self, seed: int, runs: int) -> np.ndarray:
-        """Errors (runs, N) of all observations, priors included, with sigmas as stated."""
+        """Return the errors (runs, N) of all observations, priors included, with sigmas as stated."""
         return np.random.default_rng(seed).normal(size=(runs, len(self.basis)))
 
     def suspects(self, kind: Kind = "groups") -> list[Suspects]:
         return suspects(self.solution.residual_cofactors, kind)
 
     def rows(self, found: Suspects) -> np.ndarray:
-        """Rows (n, m) of the suspects' residuals among all rows."""
+        """Return the rows (n, m) of the suspects' residuals among all rows."""
         problem = self.solution.problem
         n, control = len(problem.observations), np.flatnonzero(problem.observed)
         if found.part in ("image", "line", "sample"):
@@ -52,13 +52,13 @@ class LinearTwin:
         return np.array(out)
 
     def drawn(self, found: Suspects, v: np.ndarray) -> Suspects:
-        """The suspects with simulated residuals (runs, n, m)."""
+        """Return the suspects with simulated residuals (runs, n, m)."""
         return replace(found, v=v[:, self.rows(found)])
 
 
 @cache
 def linear_twin() -> LinearTwin:
-    """The Zonguldak twin at its solution."""
+    """Return the Zonguldak twin at its solution."""
     block, _ = zonguldak_block(ZonguldakOptions(seed=1))
     solution = fg.adjust(block, backend="dense")
     design = turned_design(solution.problem, solution.state)

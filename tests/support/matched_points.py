@@ -20,27 +20,27 @@ class Errors(NamedTuple):
     visible: np.ndarray
 
     def is_wrong(self, limit_px: float = 1.0) -> np.ndarray:
-        """Whether a ray belongs to another point."""
+        """Return whether a ray belongs to another point."""
         return np.asarray(~(np.linalg.norm(self.error_px, axis=1) <= limit_px))
 
     def rms_px(self) -> float:
-        """Root mean square of a coordinate of the right rays."""
+        """Return the root mean square of a coordinate of the right rays."""
         return float(np.sqrt(np.mean(self.error_px[~self.is_wrong()] ** 2)))
 
     def nees(self) -> float:
-        """Mean square of the errors in their standard deviations, of the right rays."""
+        """Return the mean square of the errors in their standard deviations, of the right rays."""
         good = ~self.is_wrong()
         return float(np.mean((self.error_px[good] / self.sigma_px[good]) ** 2))
 
 
 def table(path: Path) -> list[dict[str, str]]:
-    """Give the records of a CSV table."""
+    """Return the records of a CSV table."""
     with path.open(encoding="utf-8") as stream:
         return list(csv.DictReader(stream))
 
 
 def rays(folder: Path) -> dict[str, dict[str, tuple[np.ndarray, np.ndarray]]]:
-    """Give pixels and sigmas by point and image."""
+    """Return pixels and sigmas by point and image."""
     out: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]] = {}
     for row in table(folder / "observations.csv"):
         pixel = np.array([float(row["line"]), float(row["sample"])])

@@ -39,7 +39,7 @@ class Outcome:
 
 
 def weighted(block: Block, factors: dict[str, float]) -> Block:
-    """The block with the sigmas of some sensors multiplied: wrong weights."""
+    """Return the block with the sigmas of some sensors multiplied: wrong weights."""
     o, factor = block.observations, np.ones(len(block.observations))
     for name, value in factors.items():
         factor[np.isin(o.image, SENSORS[name])] = value

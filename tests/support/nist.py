@@ -107,7 +107,7 @@ def read_set(path: Path) -> Certified:
 
 
 def digits(found: npt.ArrayLike, certified: npt.ArrayLike) -> float:
-    """Least log relative error -log10 |q - c| / |c|, at most 11, the digits certified (McCullough 1998)."""
+    """Return the least log relative error -log10 |q - c| / |c|, at most 11, the digits certified (McCullough 1998)."""
     found, certified = np.asarray(found), np.asarray(certified)
     with np.errstate(divide="ignore"):
         return float(np.min(np.minimum(-np.log10(np.abs(found - certified) / np.abs(certified)), 11.0)))

@@ -17,12 +17,12 @@ def residual(record: Any, setup: Any, x: Any) -> Any:
 
 
 def jacobian(record: Array, setup: Array, value: Array, x: Array) -> Array:
-    """Jacobian (k, k) of observed parameters."""
+    """Return the Jacobian (k, k) of observed parameters."""
     return np.asarray(np.diag(1.0 / setup[1]))
 
 
 def observed_parameters(rng: np.random.Generator) -> Example:
-    """Five parameters."""
+    """Return the equation of five parameters."""
     setup = np.stack([rng.normal(size=5), rng.uniform(0.1, 2.0, 5)])
     return Example(np.zeros(0), setup, (rng.normal(size=5),))
 

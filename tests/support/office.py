@@ -46,13 +46,13 @@ class Place:
     crs: str
 
     def map(self, crs: str = "") -> np.ndarray:
-        """Easting, northing (or longitude, latitude) and ellipsoidal height (n, 3) by PROJ."""
+        """Return the easting, northing (or longitude, latitude) and ellipsoidal height (n, 3) by PROJ."""
         to = pyproj.Transformer.from_crs("EPSG:4979", pyproj.CRS(crs or self.crs).to_3d(), always_xy=True)
         return np.stack(to.transform(*self.lonlath.T), axis=1)
 
     @property
     def ecef(self) -> np.ndarray:
-        """Geocentric coordinates (n, 3), m."""
+        """Return the geocentric coordinates (n, 3), m."""
         to = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
         return np.stack(to.transform(*self.lonlath.T), axis=1)
 
@@ -61,7 +61,7 @@ class Place:
 def place(
     name: str, n: int = 20, seed: int = 3, relief_m: float = 250.0, moves: Any = MOVES, noise_px: float = 0.3
 ) -> Place:
-    """Two images of half a metre and n points, measured with noise."""
+    """Return two images of half a metre and n points, measured with noise."""
     lon, lat, crs = PLACES[name]
     rng = np.random.default_rng(seed)
     models = []
@@ -105,13 +105,13 @@ def dms(value: float, letters: str) -> str:
 
 
 def pixel_rows(there: Place, decimal: str = ".", first_pixel: float = 0.0, names: Sequence[str] = IMAGES) -> Grid:
-    """Rows of image, id, line, sample."""
+    """Return the rows of image, id, line, sample."""
     return [[name, i, *(number(v + first_pixel, decimal) for v in there.pixels[k][j])]
             for k, name in enumerate(names) for j, i in enumerate(there.ids)]  # fmt: skip
 
 
 def text(rows: Grid, mark: str = ";") -> str:
-    """Rows as lines."""
+    """Return the rows as lines."""
     return "".join(mark.join(str(cell) for cell in row) + "\r\n" for row in rows)
 
 
@@ -174,7 +174,7 @@ def office_folder(folder: Path) -> None:
 
 
 def made(project: Path) -> Survey:
-    """Survey of the tables of a project, by the strict reader."""
+    """Return the survey of the tables of a project, by the strict reader."""
     entry = _read_toml(project / "project.toml", {}).points
     return read_own((project / "points.csv", project / "observations.csv"), Settings(entry.crs or ""))
 

@@ -154,7 +154,7 @@ def _number(value: float, decimal: str, places: int, grouped: bool = False) -> s
 
 
 def _packed(value: float) -> float:
-    """Degrees as dddmmss.s."""
+    """Return the degrees as dddmmss.s."""
     sign, value = np.sign(value), abs(value)
     d = int(value)
     m = int((value - d) * 60.0)

@@ -56,12 +56,12 @@ def structure(path: Path) -> Structure:
 
 
 def with_columns(result: Result, table: str, columns: dict[str, Any]) -> Result:
-    """The result with other columns of one table."""
+    """Return the result with other columns of one table."""
     return dataclasses.replace(result, tables={**result.tables, table: Table(columns)})
 
 
 def of_large_images(result: Result) -> Result:
-    """The same points in images twelve times as large."""
+    """Return the same points in images twelve times as large."""
     images = []
     for image in result.record["images"]:
         corners = np.array(image["footprint_lon_lat_deg"], float)

@@ -87,7 +87,7 @@ def write_image(path: Path, lines: int = 12000, samples: int = 12000) -> None:
 
 
 def scene_points(folder: Path) -> list[dict[str, float]]:
-    """Give 80 points in the left image of the twin with 0.3 px of noise, and their ground coordinates."""
+    """Return 80 points in the left image of the twin with 0.3 px of noise, and their ground coordinates."""
     rng = np.random.default_rng(1)
     pixels, height = rng.uniform(100.0, 11900.0, (2, 80)), rng.uniform(0.0, 1500.0, 80)
     lon, lat, _ = ecef_to_geodetic(read_sensor(folder / "left.DIM").locate(*pixels, height_m=height))

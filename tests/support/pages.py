@@ -65,24 +65,24 @@ class Command:
 
     @property
     def words(self) -> list[str]:
-        """The command in words, without its comment and what is set before it."""
+        """Return the words of the command, without its comment and what is set before it."""
         return list(itertools.dropwhile(_ASSIGNED.match, shlex.split(self.text, comments=True)))
 
     @property
     def environment(self) -> dict[str, str]:
-        """What is set for this command: ``NAME=VALUE`` before it."""
+        """Return what is set for this command: ``NAME=VALUE`` before it."""
         words = itertools.takewhile(_ASSIGNED.match, shlex.split(self.text, comments=True))
         return dict(word.split("=", 1) for word in words)
 
 
 def fences(path: Path, name: str) -> list[Fence]:
-    """Give the blocks of a page that can be run."""
+    """Return the blocks of a page that can be run."""
     text = path.read_text("utf-8")
     return [Fence(name, text[: m.start()].count("\n") + 2, m[1], m[2]) for m in _FENCE.finditer(text)]
 
 
 def commands(fence: Fence) -> Iterator[Command]:
-    """Give the commands of a block; a backslash at the end of a line goes on in the next."""
+    """Yield the commands of a block; a backslash at the end of a line goes on in the next."""
     lines = fence.text.replace("\\\n", " ").splitlines()
     if fence.language == "sh":
         for line in lines:
@@ -143,7 +143,7 @@ def _plain(line: str) -> str:
 
 
 def _leaf(command: Command) -> tuple[Any, list[str]]:
-    """The command of the command line that is meant, and the words after its name."""
+    """Return the command of the command line that is meant, and the words after its name."""
     words, leaf = command.words[1:], command_line()
     while words[:1] == ["--plugin"]:  # stands before the command
         del words[:2]

@@ -11,6 +11,6 @@ from fg_orient.simulate.block import BlockOptions, grid_block
 
 @lru_cache
 def block() -> Block:
-    """Six images, 60 ground points."""
+    """Return six images, 60 ground points."""
     found, _ = grid_block(BlockOptions(rows=2, columns=3, points=60, seed=5))
     return replace(found, options=replace(found.options, eop_set=15, backend="schur"))

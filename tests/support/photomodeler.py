@@ -21,13 +21,13 @@ from tests.support.dbat import EXTERIOR, NOTHING
 
 
 def read_control(path: Path) -> dict[int, np.ndarray]:
-    """Rows of a control point file by id: X, Y, Z, then sigmas where there are any."""
+    """Return the rows of a control point file by id: X, Y, Z, then sigmas where there are any."""
     rows = [line.split(",") for line in path.read_text().splitlines() if line.strip() and line[0] != "#"]
     return {int(row[0]): np.array([float(word) for word in row[2:]]) for row in rows}
 
 
 def read_centres(path: Path) -> dict[str, np.ndarray]:
-    """X, Y, Z and sigma of projection centres by photo."""
+    """Return X, Y, Z and sigma of projection centres by photo."""
     rows = [line.split(",") for line in path.read_text().splitlines() if line.strip() and line[0] != "#"]
     return {row[0]: np.array([float(word) for word in row[1:]]) for row in rows}
 
@@ -65,7 +65,10 @@ def block(export: FrameModel, control: dict[int, np.ndarray], sigma_px: float, c
 
 
 def _points(export: FrameModel, ids: np.ndarray, control: dict[int, np.ndarray], shift: np.ndarray) -> GroundPoints:
-    """Control points held, or observed with sigmas; the others begin at the export's coordinates."""
+    """Hold the control points, or observe them with sigmas.
+
+    The others begin at the export's coordinates.
+    """
     start = points_of(export)
     xyz, sigma = np.array([start[i] for i in ids.tolist()]), np.full((len(ids), 3), np.nan)
     fixed = np.zeros(len(ids), bool)
@@ -81,7 +84,10 @@ def _points(export: FrameModel, ids: np.ndarray, control: dict[int, np.ndarray],
 def _observed(
     images: tuple[Image, ...], centres: dict[str, np.ndarray], shift: np.ndarray
 ) -> tuple[ExtraObservation, ...]:
-    """Observations of projection centres: X, Y, Z, sigma by photo; unknowns stand in units of their prior sigmas."""
+    """Return the observations of projection centres: X, Y, Z, sigma by photo.
+
+    Unknowns stand in units of their prior sigmas.
+    """
     out = []
     for image in images:
         if image.id in centres:

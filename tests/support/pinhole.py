@@ -59,7 +59,7 @@ def pinhole_block(
     mixed: bool = False,
     columns: int | None = None,
 ) -> tuple[Block, FrameTruth]:
-    """A block of ``n_images`` pinhole images and ``n_points`` tie points with start values, and its truth.
+    """Return a block of ``n_images`` pinhole images and ``n_points`` tie points with start values, and its truth.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def _drawn(n: int, images: int, views: int, rng: np.random.Generator) -> npt.NDA
 
 
 def _cameras(n: int, columns: int, rng: np.random.Generator, spacing_m: float) -> tuple[Array, list[FrameCamera]]:
-    """True cameras row by row, looking down, turned at random about the vertical."""
+    """Return the true cameras row by row, looking down, turned at random about the vertical."""
     k = np.arange(n)
     plane = spacing_m * np.stack([k % columns, k // columns], axis=1) + rng.uniform(-4.0, 4.0, (n, 2))
     centre = np.column_stack([plane, HEIGHT_M + rng.uniform(-5.0, 5.0, n)])
@@ -129,7 +129,7 @@ _DOWN: Final = np.diag([1.0, -1.0, -1.0])
 
 
 def _points(centre: Array, n: int, rng: np.random.Generator) -> Array:
-    """Ground points (n, 3) below the cameras, sorted along the rows."""
+    """Return the ground points (n, 3) below the cameras, sorted along the rows."""
     low, high = centre[:, :2].min(axis=0) - 0.5 * SPACING_M, centre[:, :2].max(axis=0) + 0.5 * SPACING_M
     plane = rng.uniform(low, high, (n, 2))
     plane = plane[np.lexsort((plane[:, 0], plane[:, 1] // SPACING_M))]
@@ -137,7 +137,7 @@ def _points(centre: Array, n: int, rng: np.random.Generator) -> Array:
 
 
 def _observed(cameras: list[FrameCamera], image: npt.NDArray[np.intp], ground_m: Array) -> tuple[Array, Array]:
-    """Lines and samples (n,) of points (n, 3) in their images."""
+    """Return the lines and samples (n,) of points (n, 3) in their images."""
     out = np.empty((len(image), 2))
     order = np.argsort(image, kind="stable")
     for k, rows in enumerate(np.split(order, np.searchsorted(image[order], np.arange(1, len(cameras))))):
@@ -146,7 +146,7 @@ def _observed(cameras: list[FrameCamera], image: npt.NDArray[np.intp], ground_m:
 
 
 def _disturbed(cameras: list[FrameCamera], rng: np.random.Generator) -> tuple[list[FrameCamera], Array]:
-    """Cameras with the errors of start values, and the unknowns (M, 9) that lead back to the true ones."""
+    """Return the cameras with the errors of start values, and the unknowns (M, 9) that lead back to the true ones."""
     x = rng.standard_normal((len(cameras), len(SIGMA)))
     out = []
     for camera, row in zip(cameras, x * np.array(list(SIGMA.values())), strict=True):
@@ -157,7 +157,7 @@ def _disturbed(cameras: list[FrameCamera], rng: np.random.Generator) -> tuple[li
 
 
 def _block(cameras: list[FrameCamera], ground_m: Array, observations: ImagePoints) -> Block:
-    """The block of cameras and start values of ground points."""
+    """Return the block of cameras and start values of ground points."""
     side, width = 2 * HALF_SIDE_PX + 1, len(str(len(cameras)))
     images = tuple(
         Image(f"{k + 1:0{width}d}", FrameSensor(

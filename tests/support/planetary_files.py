@@ -19,7 +19,7 @@ SIZE = 2000
 
 
 def isd(k: int, position_km: Array, camera: Array, body: Array) -> dict[str, Any]:
-    """ISD of a metric camera; the rotations lead to the camera and to the body from inertial axes."""
+    """Return the ISD of a metric camera; the rotations lead to the camera and to the body from inertial axes."""
 
     def quaternion(turn: Array) -> list[float]:
         return np.roll(Rotation.from_matrix(turn).as_quat(), 1).tolist()  # type: ignore[no-any-return]
@@ -46,7 +46,7 @@ def isd(k: int, position_km: Array, camera: Array, body: Array) -> dict[str, Any
 
 
 def label(k: int) -> str:
-    """Label of an image: serial number, and a reduction by four."""
+    """Return the label of an image: serial number, and a reduction by four."""
     return f"""Object = IsisCube
   Group = Instrument
     SpacecraftName = "APOLLO 15"
@@ -95,7 +95,7 @@ def network(points: Sequence[dict[str, Any]]) -> str:
 
 
 def project(images: Sequence[str], *, held: Sequence[str] = (), latitudinal: bool = True, more: str = "") -> str:
-    """Project file with the settings of jigsaw; pixels of the image are four pixels of the scan."""
+    """Return the project file with the settings of jigsaw; pixels of the image are four pixels of the scan."""
     parts = ['schema = 1\nname = "moon"\nbody = "Moon"']
     for name in images:
         parts.append(f'[[images]]\nid = "{name}"\nmetadata = "{name}.isd"\nheld = {str(name in held).lower()}')
@@ -150,7 +150,7 @@ def write_block(folder: Path, *, seed: int = 1, n_images: int = 3, n_points: int
 
 
 def _pixel(frame: twin.Frame, x: Array, place: Array) -> tuple[float, float]:
-    """Sample and line of ISIS whose ideal coordinates are those of a point."""
+    """Return the sample and line of ISIS whose ideal coordinates are those of a point."""
     wanted, pixel = twin.project(frame, x, place)[0], np.array([SIZE / 2.0, SIZE / 2.0])
     for _ in range(20):
         here = frame.ideal(*pixel)

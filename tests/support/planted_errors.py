@@ -25,7 +25,7 @@ class Planted:
     ecef_m: np.ndarray
 
     def draw(self, rng: np.random.Generator, image: float = 1.0, position: float = 1.0, height: float = 1.0) -> Block:
-        """A block with fresh errors."""
+        """Return a block with fresh errors."""
         o, known = self.block.observations, self.block.points.known
         pixel = rng.normal(size=(2, len(o))) * [o.sigma_line_px, o.sigma_sample_px] * image
         lon, lat, _ = ecef_to_geodetic(self.ecef_m)
@@ -40,7 +40,7 @@ class Planted:
 
 @cache
 def planted() -> Planted:
-    """Image points without errors, true coordinates."""
+    """Return the image points without errors, true coordinates."""
     twin = rpc_twin("shift", seed=3, noise_px=0.0)
     n, o = len(twin.ecef_m), twin.block.observations
     known = Coordinates(twin.ecef_m, np.tile(SIGMA_ENU_M, (n, 1)), np.zeros(n, bool))

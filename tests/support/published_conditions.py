@@ -17,12 +17,12 @@ STEP = 1e-30
 
 
 def norm(v: np.ndarray) -> np.ndarray:
-    """Length without conjugation: analytic."""
+    """Return the length without conjugation, which is analytic."""
     return np.sqrt(np.sum(v * v, axis=-1, keepdims=True))
 
 
 def frame(p: np.ndarray, v: np.ndarray, as_run: bool) -> np.ndarray:
-    """Convention B: columns X right of flight, Y forward, Z outward, (n, 3, 3)."""
+    """Return the axes of convention B: columns X right of flight, Y forward, Z outward, (n, 3, 3)."""
     z = p / norm(p)
     if as_run:
         x = np.cross(v / norm(v), z)
@@ -53,19 +53,19 @@ def f_vector(eop: np.ndarray, ground: np.ndarray, as_run: bool) -> np.ndarray:
 
 
 def conditions(eop: np.ndarray, look: np.ndarray, ground: np.ndarray, as_run: bool) -> np.ndarray:
-    """F_psi_y, F_psi_x (n, 2) from the nine EOPs (n, 9), look angles psi_x, psi_y (n, 2), ground (n, 3)."""
+    """Return f_psi_y and F_psi_x (n, 2) from the nine EOPs (n, 9), look angles psi_x, psi_y (n, 2), ground (n, 3)."""
     f = f_vector(eop, ground, as_run)
     return np.stack([f[:, 0] / f[:, 2] - np.tan(look[:, 1]), f[:, 1] / f[:, 2] + np.tan(look[:, 0])], axis=1)
 
 
 def back_projected(eop: np.ndarray, ground: np.ndarray, as_run: bool) -> np.ndarray:
-    """Look angles psi_x, psi_y (n, 2) at which the conditions vanish."""
+    """Return the look angles psi_x, psi_y (n, 2) at which the conditions vanish."""
     f = f_vector(eop, ground, as_run)
     return np.arctan(np.stack([-f[:, 1] / f[:, 2], f[:, 0] / f[:, 2]], axis=1))
 
 
 def ray(eop: np.ndarray, look: np.ndarray, as_run: bool, third: float = -1.0) -> np.ndarray:
-    """Direction R_OG R_UY u1 (n, 3), unit length."""
+    """Return the direction R_OG R_UY u1 (n, 3), unit length."""
     u1 = np.stack([-np.tan(look[:, 1]), np.tan(look[:, 0]), np.full(len(look), third)], axis=1)
     u = np.einsum("nij,njk,nk->ni", frame(eop[:, 0:3], eop[:, 3:6], as_run), attitude(eop[:, 6:9], as_run), u1)
     return u / norm(u)
@@ -126,7 +126,7 @@ def file_eop(block: Block, image: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def all_eop(block: Block) -> np.ndarray:
-    """The nine EOPs of every image point (n, 9)."""
+    """Return the nine EOPs of every image point (n, 9)."""
     out = np.empty((len(block.observations), 9))
     for image in range(len(block.images)):
         rows, values = file_eop(block, image)
@@ -135,12 +135,12 @@ def all_eop(block: Block) -> np.ndarray:
 
 
 def coefficient_columns(d_eop: np.ndarray, line: np.ndarray, codes: Sequence[int]) -> np.ndarray:
-    """A (n, 2, k) of the coefficients per line from the derivatives (n, 2, 9)."""
+    """Return A (n, 2, k) of the coefficients per line from the derivatives (n, 2, 9)."""
     return np.stack([d_eop[:, :, code // 3] * (line ** (code % 3))[:, None] for code in codes], axis=2)
 
 
 def two_rays(p1: np.ndarray, u1: np.ndarray, p2: np.ndarray, u2: np.ndarray) -> np.ndarray:
-    """Foot on the first ray: [u1, -u2] s = P2 - P1 by least squares, point by point."""
+    """Return the foot on the first ray by [u1, -u2] s = P2 - P1 by least squares, point by point."""
     out = np.empty_like(p1)
     for k in range(len(p1)):
         s = np.linalg.lstsq(np.stack([u1[k], -u2[k]], axis=1), p2[k] - p1[k], rcond=None)[0]

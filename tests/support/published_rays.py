@@ -21,7 +21,7 @@ NEAREST = 8
 
 
 def state(orbit: Ephemeris, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Position and velocity (n, 3) by scipy's polynomials through the nearest samples."""
+    """Return the position and velocity (n, 3) by scipy's polynomials through the nearest samples."""
     samples = np.hstack([orbit.position_m, orbit.velocity_m_s])
     use = min(NEAREST, len(samples))
     first = np.clip(np.searchsorted(orbit.time_s, time_s) - use // 2, 0, len(samples) - use)
@@ -38,7 +38,7 @@ def state(orbit: Ephemeris, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 def rays(
     m: PushbroomMetadata, line: np.ndarray, sample: np.ndarray, correction: Correction | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Projection centres (n, 3) and unit viewing directions (n, 3) in ECEF; no curves, no small angles."""
+    """Return the projection centres (n, 3) and unit viewing directions (n, 3) in ECEF; no curves, no small angles."""
     line, sample = (a.ravel() for a in np.broadcast_arrays(np.asarray(line, float), np.asarray(sample, float)))
     c = correction or Correction()
     time_s = m.timing.reference_time_s + (line - m.timing.reference_line) * m.timing.line_period_s
@@ -78,7 +78,7 @@ def misses_m(
     m: PushbroomMetadata, line: np.ndarray, sample: np.ndarray, ground_m: np.ndarray,
     correction: Correction | None = None,
 ) -> np.ndarray:  # fmt: skip
-    """Distances (n,) of ground points from the rays of their pixels."""
+    """Return the distances (n,) of ground points from the rays of their pixels."""
     centre, direction = rays(m, line, sample, correction)
     return np.asarray(np.linalg.norm(np.cross(ground_m - centre, direction), axis=1))
 

@@ -18,14 +18,14 @@ from fg_orient.sensors.rpc_sensor import RpcSensor
 
 
 def rows(path: Path) -> list[dict[str, str]]:
-    """A CSV table, compressed or not."""
+    """Return a CSV table, compressed or not."""
     opened = gzip.open(path, "rt", encoding="utf-8") if path.suffix == ".gz" else path.open(encoding="utf-8")
     with opened as stream:
         return list(csv.DictReader(stream))
 
 
 def numbers(table: Sequence[dict[str, str]], *names: str) -> np.ndarray:
-    """Columns as numbers (n, k)."""
+    """Return the columns as numbers (n, k)."""
     return np.array([[float(row[name]) for name in names] for row in table])
 
 
@@ -45,7 +45,7 @@ def spread(pixels: np.ndarray, count: int) -> list[int]:
 def block_of(
     name: str, images: tuple[Image, ...], ids: tuple[str, ...], known: Coordinates, observations: ImagePoints
 ) -> Block:
-    """All points with coordinates are control points, the others tie points."""
+    """Make all points with coordinates control points, and the others tie points."""
     roles = tuple(Role.TIE if np.isnan(x).any() else Role.CONTROL for x in known.ecef_m)
     empty = Coordinates(np.empty((0, 3)), np.empty((0, 3)), np.zeros(0, bool))
     return Block(name, images, GroundPoints(ids, roles, known), observations, WithheldCoordinates((), lambda: empty))
@@ -68,7 +68,7 @@ def with_roles(block: Block, control: Collection[int], left_out: Collection[str]
 
 
 def pleiades_1(folder: Path) -> Block:
-    """The 86 surveyed points as constants in image 1, vendor RPC; pixels of the file count from 1."""
+    """Return the 86 surveyed points as constants in image 1, vendor RPC; pixels of the file count from 1."""
     source = folder / "geoetrim-pleiades"
     image = Image("1", RpcSensor(read_rpc(source / "PHR1A_img1_RPC.txt", first_pixel=1.0)))
     table = rows(source / "points_img1.csv")
@@ -81,7 +81,7 @@ def pleiades_1(folder: Path) -> Block:
 
 
 def pleiades_neo(folder: Path, pixel_factor: float = 1.0, position_factor: float = 1.0) -> Block:
-    """The Pléiades Neo pair with its control points; the stated sigmas times the factors."""
+    """Return the Pléiades Neo pair with its control points; the stated sigmas times the factors."""
     source = folder / "micmac-pneo-pair"
     images = tuple(Image(p.name[4:25], RpcSensor(read_rpc(p))) for p in sorted(source.glob("RPC_*.XML")))
     ground = {row["gcp_id"]: row for row in rows(source / "gcp_ground.csv")}
@@ -100,7 +100,7 @@ def pleiades_neo(folder: Path, pixel_factor: float = 1.0, position_factor: float
 
 
 def spot7(folder: Path, count: int, sigma_px: float = 0.5) -> Block:
-    """The SPOT-7 pair with every k-th of its 115109 tie points; x is the sample, y the line."""
+    """Return the SPOT-7 pair with every k-th of its 115109 tie points; x is the sample, y the line."""
     source = folder / "micmac-spot7-rpc"
     images = tuple(Image(name, RpcSensor(read_rpc(source / f"RPC_{name}.xml"))) for name in ("1A", "1B"))
     tables = [{row["Id"]: row for row in rows(source / f"PMUL-SPOT_{i.id}.csv.gz")} for i in images]

@@ -59,13 +59,13 @@ SAME = {"copy", "ravel", "astype", "ascontiguousarray", "asarray", "array", "con
 
 
 def join(*kinds: Kind) -> Kind:
-    """Kind of what may be any of these, or is computed from all of them."""
+    """Return the kind of what may be any of these, or is computed from all of them."""
     flat = {k if isinstance(k, str) else join(*k) for k in kinds}
     return next((k for k in (RECORD, UNKNOWN, FREE) if k in flat), NOTHING if flat else FREE)
 
 
 def merge(a: Kind, b: Kind) -> Kind:
-    """Kind of what may be either of these; tuples of one length stay tuples."""
+    """Return the kind of what may be either of these; tuples of one length stay tuples."""
     if isinstance(a, tuple) and isinstance(b, tuple) and len(a) == len(b):
         return tuple(merge(x, y) for x, y in zip(a, b, strict=True))
     if FREE in (a, b) and not (isinstance(a, str) and isinstance(b, str)):
@@ -89,15 +89,15 @@ class Function:
 
     @property
     def parameters(self) -> list[str]:
-        """Names of the positional parameters."""
+        """Return the names of the positional parameters."""
         return [a.arg for a in self.node.args.args]
 
     def state(self) -> tuple[object, ...]:
-        """All that is known: the tracing ends when it no longer changes."""
+        """Return all that is known: the tracing ends when it no longer changes."""
         return dict(self.passed), dict(self.fixed), dict(self.known), self.result, len(self.indexed)
 
     def kind(self, name: str) -> Kind:
-        """Kind of a variable; of a parameter that of its arguments."""
+        """Return the kind of a variable; of a parameter that of its arguments."""
         if self.fixed.get(name) == RECORD or RECORD in (self.known.get(name), self.passed.get(name)):
             return RECORD
         if name in self.fixed:
@@ -199,7 +199,7 @@ class Program:
                         function.fixed |= {first: RECORD, **dict.fromkeys(others, FREE)}
 
     def resolve(self, module: Module, name: ast.expr) -> Function | None:
-        """Function that a name or an attribute of a module means."""
+        """Return the function that a name or an attribute of a module means."""
         if isinstance(name, ast.Name):
             if name.id in module.functions:
                 return module.functions[name.id]
@@ -211,17 +211,17 @@ class Program:
         return None
 
     def is_field(self, node: ast.AST) -> bool:
-        """Whether an expression names a field of a record."""
+        """Return whether an expression names a field of a record."""
         if isinstance(node, ast.Attribute) and node.attr in ("start", "stop"):
             return self.is_field(node.value)
         return isinstance(node, ast.Attribute) and node.attr != "size" and _dotted(node.value)[-1] in self.names
 
     def has_field(self, node: ast.AST) -> bool:
-        """Whether an index is built with a field of a record."""
+        """Return whether an index is built with a field of a record."""
         return any(self.is_field(part) for part in _own(node))
 
     def findings(self, strict: dict[str, bool]) -> Iterator[str]:
-        """Place and text of each integer that indexes a record."""
+        """Yield the place and text of each integer that indexes a record."""
         for walk in self.walks:
             path = walk.function.module.path
             counted = next(strict[folder] for folder in strict if path.startswith(f"{folder}/"))
@@ -230,7 +230,7 @@ class Program:
 
 
 def _dotted(node: ast.AST | None) -> list[str]:
-    """Parts of a dotted name."""
+    """Return the parts of a dotted name."""
     parts: list[str] = []
     while isinstance(node, ast.Attribute):
         parts.insert(0, node.attr)
@@ -243,7 +243,7 @@ def _is_call(node: ast.AST | None, name: str) -> bool:
 
 
 def _own(node: ast.AST) -> Iterator[ast.AST]:
-    """Parts of an index, without those inside calls and other indices."""
+    """Yield the parts of an index, without those inside calls and other indices."""
     yield node
     if not isinstance(node, ast.Call | ast.Subscript | ast.Attribute):
         for child in ast.iter_child_nodes(node):
@@ -251,7 +251,7 @@ def _own(node: ast.AST) -> Iterator[ast.AST]:
 
 
 def _last(index: ast.expr) -> ast.expr:
-    """Index of the last axis."""
+    """Return the index of the last axis."""
     return index.elts[-1] if isinstance(index, ast.Tuple) and index.elts else index
 
 
@@ -313,7 +313,7 @@ class _Walk:
                 self._assign(part, one)
 
     def _element(self, over: ast.expr) -> Kind:
-        """Kind of what a loop gives."""
+        """Return the kind of what a loop gives."""
         if isinstance(over, ast.Call) and isinstance(over.func, ast.Name):
             if over.func.id == "zip":
                 return tuple(self._element(a) for a in over.args)
@@ -348,7 +348,7 @@ class _Walk:
         return {name for name, kind in self.function.known.items() if isinstance(kind, tuple)}
 
     def kind(self, node: ast.expr) -> Kind:
-        """Kind of an expression."""
+        """Return the kind of an expression."""
         program = self.program
         match node:
             case ast.Name(id=name):
@@ -381,7 +381,7 @@ class _Walk:
         return UNKNOWN
 
     def _part(self, base: ast.expr, whole: Kind, index: ast.expr) -> Kind:
-        """Kind of a subscript."""
+        """Return the kind of a subscript."""
         if isinstance(whole, tuple):
             one = isinstance(index, ast.Constant) and isinstance(index.value, int) and index.value < len(whole)
             return whole[index.value] if one else join(*whole)  # type: ignore[index]
@@ -398,7 +398,7 @@ class _Walk:
         return RECORD if self._is_batch(base) and not isinstance(index, ast.Tuple) else FREE  # a row, or a number
 
     def _result(self, call: ast.Call) -> Kind:
-        """Kind of what a call gives."""
+        """Return the kind of what a call gives."""
         callee = self.program.resolve(self.function.module, call.func)
         if callee is not None:
             return callee.result
@@ -425,7 +425,10 @@ class _Walk:
         return join(*(self.kind(a) for a in call.args)) if parts[0] in ("np", "math") else UNKNOWN
 
     def _created(self, call: ast.Call) -> Kind:
-        """Arrays that are created here: records in the size of one; free if of a size that is written there."""
+        """Return the kind of an array that is created here.
+
+        It is a record if its size is that of a record, and free if its size is written there.
+        """
         if any(isinstance(n, ast.Attribute) and n.attr == "size" and _dotted(n.value)[-1] in self.program.names
                for n in ast.walk(call)):  # fmt: skip
             return RECORD
@@ -435,13 +438,13 @@ class _Walk:
         return FREE if isinstance(shape, ast.Tuple) else UNKNOWN
 
     def _written(self, numbers: ast.expr, kind: Kind) -> Kind:
-        """Array of numbers that are written there: up to three, or a matrix."""
+        """Return the array of numbers that are written there: up to three, or a matrix."""
         if isinstance(numbers, ast.List) and numbers.elts and not isinstance(kind, str):
             return FREE if len(kind) <= 3 or isinstance(numbers.elts[0], ast.List) else UNKNOWN
         return FREE if isinstance(kind, tuple) and len(kind) <= 3 else join(kind)
 
     def numbered(self, strict: bool) -> Iterator[tuple[int, str]]:
-        """Lines and texts of indices by integers."""
+        """Yield the lines and texts of indices by integers."""
         for node in self.nodes:
             if isinstance(node, ast.Subscript):
                 kind, last = self.kind(node.value), _last(node.slice)
@@ -469,7 +472,7 @@ class _Walk:
         return self._is_batch(node.value) and max(_integers(node.slice)) <= 1
 
     def _is_batch(self, base: ast.expr) -> bool:
-        """Whether an array holds many records: an attribute ``records``, or an array with a second index."""
+        """Return whether an array holds many records: an attribute ``records``, or an array with a second index."""
         if isinstance(base, ast.Call):
             return _dotted(base.func)[-1] == "records"
         name = _dotted(base)
@@ -484,7 +487,7 @@ def _flat(arguments: list[ast.expr]) -> list[ast.expr]:
 
 
 def sources() -> dict[str, str]:
-    """Text of every module that the check reads, by its path."""
+    """Return the text of every module that the check reads, by its path."""
     return {str(path.relative_to(ROOT)): path.read_text("utf-8")
             for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*.py"))}  # fmt: skip
 

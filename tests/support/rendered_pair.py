@@ -50,7 +50,7 @@ class View:
         return np.array([[-s, -c], [c, -s]])  # line against y, sample along x
 
     def project(self, x: np.ndarray, y: np.ndarray, h: np.ndarray) -> np.ndarray:
-        """True pixels (n, 2) of ground points."""
+        """Return the true pixels (n, 2) of ground points."""
         at = np.stack([x - self.lean[0] * h, y - self.lean[1] * h])
         return (self.matrix @ at / GSD_M).T + 0.5 * (self.size - 1)
 
@@ -128,7 +128,7 @@ class Scene:
         return (xy + self.extent_m) / self.CELL_M - 0.5
 
     def height(self, xy: np.ndarray) -> np.ndarray:
-        """Heights (n,) at x and y (2, n), bilinear."""
+        """Return the heights (n,) at x and y (2, n), bilinear."""
         return np.asarray(ndimage.map_coordinates(self.heights, self._cells(xy), order=1, mode="nearest"))
 
     def write_dem(self, path: Path, step_m: float, error_m: float = 0.0) -> None:
@@ -166,7 +166,7 @@ class Scene:
         return self.height(xy)
 
     def meet(self, view: View, pixel: np.ndarray) -> np.ndarray:
-        """Ground points (3, n) that pixels (n, 2) see: first intersections from above."""
+        """Return the ground points (3, n) that pixels (n, 2) see: first intersections from above."""
         lean = max(float(np.hypot(*view.lean)), 0.05)
         step = 0.5 * self.CELL_M / lean
         level = np.full(len(pixel), self.top_m + step)
@@ -182,7 +182,7 @@ class Scene:
         return np.vstack([view.ray(pixel, below), below])
 
     def render(self, view: View, snr: float, rng: np.random.Generator) -> np.ndarray:
-        """Image (size, size) with noise of ``MEAN_GREY / snr``."""
+        """Return the image (size, size) with noise of ``MEAN_GREY / snr``."""
         n = view.size * SAMPLES
         out = np.empty((n, n), np.float32)
         place = (np.arange(n) + 0.5) / SAMPLES - 0.5

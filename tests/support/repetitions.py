@@ -9,7 +9,7 @@ import pytest
 
 
 def some_slow(values: Iterable[Any], fast: int = 1) -> list[Any]:
-    """Give the values of a parameter (tuples: of several), all but the first ones marked slow."""
+    """Return the values of a parameter (tuples: of several), all but the first ones marked slow."""
     out: list[Any] = []
     for k, value in enumerate(values):
         given = value if isinstance(value, tuple) else (value,)

@@ -29,7 +29,7 @@ TERMS = ("line_0", "sample_0", "line_l1", "sample_l1", "line_s1", "sample_s1")
 
 
 def terms(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """The 20 monomials in RPC00B order: (n, 20)."""
+    """Return the 20 monomials in RPC00B order: (n, 20)."""
     one = np.ones_like(x)
     return np.stack([one, x, y, z, x * y, x * z, y * z, x * x, y * y, z * z, x * y * z, x**3, x * y * y, x * z * z,
                      x * x * y, y**3, y * z * z, x * x * z, y * y * z, z**3], axis=1)  # fmt: skip
@@ -60,7 +60,7 @@ def fitted_rpc(sensor: Any, name: str) -> RpcModel:
 
 @cache
 def twin_with_models() -> tuple[Block, np.ndarray, tuple[RpcModel, ...]]:
-    """The twin, its true ground points and one fitted model per image."""
+    """Return the twin, its true ground points and one fitted model per image."""
     block, truth = zonguldak_block(ZonguldakOptions(seed=1))
     return block, truth.ecef_m, tuple(fitted_rpc(image.sensor, image.id) for image in block.images)
 
@@ -96,7 +96,7 @@ def rpc_twin(kind: str = "shift", seed: int = 1, noise_px: float = SIGMA_PX) -> 
 
 
 def without_control(block: Block) -> Block:
-    """All points as tie points."""
+    """Return all points as tie points."""
     known = block.points.known
     nothing = np.full_like(known.ecef_m, np.nan)
     empty = replace(known, ecef_m=nothing, sigma_enu_m=nothing, fixed=np.zeros(len(nothing), bool))

@@ -13,7 +13,7 @@ TERMS = "1 L P H LP LH PH LL PP HH PLH LLL LPP LHH LLP PPP PHH LLH PPH HHH".spli
 
 
 def synthetic_model(seed: int = 1, **fields: Any) -> RpcModel:
-    """Line runs to the south, sample to the east, all 80 coefficients count; 0.5 m pixels."""
+    """Return an RPC with lines to the south, samples to the east, 80 coefficients and pixels of 0.5 m."""
     rng = np.random.default_rng(seed)
     c = rng.normal(scale=1e-4, size=(4, 20))
     c[1::2, 0] = 1.0
@@ -25,7 +25,7 @@ def synthetic_model(seed: int = 1, **fields: Any) -> RpcModel:
 
 
 def ground_points(model: RpcModel, n: int = 200, seed: int = 2) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Longitudes, latitudes and heights inside the model's cube."""
+    """Return the longitudes, latitudes and heights inside the model's cube."""
     u = np.random.default_rng(seed).uniform(-1.0, 1.0, (3, n))
     lon, lat, h = model.offsets[2:, None] + model.scales[2:, None] * u
     return lon, lat, h
@@ -34,7 +34,7 @@ def ground_points(model: RpcModel, n: int = 200, seed: int = 2) -> tuple[np.ndar
 def reference_project(
     model: RpcModel, lon: np.ndarray, lat: np.ndarray, h: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Line and sample, term by term in extended precision."""
+    """Return the line and sample, term by term in extended precision."""
     ld = np.longdouble
     names = dict(zip("LPH", (lon, lat, h), strict=True))
     n = {

@@ -30,7 +30,7 @@ DOWN = np.diag([1.0, -1.0, -1.0])
 
 
 def turn(rotation_vector: Array) -> Array:
-    """Matrix that turns vectors by a rotation vector (Rodrigues)."""
+    """Return the matrix that turns vectors by a rotation vector (Rodrigues)."""
     angle = float(np.linalg.norm(rotation_vector))
     if angle == 0.0:
         return np.eye(3)
@@ -48,7 +48,7 @@ class Angular:
     acceleration: Array
 
     def at(self, dt: float) -> Array:
-        """The matrix ``dt`` seconds later: turned by the rate, then by the acceleration."""
+        """Return the matrix ``dt`` seconds later: turned by the rate, then by the acceleration."""
         return turn(-0.5 * dt * dt * self.acceleration) @ turn(-dt * self.rate) @ self.matrix
 
 
@@ -62,15 +62,15 @@ class Transform:
     spacecraft: Angular  # inertial from spacecraft axes
 
     def matrices(self, time_s: Array) -> Array:
-        """Earth-fixed from inertial axes."""
+        """Return the Earth-fixed axes from inertial axes."""
         return np.array([self.earth.at(float(t) - self.time_s).T for t in time_s])
 
     def rate_rad_s(self, time_s: float) -> float:
-        """Rate about the pole."""
+        """Return the rate about the pole."""
         return float(np.linalg.norm(self.earth.rate))
 
     def state(self, dt: float) -> tuple[Array, Array, Array]:
-        """Position and velocity (inertial axes), and inertial from spacecraft axes, ``dt`` seconds later."""
+        """Return the position and velocity (inertial axes), and inertial from spacecraft axes, ``dt`` seconds later."""
         p, v, a = self.position
         here, speed = p + dt * v + 0.5 * dt * dt * a, v + dt * a
         matrix = self.spacecraft.at(dt)
@@ -107,7 +107,7 @@ class Replay:
     inverse: list[tuple[Array, LightEffects, Array]] = field(default_factory=list)  # lon lat h; result: line, pixel
 
     def transform_of(self, time_s: float) -> Transform:
-        """The nearest one of the table, as Rugged takes it."""
+        """Return the nearest one of the table, as Rugged takes it."""
         return self.transforms[round((time_s - self.first_s) / self.step_s)]
 
 
@@ -146,7 +146,7 @@ class SparseDem:
 
 
 def _seconds(text: str, epoch: np.datetime64) -> float:
-    """Seconds since 0 h of the epoch; fourteen decimals, so not through datetime64."""
+    """Return the seconds since 0 h of the epoch; fourteen decimals, so not through datetime64."""
     day, clock = text.rstrip("Z").split("T")
     h, m, s = clock.split(":")
     days = (np.datetime64(day) - epoch) / np.timedelta64(1, "D")
@@ -154,7 +154,7 @@ def _seconds(text: str, epoch: np.datetime64) -> float:
 
 
 def _numbers(words: list[str], *names: str) -> Array:
-    """Numbers that follow names, three each but four after "r"."""
+    """Return the numbers that follow names, three each but four after "r"."""
     out = []
     for name in names:
         k = words.index(name) + 1
@@ -223,7 +223,7 @@ def _transform(words: list[str], time_s: float) -> Transform:
 
 
 def orbit_and_attitude(t: Transform) -> tuple[Ephemeris, QuaternionList]:
-    """States around a transform, as a sensor description has them: inertial axes, quaternions."""
+    """Return the states around a transform, as a sensor description has them: inertial axes, quaternions."""
     states = [t.state(float(dt)) for dt in SAMPLES_S]
     times = t.time_s + SAMPLES_S
     orbit = Ephemeris(times, np.array([s[0] for s in states]), np.array([s[1] for s in states]), "EME2000")
@@ -235,7 +235,7 @@ def orbit_and_attitude(t: Transform) -> tuple[Ephemeris, QuaternionList]:
 
 
 def quaternion_of(m: Array) -> Array:
-    """Quaternion, scalar first, of a rotation matrix: the largest component first, then the others by it."""
+    """Return the quaternion, scalar first, of a rotation matrix: the largest component first, then the others by it."""
     k = np.array([
         [m[0, 0] + m[1, 1] + m[2, 2], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]],
         [0.0, m[0, 0] - m[1, 1] - m[2, 2], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]],

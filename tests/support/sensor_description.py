@@ -19,7 +19,7 @@ def write_table(path: Path, columns: str, values: np.ndarray) -> None:
 
 
 def angles_a(angles_rad: np.ndarray) -> np.ndarray:
-    """Roll, pitch, yaw of convention A of those of convention B."""
+    """Return the roll, pitch, yaw of convention A of those of convention B."""
     b = rotations.attitude_matrices(np.ascontiguousarray(angles_rad), False)
     m = orbital.B_FROM_A.T @ b @ orbital.B_FROM_A
     return np.stack(

@@ -25,7 +25,7 @@ EARTH_RATE_RAD_S = 7.2921151467e-5
 
 
 def circular_orbit(time_s: np.ndarray) -> Ephemeris:
-    """State vectors of a circular orbit, 7200 km, inclination 98.7 degrees, in the rotating frame."""
+    """Return the state vectors of a circular orbit, 7200 km, inclination 98.7 degrees, in the rotating frame."""
     radius, rate, inclination = 7.2e6, np.sqrt(3.986004418e14 / 7.2e6**3), np.radians(98.7)
     u, node = rate * (time_s - T0_S), 0.5 - EARTH_RATE_RAD_S * (time_s - T0_S)
     along = np.stack([np.cos(u), np.sin(u) * np.cos(inclination), np.sin(u) * np.sin(inclination)])
@@ -37,7 +37,7 @@ def circular_orbit(time_s: np.ndarray) -> Ephemeris:
 
 
 def spot5() -> PushbroomMetadata:
-    """SPOT-5-like metadata: corrected angles, one look angle pair per detector."""
+    """Return the SPOT-5-like metadata: corrected angles, one look angle pair per detector."""
     sample = np.arange(float(N_SAMPLES))
     at = T0_S + 0.125 * np.arange(-6, 7)
     wave = np.stack([1e-4 * np.sin(at), -7e-4 + 1e-5 * np.cos(at), 9e-4 + 0 * at], axis=1)
@@ -57,7 +57,7 @@ def spot5() -> PushbroomMetadata:
 
 
 def pleiades() -> PushbroomMetadata:
-    """Pléiades-like metadata: quaternion polynomials, look polynomials."""
+    """Return the Pléiades-like metadata: quaternion polynomials, look polynomials."""
     half = np.array([[0.5, 1e-3, -1e-5], [0.5, -1e-3, 0.0], [-0.5, 2e-3, 1e-5], [0.5, 2e-3, 0.0]])
     corners = [replace(p, height_m=None) for p in spot5().frame_points]
     return replace(
@@ -71,7 +71,7 @@ def pleiades() -> PushbroomMetadata:
 
 
 def spot6() -> PushbroomMetadata:
-    """SPOT-6-like metadata: sampled quaternions."""
+    """Return the SPOT-6-like metadata: sampled quaternions."""
     at = T0_S + 0.03125 * np.arange(5)
     angle = 0.3 + 1e-3 * (at - T0_S)
     q = np.stack([np.cos(angle), np.sin(angle) * 0.6, np.sin(angle) * 0.8, 0 * angle], axis=1)

@@ -8,7 +8,7 @@ from fg_orient.adjustment.problem import Problem, State
 
 
 def moved(problem: Problem, seed: int) -> State:
-    """A state away from the start, the same for all backends."""
+    """Return a state away from the start, the same for all backends."""
     rng = np.random.default_rng(seed)
     image = problem.image_matrix(rng.normal(scale=0.3, size=problem.n_image_unknowns))
     ground = problem.start.ground.copy()
@@ -17,6 +17,6 @@ def moved(problem: Problem, seed: int) -> State:
 
 
 def largest(problem: Problem, a: State, b: State) -> tuple[float, float]:
-    """Largest differences of two states: image unknowns (sigmas), unknown points (m)."""
+    """Return the largest differences of two states: image unknowns (sigmas), unknown points (m)."""
     ground = np.abs(a.ground - b.ground)[problem.active]
     return float(np.abs(a.image - b.image).max()), float(ground.max(initial=0.0))

@@ -23,7 +23,7 @@ PLAIN = ("01", "1", "GCP_7", "Çatı", "=SUM(A1)", "-5", "Iğdır", "p.8", "x/9"
 
 
 def random_survey(rng: np.random.Generator, format_: Format, crs: str = "EPSG:32636", *, plain: bool = False) -> Survey:
-    """A survey that has all that a format can hold, and nothing that it cannot."""
+    """Return a survey that has all that a format can hold, and nothing that it cannot."""
     holds, n = format_.holds, int(rng.integers(3, 8))
     ids = tuple(rng.permutation(PLAIN if plain else NAMES)[:n].tolist())
     roles = [Role.CONTROL] * n
@@ -87,7 +87,7 @@ def taken(survey: Survey, rows: tuple[int, ...]) -> Survey:
 
 
 def by_name(survey: Survey) -> dict[tuple[str, str], tuple[float, ...]]:
-    """Image points by image and id: order is no information."""
+    """Return the image points by image and id: order is no information."""
     o = survey.observed
     return {
         (survey.images[i], survey.ids[p]): values
@@ -111,11 +111,11 @@ def assert_same(found: Survey, expected: Survey, *, pixels: float = 0.0, sigmas:
 
 
 def without(survey: Survey, *words: str) -> Survey:
-    """Survey without some of its fields, for what is lost."""
+    """Return the survey without some of its fields, for what is lost."""
     return replace(survey, **{word: getattr(no_survey(len(survey.ids)), word) for word in words})
 
 
 def no_survey(n: int) -> Survey:
-    """Points of whom nothing but the number is known."""
+    """Return the points of which only the number is known."""
     nothing = np.full((n, 3), np.nan)
     return Survey("", tuple(map(str, range(n))), (Role.CONTROL,) * n, nothing, nothing, np.zeros(n, bool))

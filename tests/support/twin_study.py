@@ -30,7 +30,7 @@ class Run:
 
 
 def run_sets(seeds: Iterable[int], look_polynomial: int | None) -> dict[tuple[int, int], Run]:
-    """All 20 sets on H-10 with constant errors: (set, seed) -> figures."""
+    """Return all 20 sets on H-10 with constant errors: (set, seed) -> figures."""
     out = {}
     for seed in seeds:
         block, _ = zonguldak_block(ZonguldakOptions(seed=seed))
@@ -47,7 +47,7 @@ def run_sets(seeds: Iterable[int], look_polynomial: int | None) -> dict[tuple[in
 
 
 def table(runs: dict[tuple[int, int], Run], title: str) -> str:
-    """Medians over the seeds, largest values in brackets."""
+    """Return the medians over the seeds, largest values in brackets."""
     lines = [title, "set   east m        north m       up m          3-D m least   sigma0 least  iterations"]
     for eop_set in EOP_SETS:
         mine = [run for (number, _), run in runs.items() if number == eop_set]
