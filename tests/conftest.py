@@ -1,4 +1,4 @@
-"""Fixtures of all tests: the folder of real metadata files, a fixed seed, hypothesis without clocks."""
+"""All tests share these fixtures: the folder of real files, a fixed seed, and hypothesis without time limits."""
 
 from __future__ import annotations
 

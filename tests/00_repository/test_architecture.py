@@ -1,4 +1,4 @@
-"""The floors, module sizes and habits that every file of the two packages keeps."""
+"""Every file of the two packages keeps to the order of layers, the sizes of modules and the rules of code."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the documentation says is run: its code blocks, its EOP table, its commands."""
+"""The tests run the code blocks and the commands of the documentation, and compare its table of EOPs."""
 
 from __future__ import annotations
 

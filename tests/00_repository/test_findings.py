@@ -1,4 +1,4 @@
-"""Warnings are codes with data: one record, words in the catalogue only, options without flags."""
+"""Warnings are codes with data: one record each, texts in the catalogue only, options without flags."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A package ``factors`` that is not fg_orient's: file in the way, its owner and a remedy; nothing of it is run.
+"""If a package ``factors`` is not fg_orient's, the error names file, owner and remedy, and none of it runs.
 
 Each situation is built from files as pip leaves them; an interpreter of its own imports fg_orient there.
 """

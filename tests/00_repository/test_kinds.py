@@ -1,4 +1,4 @@
-"""Each test says its kind once, and the shares are counted by function."""
+"""Each test states its kind once, and the shares are counted by function."""
 
 from __future__ import annotations
 

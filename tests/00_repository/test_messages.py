@@ -1,4 +1,4 @@
-"""The message catalogue and the sources agree: no unknown code, no unused one, every field given."""
+"""The message catalogue agrees with the sources: no code is unknown or unused, and every field is given."""
 
 from __future__ import annotations
 

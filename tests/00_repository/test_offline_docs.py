@@ -1,4 +1,4 @@
-"""The built documentation asks nobody for anything: formulas are MathML, no page names another address to load."""
+"""The built documentation loads nothing from the network: formulas are MathML, and no page loads another address."""
 
 from __future__ import annotations
 

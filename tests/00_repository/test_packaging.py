@@ -1,4 +1,4 @@
-"""What pyproject.toml declares is what the packages import, and what a user gets."""
+"""The packages import what pyproject.toml declares, and a user gets it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""docs/api.md lists the public names: those of ``__all__`` of each module that it names."""
+"""docs/api.md lists the names in ``__all__`` of each module that it names."""
 
 from __future__ import annotations
 

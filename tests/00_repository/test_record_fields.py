@@ -1,4 +1,4 @@
-"""Records of constants have named fields: none is indexed by a number, and the check can fail."""
+"""Records of constants have named fields: no number indexes them, and the check can fail."""
 
 from __future__ import annotations
 

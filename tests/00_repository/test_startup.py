@@ -1,4 +1,4 @@
-"""What is loaded at the start, in fresh interpreters."""
+"""Fresh interpreters show which modules are loaded at the start."""
 
 from __future__ import annotations
 

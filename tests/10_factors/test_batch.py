@@ -1,4 +1,4 @@
-"""Rows of the look-angle collinearity in blocks: the numbers of the scalar kernel, bit by bit."""
+"""Rows of the look-angle collinearity in blocks are equal to those of the scalar kernel, bit by bit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Compiled code is valid for what it was made of; a kernel is compiled when it is called, once, and anywhere."""
+"""Compiled code is valid for its sources; a kernel is compiled once, when it is called, in any place."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Generic tests of every registered equation: a new one is covered on the day it is registered."""
+"""Generic tests run for every registered equation, also for a new one."""
 
 from __future__ import annotations
 

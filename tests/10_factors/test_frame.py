@@ -1,4 +1,4 @@
-"""The frame camera against scipy's rotations and the printed formulas; rows of the batch against the equation."""
+"""The frame camera is compared with scipy's rotations and the printed formulas, the batch with the equation."""
 
 from __future__ import annotations
 

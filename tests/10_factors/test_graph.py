@@ -1,4 +1,4 @@
-"""The GTSAM wrapper: what it gives GTSAM, and what it refuses."""
+"""The tests check what the wrapper of GTSAM passes to GTSAM and what it refuses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Alternatives of radial distortion and film deformation: printed formulas, derivatives, orthogonality."""
+"""Variants of radial distortion and film deformation agree with printed formulas and have right derivatives."""
 
 from __future__ import annotations
 

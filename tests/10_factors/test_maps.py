@@ -1,4 +1,4 @@
-"""Elementary maps: against closed forms, scipy, pyproj; derivatives against complex step."""
+"""Elementary maps are compared with closed forms, scipy and pyproj; derivatives with the complex step."""
 
 from __future__ import annotations
 

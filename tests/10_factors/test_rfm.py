@@ -1,4 +1,4 @@
-"""The rational function: term orders, values, derivatives, projection, location, exact geodetic differences."""
+"""The tests check term orders, values, derivatives, projection and location of the rational function."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bad input is refused in words; solvers and rules from outside; what a solver may not give."""
+"""Bad input is refused in words; user-defined solvers and rules work; solvers may not return certain results."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Determinant, rank, condition numbers, column lengths."""
+"""The tests check determinant, rank, condition numbers and column lengths."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The L-curve and the places of all rules on it, against solutions computed one by one."""
+"""The L-curve and the places of all rules on it are compared with solutions that are computed one by one."""
 
 from __future__ import annotations
 

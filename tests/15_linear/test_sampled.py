@@ -1,4 +1,4 @@
-"""Sampled traces and kappas of large systems, against the singular value decomposition."""
+"""Sampled traces and kappas of large systems are compared with the singular value decomposition."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Generalised ridge, Stein and combined estimators against their definitions, written with other formulas."""
+"""Generalised ridge, Stein and combined estimators are compared with their definitions in other formulas."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The published solvers against LAPACK, their factors, their breakdowns; the modern ones beside them."""
+"""The published solvers are compared with LAPACK, their factors and breakdowns, and with modern solvers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tikhonov solutions and the rules for kappa against independent computations."""
+"""Tikhonov solutions and the rules for kappa are compared with independent computations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Small synthetic metadata and their files, and the way a refusal must look."""
+"""Fixtures write small synthetic metadata files and check the form of a refusal."""
 
 from __future__ import annotations
 

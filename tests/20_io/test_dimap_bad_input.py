@@ -1,4 +1,4 @@
-"""Bad files: one line with file, place, value and remedy each; every code of xml and dimap is raised somewhere."""
+"""Bad files give one line each with file, place, value and remedy; every code of xml and dimap is raised."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""SPOT 1 to 4: angular speeds integrated from the first absolute angle; two detectors on a straight line."""
+"""SPOT 1 to 4: angular speeds are integrated from the first absolute angle; two detectors lie on a line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The real files: what the readers take from them, and where it leads on the ground."""
+"""The tests check what the readers take from the real files, and the ground points that follow."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is written is read back bit by bit; pixel and time conventions of the files."""
+"""Written files are read back bit by bit; the tests check their conventions of pixels and times."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ids of a regular table are compared as bytes in whole numbers; the result is that of a dictionary."""
+"""Ids of a regular table are compared as bytes in whole numbers, with the result of a dictionary."""
 
 from pathlib import Path
 

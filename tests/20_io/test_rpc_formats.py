@@ -1,4 +1,4 @@
-"""RPC files: every writer's file reads back the same; what is wrong is said in one line with place and remedy."""
+"""RPC files of every writer are read back unchanged; an error is one line with place and remedy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Hidden files of outputs: swept when their process is gone, kept while it lives, whole or absent with two writers."""
+"""Hidden files of outputs are removed when their process has ended, and kept while it runs."""
 
 from __future__ import annotations
 

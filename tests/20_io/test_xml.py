@@ -1,4 +1,4 @@
-"""Typed access to elements: units, numbers, times, paths."""
+"""The tests check typed access to elements: units, numbers, times and paths."""
 
 from __future__ import annotations
 

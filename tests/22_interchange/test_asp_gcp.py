@@ -1,4 +1,4 @@
-"""ASP .gcp: columns, latitude first, axes of the standard deviations, on numbers written by hand."""
+"""Files .gcp of ASP are read with latitude first and the axes of their standard deviations."""
 
 from __future__ import annotations
 

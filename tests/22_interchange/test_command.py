@@ -1,4 +1,4 @@
-"""``fg-orient convert``: exit codes, files, what it says; the same points through several formats."""
+"""The tests run ``fg-orient convert``: exit codes, files, messages, and the same points in several formats."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Each format has its page, the table of formats is that of the registry, the commands of the pages are commands."""
+"""Each format has its page, the table of formats equals the registry, and the commands of the pages exist."""
 
 from __future__ import annotations
 

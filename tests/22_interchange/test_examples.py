@@ -1,4 +1,4 @@
-"""Each reader on a small file written by hand: columns, axes, pixel origin, roles; known numbers."""
+"""Each reader reads a small file written by hand: columns, axes, pixel origin, roles and known numbers."""
 
 from __future__ import annotations
 

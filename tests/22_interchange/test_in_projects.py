@@ -1,4 +1,4 @@
-"""Files of other programs in a project: the same block as from our own tables, sealed, checked and named alike."""
+"""Files of other programs in a project give the same block as tables of fg_orient, with the same checks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a format cannot hold is named, kind by kind, against what the registry says it holds; independent readers."""
+"""What a format cannot contain is named by kind and agrees with the registry; independent readers check it."""
 
 from __future__ import annotations
 

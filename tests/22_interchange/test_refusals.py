@@ -1,4 +1,4 @@
-"""What foreign files get wrong: exchanged axes, positive rows, decimal commas, encodings, other CRS, hostile cells."""
+"""Errors in foreign files are refused: exchanged axes, positive rows, decimal commas, encodings, other CRS."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every format: what it can hold comes back exactly; what it cannot is named; unverified ones ask."""
+"""For every format, data that it can contain are read back exactly; losses are named; unverified formats ask."""
 
 from __future__ import annotations
 

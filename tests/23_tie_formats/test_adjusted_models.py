@@ -1,4 +1,4 @@
-"""Models of other programs adjusted and given back: residuals and poses are those of the solution."""
+"""Models of other programs are adjusted and written back with the residuals and poses of the solution."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files of matches of ASP: written byte by byte from the published layout, read; folders joined; damage named."""
+"""Match files of ASP are written byte by byte from the published layout and read; damage is named."""
 
 from __future__ import annotations
 

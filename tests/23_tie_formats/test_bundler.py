@@ -1,4 +1,4 @@
-"""Bundler and BAL: pixels by Snavely's printed formula, round trips through frame models, faults with their line."""
+"""Bundler and BAL: pixels follow Snavely's printed formula, models survive a round trip, faults name their line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""COLMAP databases: written by the published layout here, read; written and read again; damage is named."""
+"""COLMAP databases written here by the published layout are read, written and read again; damage is named."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""COLMAP text models: pixels by COLMAP's own formulas, round trip, and every fault with its line."""
+"""COLMAP text models: pixels follow COLMAP's formulas, models survive a round trip, faults name their line."""
 
 from __future__ import annotations
 

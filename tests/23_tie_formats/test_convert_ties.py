@@ -1,4 +1,4 @@
-"""The command ``convert`` on tie points and models of other programs: losses told, unverified formats asked for."""
+"""``convert`` on tie points and models of other programs names losses and asks for unverified formats."""
 
 from __future__ import annotations
 

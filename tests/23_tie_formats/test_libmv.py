@@ -1,4 +1,4 @@
-"""Bundle problems of libmv: pixels by the formula of a camera, the published problem against scipy, damaged files."""
+"""Bundle problems of libmv: pixels by the formula of a camera, the published problem with scipy, damaged files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Multi-image tie points of MicMac: the published SPOT 7 pair, round trip, every fault with its line."""
+"""Multi-image tie points of MicMac: the published SPOT 7 pair, a round trip, and faults that name their line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Exports of PhotoModeler and point files of DBAT: the published ones, written ones, every fault with its line."""
+"""Exports of PhotoModeler and point files of DBAT, published or written here, are read; faults name their line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files of sba: pixels by the formula of its description, the printed errors of its examples, damaged files."""
+"""Files of sba: pixels follow its description, its examples have the printed errors, damaged files are refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Matches joined to tie points: against a union-find written out, conflicts counted, 1e5 rows as arrays."""
+"""Matches are joined to tie points as by a written-out union-find; conflicts are counted; 1e5 rows are arrays."""
 
 from __future__ import annotations
 

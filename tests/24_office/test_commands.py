@@ -1,4 +1,4 @@
-"""Commands on tables of offices: questions on a terminal, convert and validate, images alone, options that decide."""
+"""The tests run commands on tables of offices: questions on a terminal, ``convert``, ``validate``, options."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Random tables are read rightly, or the command asks or refuses in one line: none is silently wrong."""
+"""Random tables are read correctly, or the command asks or refuses in one line; none is wrong without notice."""
 
 from __future__ import annotations
 

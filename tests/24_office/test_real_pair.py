@@ -1,4 +1,4 @@
-"""The real Pléiades pair from a workbook of an office: the adjustment is that of our own tables."""
+"""The real Pléiades pair from a workbook of an office gives the same adjustment as tables of fg_orient."""
 
 from __future__ import annotations
 

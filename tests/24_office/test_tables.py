@@ -1,4 +1,4 @@
-"""Twelve tables in the forms of five national offices: each becomes a project in one command, or a question."""
+"""Twelve tables in the forms of five national offices each become a project in one command, or a question."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables in Parquet and Arrow files: the same arrays, results and refusals as those of CSV."""
+"""Tables in Parquet and Arrow files give the same arrays, results and refusals as CSV tables."""
 
 from __future__ import annotations
 

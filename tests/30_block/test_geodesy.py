@@ -1,4 +1,4 @@
-"""Geodesy against closed formulas written out here, and the guards around PROJ."""
+"""Geodesy is compared with closed formulas written out here; the checks around PROJ are tested."""
 
 from __future__ import annotations
 

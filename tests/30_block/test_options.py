@@ -1,4 +1,4 @@
-"""Options and arrays of the data model are judged and sealed where they are made."""
+"""Options and arrays of the data model are checked and sealed where they are made."""
 
 from __future__ import annotations
 

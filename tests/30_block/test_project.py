@@ -1,4 +1,4 @@
-"""From the project file to the block: roles, sealed coordinates, options, provenance, remarks."""
+"""The tests follow a project file to the block: roles, sealed coordinates, options, provenance and notes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The readers read to the last bit what the writers write, and the standard library reads the same."""
+"""The readers read exactly what the writers write, and the standard library reads the same."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Texts that a spreadsheet would take for a formula: text in LibreOffice, and the same text when read by us."""
+"""Texts that a spreadsheet would read as a formula stay text in LibreOffice, and are read back unchanged."""
 
 from __future__ import annotations
 

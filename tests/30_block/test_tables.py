@@ -1,4 +1,4 @@
-"""The CSV reader: what it accepts as text, and numbers digit by digit."""
+"""The tests check which texts the CSV reader accepts, and its numbers digit by digit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Heights above a geoid: files of undulations, constants, names of vertical CRS; interpolation against PROJ's own."""
+"""Heights above a geoid: the tests check files, constants, names of vertical CRS and interpolation with PROJ."""
 
 from __future__ import annotations
 

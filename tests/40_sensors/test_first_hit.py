@@ -1,4 +1,4 @@
-"""The first hit inside a cell of a DEM: it is a saddle, which a ray can enter and leave between edges."""
+"""The first hit is found inside a cell of a DEM, a saddle that a ray can enter and leave between edges."""
 
 from __future__ import annotations
 

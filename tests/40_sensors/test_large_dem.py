@@ -1,4 +1,4 @@
-"""A raster of 60 000 x 60 000 heights costs the squares that are used: heights, ranges, groups of rays, commands."""
+"""A raster of 60 000 x 60 000 heights uses memory and time only for the squares that are read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The rigorous sensor on real metadata files: frame points, vendor RPC, independent programs, round trips."""
+"""The rigorous sensor is tested on real metadata files: frame points, vendor RPC, programs, round trips."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the sensor refuses, on the twin's metadata with one fault each."""
+"""The tests check what the sensor refuses; each changes the metadata of the twin by one fault."""
 
 from __future__ import annotations
 

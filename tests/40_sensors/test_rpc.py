@@ -1,4 +1,4 @@
-"""The RPC model and its sensor on a synthetic scene: both directions, DEM, rays, validity, poles, the equation."""
+"""The RPC model and its sensor are tested on a synthetic scene: both directions, DEM, rays, validity, poles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""RPC of real products: all files, peers (GDAL, rpcm, shareloc, Xing), pixel origins, models to the ground."""
+"""RPC of real products are compared with GDAL, rpcm, shareloc and Xing; the tests check pixel origins."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rays and DEMs: the first hit against an independent fine march, and what a DEM must not be."""
+"""The first hit of a ray on a DEM is compared with a march in small steps; unusable DEMs are refused."""
 
 from __future__ import annotations
 

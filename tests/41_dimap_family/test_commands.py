@@ -1,4 +1,4 @@
-"""The commands with a result, another model, extrapolated attitudes, DEM heights above a geoid; the project file."""
+"""The commands are run with a result, another model, extrapolated attitudes, and DEM heights above a geoid."""
 
 from __future__ import annotations
 

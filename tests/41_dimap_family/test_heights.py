@@ -1,4 +1,4 @@
-"""Heights: DEM above a geoid by its vertical CRS, covariance of intersections, a DEM as control."""
+"""The tests cover a DEM above a geoid, the covariance of intersections, and a DEM as control."""
 
 from __future__ import annotations
 

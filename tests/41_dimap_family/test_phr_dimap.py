@@ -1,4 +1,4 @@
-"""PHR_DIMAP: a small file against what stands in it, its faults, and the real file against RPC and physical grid."""
+"""PHR_DIMAP: a small file is compared with its content, the real file with RPC and physical grid."""
 
 from __future__ import annotations
 

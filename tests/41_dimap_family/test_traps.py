@@ -1,4 +1,4 @@
-"""The traps of the real files: what a reader of the DIMAP family can get wrong, each with the size of the error."""
+"""The tests show each error that a reader of the DIMAP family can make with real files, and its size."""
 
 from __future__ import annotations
 

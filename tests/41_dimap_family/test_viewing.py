@@ -1,4 +1,4 @@
-"""Footprints, sampling, angles, base to height: against plane geometry and files that state them; GeoJSON."""
+"""Footprints, sampling, angles and base-to-height ratio agree with plane geometry and with stated values."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Smooth curves of position and attitude over a strip: the prior they stand for, and adjustments on every backend."""
+"""Smooth curves of position and attitude have the stated prior and are adjusted by every backend."""
 
 from __future__ import annotations
 

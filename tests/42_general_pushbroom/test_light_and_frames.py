@@ -1,4 +1,4 @@
-"""Effects on light and orbital frames against computations of another kind."""
+"""Effects on light and orbital frames are compared with other ways of computing them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a sensor description, its tables and a C04 file must not be: each fault by its code and place."""
+"""Each fault of a sensor description, its tables or a C04 file is refused with its code and place."""
 
 from __future__ import annotations
 

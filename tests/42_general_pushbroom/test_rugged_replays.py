@@ -1,4 +1,4 @@
-"""Every location of Rugged's replay files through our whole chain: inertial states, Earth, light, DEM."""
+"""Every location of Rugged's replay files is computed again: inertial states, Earth, light and DEM."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sensor descriptions: the twin written as one gives the twin's rays, and its adjustment; effects on light."""
+"""The twin, written as a sensor description, has the same rays and the same adjustment."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The mixed block: SPOT-5, RPC and frame images through the same commands and equations, and its calibration."""
+"""SPOT-5, RPC and frame images form one block with the same commands and equations; it is well calibrated."""
 
 from __future__ import annotations
 

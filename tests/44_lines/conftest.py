@@ -1,4 +1,4 @@
-"""Scenes of the SPOT twin with linear features as the only control; derivatives by differences of the projection."""
+"""Fixtures are scenes of the SPOT twin with linear features as the only control."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Control by lines and splines: the bound of the information, backends, degenerate directions, gross errors."""
+"""Control by lines and splines reaches the bound of the information; the tests cover backends and errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Control features of a project file: table and GeoPackage, the record of the result, faults."""
+"""Control features of a project file: the tests check table, GeoPackage, the record of the result, and faults."""
 
 from __future__ import annotations
 

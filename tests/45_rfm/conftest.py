@@ -1,4 +1,4 @@
-"""Control points of a known rational function."""
+"""The fixture has control points of a known rational function."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Estimation against independent computations: numpy, scipy, hat matrices, simulation."""
+"""The estimation is compared with numpy, scipy, hat matrices and simulation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The form of a rational function: names, counts, expansion, derivatives, order of coefficients."""
+"""The tests check the form of a rational function: names, counts, expansion, derivatives, coefficient order."""
 
 from __future__ import annotations
 

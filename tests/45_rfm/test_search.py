@@ -1,4 +1,4 @@
-"""Genetic and particle-swarm search: the optimum of all subsets, refits, seeds and budgets."""
+"""Genetic and particle-swarm searches find the best of all subsets; the tests check refits, seeds and budgets."""
 
 from __future__ import annotations
 

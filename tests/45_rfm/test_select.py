@@ -1,4 +1,4 @@
-"""Selections against their definitions: optimality conditions, exhaustive refits, terms that are there."""
+"""Selections fulfil their definitions: conditions of optimality, refits of all subsets, known terms."""
 
 from __future__ import annotations
 

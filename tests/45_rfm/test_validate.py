@@ -1,4 +1,4 @@
-"""Cross-validation: what is left out is not seen, choices are made anew in each fold."""
+"""In cross-validation the fit does not use the excluded points, and each fold makes its own choices."""
 
 from __future__ import annotations
 

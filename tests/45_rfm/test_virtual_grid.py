@@ -1,4 +1,4 @@
-"""The rational function of a sensor: the twin's, and the real SPOT-5 scene."""
+"""A rational function is fitted to a sensor: to that of the twin and to the real SPOT-5 scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Frame states of CSM and ISD, written and read: an independent evaluator, round trips, damaged files."""
+"""Frame states of CSM and ISD are written and read; an independent evaluator checks them."""
 
 from __future__ import annotations
 

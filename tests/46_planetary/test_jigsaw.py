@@ -1,4 +1,4 @@
-"""Adjustment of frames on the Moon against an independent bundle adjustment: values, sigmas, statistics."""
+"""An adjustment of frames on the Moon agrees with an independent one: values, sigmas and statistics."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Line-scan images of other bodies: ISD against a second evaluator, an adjustment, states, damaged files."""
+"""Line-scan images of other bodies: the tests cover a second evaluator of ISD, an adjustment, and states."""
 
 from __future__ import annotations
 

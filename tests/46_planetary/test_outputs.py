@@ -1,4 +1,4 @@
-"""Results on another body: tables, report, files; bodies and their coordinates."""
+"""The tests check the tables, report and files of results on another body, and its coordinates."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Line-scan states of CSM: read and written, against a second evaluator made from the published field definitions."""
+"""Line-scan states of CSM are read and written; a second evaluator follows the published definitions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rigorous model of DigitalGlobe ISD files against independent code, the vendor's RPC and another program's state."""
+"""The model of DigitalGlobe ISD files is compared with independent code, the vendor's RPC and another program."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lattices of lines of sight: ASTER files and descriptions against the exact directions and independent code."""
+"""Lattices of lines of sight are compared with the exact directions and with independent code."""
 
 from __future__ import annotations
 

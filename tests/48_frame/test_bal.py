@@ -1,4 +1,4 @@
-"""Files of Bundle Adjustment in the Large: numbers, cost by the printed model, every fault with its line."""
+"""Files of Bundle Adjustment in the Large: numbers, the cost by the printed model, faults that name their line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Blocks of frame images: three backends, scipy, the truth, the datum, local control, images beside pushbroom ones."""
+"""Blocks of frame images are compared on three backends, with scipy and with the truth."""
 
 from __future__ import annotations
 

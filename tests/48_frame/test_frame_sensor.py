@@ -1,4 +1,4 @@
-"""Frame cameras on the Earth and in a local system: projection, rays, places, refusals."""
+"""Frame cameras on the Earth and in a local system: the tests check projection, rays and refusals."""
 
 from __future__ import annotations
 

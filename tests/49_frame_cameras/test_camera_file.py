@@ -1,4 +1,4 @@
-"""Camera files, direct georeferencing, and the two distortion equations against numpy and each other."""
+"""The tests cover camera files and direct georeferencing, and compare both distortion equations with numpy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Conventions of other programs: their formulas typed here, pycolmap, DBAT's numbers, and Monte Carlo covariances."""
+"""Conventions of other programs are compared with their formulas, pycolmap, DBAT's numbers and simulation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Frame images with shear, aspect, fisheye lenses and further terms: against OpenCV, pycolmap and the truth."""
+"""Frame images with shear, aspect, fisheye lenses and further terms agree with OpenCV and pycolmap."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Frame images as files: read and written, in a project, by the commands, with an adjusted orientation."""
+"""Files of frame images are read and written, used in a project and by the commands."""
 
 from __future__ import annotations
 

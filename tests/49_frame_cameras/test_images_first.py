@@ -1,4 +1,4 @@
-"""Long sequences with few points, whose images are eliminated first: against the dense backend, numpy, and by size."""
+"""Long sequences with few points eliminate the images first; the dense backend and numpy agree."""
 
 from __future__ import annotations
 

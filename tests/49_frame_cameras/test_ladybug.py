@@ -1,4 +1,4 @@
-"""BAL Ladybug 49/7776 from the file's start: the cost of GTSAM's own optimiser, a datum that is named, no claims."""
+"""BAL Ladybug 49/7776 reaches the cost of GTSAM's own optimiser; the free datum is named."""
 
 from __future__ import annotations
 

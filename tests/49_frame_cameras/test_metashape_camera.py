@@ -1,4 +1,4 @@
-"""Cameras exported by Metashape: values and covariance; damaged files are refused in one line."""
+"""Cameras exported by Metashape have the right values and covariance; damaged files are refused."""
 
 from __future__ import annotations
 

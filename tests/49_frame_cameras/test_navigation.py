@@ -1,4 +1,4 @@
-"""Receiver and inertial unit on board: shift and drift of strips, lever arm and boresight as unknowns."""
+"""The tests estimate shift and drift of strips, lever arm and boresight of receiver and inertial unit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Free networks of photos with scale bars and one camera: against numpy's pseudo-inverse and the truth."""
+"""Free networks of photos with scale bars agree with numpy's pseudo-inverse and the truth."""
 
 from __future__ import annotations
 

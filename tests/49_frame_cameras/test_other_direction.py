@@ -1,4 +1,4 @@
-"""Note on distortion terms that fit better in the other direction of the polynomial."""
+"""A note states that distortion terms fit better in the other direction of the polynomial."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Börlin, Grussenmeyer (2016): runs on PhotoModeler's exports, each value as DBAT's reports print it."""
+"""Runs of Börlin and Grussenmeyer (2016) on exports of PhotoModeler give the printed values of DBAT."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reduction of camera parameters: significant terms stay, others go, poses are no candidates."""
+"""The reduction of camera parameters keeps significant terms and removes others, but never a pose."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cameras that images have in common: three backends, numpy, the free network, refusals, DBAT's published results."""
+"""Cameras that images share: three backends, numpy, DBAT's published results, free networks, refusals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The H-10 twin of seed 1, made once per session."""
+"""The fixture is the H-10 twin of seed 1, made once per session."""
 
 from __future__ import annotations
 

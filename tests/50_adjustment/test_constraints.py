@@ -1,4 +1,4 @@
-"""Constraints between ground points: against bordered normal equations with the figures as unknowns, by numpy."""
+"""Constraints between ground points agree with bordered normal equations by numpy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The dense backend against the graph: same rows, same solution, same cofactors; refusals; no GTSAM."""
+"""The dense backend has the rows, the solution and the cofactors of the graph, without GTSAM."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The estimator against independent computations: dense least squares, scipy, GTSAM's own optimisers."""
+"""The estimator is compared with dense least squares, scipy and GTSAM's own optimisers."""
 
 from __future__ import annotations
 

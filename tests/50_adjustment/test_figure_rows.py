@@ -1,4 +1,4 @@
-"""Rows of figures in the explicit graph, each of one point and the change of the figure: the step of all rows."""
+"""In the explicit graph, a row of a figure has one point and the change of the figure; the step is the same."""
 
 from __future__ import annotations
 

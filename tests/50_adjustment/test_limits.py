@@ -1,4 +1,4 @@
-"""Where adjustments break or mislead: little control, excluded check points of many rays, own observations."""
+"""The tests show where adjustments fail or mislead: little control, check points, user-defined observations."""
 
 from __future__ import annotations
 

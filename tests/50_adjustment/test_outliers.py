@@ -1,4 +1,4 @@
-"""Tests for gross errors and the snooping loop, against removals, planted errors and false alarms."""
+"""Tests for gross errors and the snooping loop are compared with removals, planted errors and false alarms."""
 
 from __future__ import annotations
 

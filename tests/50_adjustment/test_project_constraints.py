@@ -1,4 +1,4 @@
-"""Constraints in a project file: adjusted as in Python, figures in the result, faults with their place."""
+"""Constraints in a project file are adjusted as in Python; faults name their place."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Honesty of roles: check coordinates have no influence and are opened after convergence only."""
+"""Check coordinates have no influence and are opened only after convergence."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A block compiled beside a nearly equal one: the same problem, with what does not change taken over."""
+"""If a block is nearly equal to a compiled one, the unchanged arrays are reused and the problem is the same."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Groups of points eliminated inside factors: against the explicit graph, differences of the cost, and LAPACK."""
+"""Points eliminated inside factors are compared with the explicit graph, cost differences and LAPACK."""
 
 from __future__ import annotations
 

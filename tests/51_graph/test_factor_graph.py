@@ -1,4 +1,4 @@
-"""The factor graph that users of GTSAM get: names, keys, solutions at values, own optimisers."""
+"""The tests check the factor graph for users of GTSAM: names, keys, solutions at values, their optimisers."""
 
 from __future__ import annotations
 

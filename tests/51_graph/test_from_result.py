@@ -1,4 +1,4 @@
-"""Adjustments that go on from an earlier result: as start, and as prior with the joint covariance."""
+"""Adjustments continue from an earlier result: as start values, or as a prior with the joint covariance."""
 
 from __future__ import annotations
 

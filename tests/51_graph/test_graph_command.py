@@ -1,4 +1,4 @@
-"""Drawings and counts of the factor graph: the command ``graph`` and the structure behind it."""
+"""The command ``graph`` draws and counts the factor graph."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A growing block: each update against a batch adjustment, removal, and what waits."""
+"""In a growing block each update is compared with an adjustment of all data; removal and waiting data work."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The Schur backend with ground points that extra observations name: against the graph and full matrices."""
+"""The Schur backend handles ground points in extra observations like the graph and full matrices."""
 
 from __future__ import annotations
 

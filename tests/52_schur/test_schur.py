@@ -1,4 +1,4 @@
-"""The Schur backend against the graph and the dense backend: steps, solutions, cofactors, bits, refusals."""
+"""The Schur backend agrees with the graph and the dense backend: steps, solutions, cofactors, refusals."""
 
 from __future__ import annotations
 

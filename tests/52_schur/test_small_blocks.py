@@ -1,4 +1,4 @@
-"""Few points, few images: ``auto`` takes the Schur backend, ends where numpy does, and says what the graph says."""
+"""For few points and images ``auto`` chooses the Schur backend, with the results of numpy and the graph."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Blocks with gross errors, small enough for all three backends."""
+"""Fixtures are blocks with gross errors, small enough for all three backends."""
 
 from __future__ import annotations
 

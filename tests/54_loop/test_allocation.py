@@ -1,4 +1,4 @@
-"""What an adjustment tells the C allocator and Python's collector."""
+"""The tests check the settings of the C allocator and of Python's collector during an adjustment."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Checkpoints: a run that is stopped and resumed ends with the same bits; a file of another problem is refused."""
+"""A run that is stopped and resumed ends with the same bits; a file of another problem is refused."""
 
 from __future__ import annotations
 

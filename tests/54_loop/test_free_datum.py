@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt where the equations are singular without damping, as those of a free network are."""
+"""Levenberg-Marquardt solves equations that are singular without damping, as in a free network."""
 
 from __future__ import annotations
 

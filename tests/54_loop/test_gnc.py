@@ -1,4 +1,4 @@
-"""Graduated non-convexity: gross errors found, the clean run's result, the same on graph and Schur."""
+"""Graduated non-convexity finds gross errors and the result without them, on the graph and Schur backends."""
 
 from __future__ import annotations
 

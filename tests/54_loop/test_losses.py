@@ -1,4 +1,4 @@
-"""Losses: each is the integral of its weight, keeps 95 % efficiency, and does the same on all backends."""
+"""Each loss is the integral of its weight, has an efficiency of 95 %, and is the same on all backends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Progress: what is said of the iterations and the time left, and that nothing is shown to programs."""
+"""Progress shows iterations and remaining time to people, and nothing to programs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""As the authors' program works: a constant error at the control points, made by matrices that are not orthonormal."""
+"""The authors' program makes a constant error at control points, because its matrices are not orthonormal."""
 
 from __future__ import annotations
 

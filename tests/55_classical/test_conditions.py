@@ -1,4 +1,4 @@
-"""The conditions of the published procedure against the formulas written out in plain numpy."""
+"""The conditions of the published procedure agree with the formulas written out in numpy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Constraints between the unknowns of a general adjustment: a published circle, scipy, the whole matrix, a datum."""
+"""Constraints between unknowns of a general adjustment: a published circle, scipy, the whole matrix, a datum."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Conditions with unknowns: total least squares, scipy.odr, Gauss-Markov, Monte Carlo, conditions only."""
+"""Conditions with unknowns agree with total least squares, scipy.odr, Gauss-Markov and simulation."""
 
 from __future__ import annotations
 

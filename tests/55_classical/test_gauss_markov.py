@@ -1,4 +1,4 @@
-"""The general adjustment of indirect observations against numpy and scipy."""
+"""The general adjustment of indirect observations is compared with numpy and scipy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The authors' program on the twin: its numbers, and the effect of each of its departures from the equations.
+"""The authors' program runs on the twin; the tests measure the effect of each difference from the equations.
 
 The expected numbers are those of the program itself, run on the same twin. Errors that follow from the geometry are
 held to 1 %; ranks and condition numbers of singular systems to their order; where rounding decides, nothing is held.

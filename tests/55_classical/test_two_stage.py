@@ -1,4 +1,4 @@
-"""The two-stage procedure against a second, independent one in plain numpy, and where it must refuse."""
+"""The two-stage procedure agrees with a second one in numpy; the tests check where it must refuse."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A small block, its unpartitioned solution, and clusters of processes for all tests."""
+"""Fixtures are a small block, its solution in one part, and clusters of processes."""
 
 from __future__ import annotations
 

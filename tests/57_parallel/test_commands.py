@@ -1,4 +1,4 @@
-"""``adjust`` in parts and ``compare`` with workers, from the command line."""
+"""The commands ``adjust`` in parts and ``compare`` with workers are run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A dissected block: fronts against the adjustment in one part, numpy, and the sum of all parts."""
+"""Fronts of a dissected block agree with the adjustment in one part, numpy, and the sum of all parts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A block in parts against the same block in one piece: steps, solutions, cofactors, files, refusals."""
+"""A block in parts gives the steps, solutions, cofactors and files of the block in one part."""
 
 from __future__ import annotations
 

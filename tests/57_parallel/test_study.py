@@ -1,4 +1,4 @@
-"""Studies: results in the order of the cases, kept as they come, the same on any workers."""
+"""Results of studies are in the order of the cases, stored one by one, and equal for any workers."""
 
 from __future__ import annotations
 

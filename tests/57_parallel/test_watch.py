@@ -1,4 +1,4 @@
-"""Worker processes that end are replaced up to a number of times; faults at their start; random kills."""
+"""Worker processes that end are replaced up to a limit; the tests kill them at the start and at random."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The same parts on the processes of a dask cluster: the same bits for any number of them, and when one dies."""
+"""Parts on the processes of a dask cluster give the same bits for any number of processes, even if one dies."""
 
 from __future__ import annotations
 

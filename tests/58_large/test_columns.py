@@ -1,4 +1,4 @@
-"""What is done by columns gives what is done row by row: tables read and written, Jacobians, cofactors of points."""
+"""Computing by columns gives the results of computing by rows: tables, Jacobians, cofactors of points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The memory told before a run: against what the arrays really take, and the refusal above the limit."""
+"""The memory predicted before a run agrees with the arrays; a run above the limit is refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page of a large block: points are thinned, long lists are cut, and what is left out is said."""
+"""In the page of a large block points are thinned and long lists are cut; the page states what is left out."""
 
 from __future__ import annotations
 

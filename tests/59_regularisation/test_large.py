@@ -1,4 +1,4 @@
-"""Blocks with more image unknowns than a decomposition takes: the same numbers without it."""
+"""Blocks with too many image unknowns for a decomposition give the same numbers without it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Minimum norm, truncation and Tikhonov: each backend against numpy with the ground points eliminated."""
+"""Minimum norm, truncation and Tikhonov on each backend agree with numpy after elimination of the points."""
 
 from __future__ import annotations
 

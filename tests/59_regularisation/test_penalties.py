@@ -1,4 +1,4 @@
-"""Penalties of correction functions, and units of the norm."""
+"""The tests check penalties of correction functions and the units of the norm."""
 
 from __future__ import annotations
 

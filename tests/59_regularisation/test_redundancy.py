@@ -1,4 +1,4 @@
-"""Sigma0 and redundancy of a regularised adjustment count the observations alone, and the predicted errors the bias."""
+"""Sigma0 and redundancy of a regularised adjustment count only observations; predicted errors include the bias."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Resolution, bias and variance of regularised estimates, against numpy with the ground points as unknowns."""
+"""Resolution, bias and variance of regularised estimates agree with numpy with the points as unknowns."""
 
 from __future__ import annotations
 

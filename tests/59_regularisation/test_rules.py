@@ -1,4 +1,4 @@
-"""Rules of kappa on the reduced system, against the dense form and against their definitions with all unknowns."""
+"""Rules of kappa on the reduced system agree with the dense form and with their definitions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The twin and one result of it, made once; commands run in the process or in a fresh interpreter."""
+"""Fixtures are the twin and one result of it, made once; commands run in the process or in a new interpreter."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``adjust``: JSON keys, exit codes, one object on standard output, options, tables for people."""
+"""``adjust`` has the right JSON keys, exit codes, options and tables, and prints one JSON object."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``simulate``, ``validate``, ``doctor``, usage errors and what all commands share."""
+"""The tests run ``simulate``, ``validate`` and ``doctor``, and check usage errors of all commands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Result folders that were damaged in ten ways: each command that reads one refuses it in one line, with the reason."""
+"""Each command that reads a result folder refuses a damaged one in one line with the reason."""
 
 from __future__ import annotations
 

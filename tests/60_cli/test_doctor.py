@@ -1,4 +1,4 @@
-"""``doctor``: versions, traps, the cache of kernels and who can write to it; it ends well without one."""
+"""``doctor`` shows versions, conflicts and the cache of kernels, and ends with code 0 without a cache."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every writing call of a command fails once, and its process is killed before each: samples of ``tests.faults``."""
+"""Every writing call of a command fails once, and the process is killed before each call (``tests.faults``)."""
 
 from __future__ import annotations
 

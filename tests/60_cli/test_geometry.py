@@ -1,4 +1,4 @@
-"""``locate``, ``project``, ``intersect``: against the sensor, each other and the real files."""
+"""``locate``, ``project`` and ``intersect`` agree with the sensor, with each other and with real files."""
 
 from __future__ import annotations
 

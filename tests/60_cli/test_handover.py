@@ -1,4 +1,4 @@
-"""Hand-over of refined RPC: what other programs read of the files, by their own code."""
+"""Other programs read files of refined RPC with their own code and compute the same pixels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Turkish and German settings of the machine: numbers keep their point, I stays I, every file is the same."""
+"""With Turkish and German settings, numbers have a decimal point, I stays I, and every file is the same."""
 
 from __future__ import annotations
 

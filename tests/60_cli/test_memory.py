@@ -1,4 +1,4 @@
-"""Too little memory ends with one line and exit code 3, wherever it is noticed."""
+"""If the memory is not sufficient at any point, the program prints one line and ends with exit code 3."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Results in Python: the record of a solution, its folder and its tables are one."""
+"""In Python the record of a solution, its folder and its tables are the same."""
 
 from __future__ import annotations
 

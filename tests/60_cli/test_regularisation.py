@@ -1,4 +1,4 @@
-"""Regularisation on the command line: the first line, the record and the report say it."""
+"""With a regularisation on the command line, the first line, the record and the report name it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runs repeated from their record: equal to the last bit, or refused, or each difference named."""
+"""A run repeated from its record is equal to the last bit, or refused, or each difference is named."""
 
 from __future__ import annotations
 

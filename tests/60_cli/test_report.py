@@ -1,4 +1,4 @@
-"""The HTML report: one safe file, warnings first, figures of the record; comparison with the truth."""
+"""The HTML report is one safe file with warnings first and the figures of the record."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The result folder: complete, recomputable, whole or not at all, without a trace of check coordinates."""
+"""The result folder is complete and can be recomputed; it is written whole or not at all."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``rpc check | convert | refine | fit``: figures against independent ones, files written, exit codes, bad input."""
+"""The ``rpc`` commands give the figures of independent code; the tests check files, exit codes and bad input."""
 
 from __future__ import annotations
 

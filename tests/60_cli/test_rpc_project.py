@@ -1,4 +1,4 @@
-"""A project with RPC images: read, adjusted, written, reported, compared with its truth."""
+"""A project with RPC images is read, adjusted, written, reported and compared with its truth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Schemas of JSON output: one for each command, and what commands print is as they say."""
+"""Each command has a schema of its JSON output, and its output follows the schema."""
 
 from __future__ import annotations
 

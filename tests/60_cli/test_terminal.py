@@ -1,4 +1,4 @@
-"""What is printed and logged: quiet commands, the log, tables in narrow terminals, colour, locales, completion."""
+"""The tests check printing and logging: quiet commands, narrow terminals, colour, locales, completion."""
 
 from __future__ import annotations
 

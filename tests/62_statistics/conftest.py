@@ -1,4 +1,4 @@
-"""Small blocks with tie, control and check points."""
+"""Fixtures are small blocks with tie, control and check points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Covariances against the scatter of whole adjustments of simulated observations, each iterated to its end.
+"""Covariances agree with the scatter of whole adjustments of simulated observations.
 
 For errors e of covariance C and rank d the sum of e^T C^+ e over n independent runs is chi-square of n d degrees of
 freedom; it is judged by the 99.9 % interval of that.

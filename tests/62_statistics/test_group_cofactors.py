@@ -1,4 +1,4 @@
-"""What groups give to cofactors, point by point, against full matrices of all rows."""
+"""The contributions of groups to cofactors agree with full matrices of all rows, point by point."""
 
 from __future__ import annotations
 

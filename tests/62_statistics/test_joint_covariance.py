@@ -1,4 +1,4 @@
-"""Joint covariance of anything by name against full matrices, on every backend."""
+"""The joint covariance of any named quantities agrees with full matrices on every backend."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Covariance of located points: derivatives by differences, Monte Carlo, closed forms of the circle and the sphere."""
+"""The covariance of located points agrees with differences, Monte Carlo, and closed forms of circle and sphere."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Records of image points that were given back: computed again, all or some, with the same bits."""
+"""Released records of image points are computed again, all or some of them, with the same bits."""
 
 from __future__ import annotations
 

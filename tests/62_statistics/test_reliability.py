@@ -1,4 +1,4 @@
-"""Redundancy numbers, minimal detectable biases and their effects: full matrices, planted errors, Baarda's figure."""
+"""Redundancy numbers, minimal detectable biases and their effects agree with full matrices and planted errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cofactors of the residuals of every kind of observation against I - A N^-1 A^T as a full matrix."""
+"""Cofactors of the residuals of every kind of observation agree with I - A N^-1 A^T as a full matrix."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Redundancy, reliability and correlations in the result folder: figures, names, and the reason where one is absent."""
+"""The result folder has redundancy, reliability and correlations, or the reason why one is absent."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Unseen errors: the stated shift of a point is that of an adjustment with such an error, which no residual shows."""
+"""The stated shift of a point is that of an adjustment with an error that no residual shows."""
 
 from __future__ import annotations
 

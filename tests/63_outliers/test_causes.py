@@ -1,4 +1,4 @@
-"""Likely causes of a doubt: mistakes planted in simulated blocks are named, clean blocks have none."""
+"""Mistakes planted in simulated blocks are named as likely causes; blocks without mistakes have none."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``adjust --snoop`` from the project file to record, table and report."""
+"""``adjust --snoop`` is tested from the project file to record, table and report."""
 
 from __future__ import annotations
 

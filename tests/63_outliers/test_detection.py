@@ -1,4 +1,4 @@
-"""Detection of mistakes and false alarms: the linear model that predicts them, reduced studies, their page."""
+"""The tests check the linear model that predicts detection and false alarms, reduced studies, and their page."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Doubts of the verdict: gross errors, corrections beyond priors, required accuracy; false alarms, acceptance."""
+"""The verdict doubts gross errors, corrections beyond priors and missed accuracy; the tests count false alarms."""
 
 from __future__ import annotations
 

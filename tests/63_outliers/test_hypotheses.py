@@ -1,4 +1,4 @@
-"""Distributions, limits and the control of many tests against scipy, closed relations and step-by-step definitions."""
+"""Distributions, limits and the control of many tests agree with scipy and step-by-step definitions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The loop of rejection alone, on means of a few numbers."""
+"""The loop of rejection is tested alone, on means of a few numbers."""
 
 from __future__ import annotations
 

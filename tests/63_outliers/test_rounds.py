@@ -1,4 +1,4 @@
-"""Many errors in one round of the search against the same errors one by one, and observations put back together."""
+"""Many errors in one round of the search give the result of one error per round."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The search for gross errors: rounds, predictions, re-admission, its end."""
+"""The tests check rounds, predictions, re-admission and end of the search for gross errors."""
 
 from __future__ import annotations
 

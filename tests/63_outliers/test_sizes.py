@@ -1,4 +1,4 @@
-"""Size and power of the tests in simulated adjustments of the twin: v = Q_vv l, l drawn, one observation tested."""
+"""Level and power of the tests are correct in simulated adjustments of the twin with v = Q_vv l."""
 
 from __future__ import annotations
 

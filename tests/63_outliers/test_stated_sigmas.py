@@ -1,4 +1,4 @@
-"""Stated sigmas of groups of observations beside the estimated ones: size of the test, doubt, note, gross errors."""
+"""Stated sigmas of groups are compared with estimated ones: level of the test, doubt, note, gross errors."""
 
 from __future__ import annotations
 

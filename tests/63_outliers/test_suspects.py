@@ -1,4 +1,4 @@
-"""T of every kind of suspect against one more column of unknowns in the full matrix; tests as users meet them."""
+"""T of every kind of suspect agrees with one more column of unknowns in the full matrix."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The twin with gross errors, and problems of it."""
+"""Fixtures are the twin with gross errors, and its problems."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Contradictory points: the position of least truncated cost among all subsets of their rays."""
+"""A contradictory point gets the position with the least truncated cost of all subsets of its rays."""
 
 from __future__ import annotations
 

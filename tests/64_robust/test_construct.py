@@ -1,4 +1,4 @@
-"""Losses made of their weight: cost and constants agree with scipy and with the registered ones."""
+"""Losses made from their weight have costs and constants that agree with scipy and the registered losses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The study of gross errors: its parts, a small twin of it, and the claim made of it."""
+"""The tests check the parts of the study of gross errors, a small study on the twin, and its claim."""
 
 from __future__ import annotations
 

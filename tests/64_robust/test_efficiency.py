@@ -1,4 +1,4 @@
-"""Constants by simulation: the centre of a normal cloud costs 5 % more variance than the mean's."""
+"""By simulation, the robust centre of a normal cloud has 5 % more variance than the mean."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Least absolute values against linear programming, the original Danish method by its rule."""
+"""Least absolute values agree with linear programming, the original Danish method with its rule."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Starts by resection: clean subsets, errors left out, images without control, and what Huber's start cannot do."""
+"""Starts by resection find clean subsets and leave errors out where a start with Huber's loss fails."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scale of the residuals by their median: against chi-square, against exact cofactors, under gross errors."""
+"""The scale from the median of the residuals agrees with chi-square and with exact cofactors."""
 
 from __future__ import annotations
 

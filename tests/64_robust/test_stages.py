@@ -1,4 +1,4 @@
-"""The way to a loss: stages, what is carried from one to the next, and what is said of its end."""
+"""The tests check the stages before a loss, the values that each stage passes on, and the end of each stage."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rays of which nothing tells which one is wrong, under a loss: they have one weight, and what remains is honest."""
+"""If the data cannot show which of two rays is wrong, both have one weight under a loss."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One small comparison on the twin, in memory and through a project folder, made once."""
+"""The fixture is one small comparison on the twin, in memory and through a project folder, made once."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recommendation: rules on made-up results, and the predicted limit against a simulation."""
+"""Recommendations follow rules on invented results, and the predicted limit agrees with a simulation."""
 
 from __future__ import annotations
 

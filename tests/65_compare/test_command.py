@@ -1,4 +1,4 @@
-"""The command ``compare``: folder, record, report, figures, refusals."""
+"""The command ``compare`` is tested: folder, record, report, figures, refusals."""
 
 from __future__ import annotations
 

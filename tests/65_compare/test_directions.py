@@ -1,4 +1,4 @@
-"""What explains the rows: directions by name as ``adjust`` says them, and the curves of the Tikhonov solvers."""
+"""Directions in a comparison have the names of ``adjust``; Tikhonov solvers have curves."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ten random rows of a comparison against computations that share no solver, no count and no statistic with it."""
+"""Ten random rows of a comparison agree with computations that share no code with it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Regularisations as an axis of a comparison: rows, recommendation, page, command; error vectors of published rows."""
+"""Regularisations are an axis of a comparison: the tests check rows, recommendation, page and command."""
 
 from __future__ import annotations
 

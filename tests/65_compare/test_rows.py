@@ -1,4 +1,4 @@
-"""Rows of a comparison against the engines called directly, and against plain numpy."""
+"""Rows of a comparison agree with direct calls of the engines and with numpy."""
 
 from __future__ import annotations
 

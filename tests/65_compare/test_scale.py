@@ -1,4 +1,4 @@
-"""Cost against size: growth on made-up values, the study of small blocks, its folder and page."""
+"""The study of cost and size is tested on invented values and on small blocks."""
 
 from __future__ import annotations
 

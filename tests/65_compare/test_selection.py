@@ -1,4 +1,4 @@
-"""Words and lists that select EOP sets, solvers, backends and types."""
+"""The tests check the words and lists that select EOP sets, solvers, backends and types."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Variance components against planted ones, an independent likelihood, each other; what is held and refused."""
+"""Variance components agree with planted ones and with an independent likelihood; some are held or refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sizes of tests with estimated variance components on a block too large for a matrix of all rows (1700 rows)."""
+"""The level of tests with variance components is correct on a block with 1700 rows."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Significance of unknowns against refits and full matrices; reduction against likelihood and points left out."""
+"""The significance of unknowns agrees with refits and full matrices, the reduction with the likelihood."""
 
 from __future__ import annotations
 

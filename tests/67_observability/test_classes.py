@@ -1,4 +1,4 @@
-"""Three classes of directions of the twenty EOP sets on the twin, and what is said of each image."""
+"""On the twin, the directions of the twenty EOP sets have three classes, and each image has a statement."""
 
 from __future__ import annotations
 

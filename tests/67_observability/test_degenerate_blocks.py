@@ -1,4 +1,4 @@
-"""Degenerate blocks: each ends in a sentence with images, points, the number of free motions, and a remedy."""
+"""Each degenerate block ends in a sentence with images, points, free motions and a remedy."""
 
 from __future__ import annotations
 

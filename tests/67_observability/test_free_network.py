@@ -1,4 +1,4 @@
-"""Free networks: against the pseudo-inverse, between datums, on two backends; what does not change and what does."""
+"""Free networks agree with the pseudo-inverse; the tests change datum and backend."""
 
 from __future__ import annotations
 

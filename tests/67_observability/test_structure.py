@@ -1,4 +1,4 @@
-"""Structural rank against the matching of single unknowns and observations, and what it names."""
+"""The structural rank agrees with the matching of single unknowns and observations."""
 
 from __future__ import annotations
 

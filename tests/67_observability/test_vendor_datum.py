@@ -1,4 +1,4 @@
-"""Datum of the vendor: hardly seen directions stay at the metadata, whatever the backend; the y-parallax is reduced."""
+"""Weakly determined directions stay at the vendor's metadata on every backend; the y-parallax decreases."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``fit_curve`` against scipy and numpy, its invariances and its refusals."""
+"""``fit_curve`` agrees with scipy and numpy; the tests check its invariances and refusals."""
 
 from __future__ import annotations
 

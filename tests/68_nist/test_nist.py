@@ -1,4 +1,4 @@
-"""The loop on the 27 certified regressions of NIST StRD, from both starts of each."""
+"""The loop solves the 27 certified regressions of NIST StRD from both starts of each."""
 
 from __future__ import annotations
 

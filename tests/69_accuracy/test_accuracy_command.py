@@ -1,4 +1,4 @@
-"""Command ``accuracy`` on a result folder and a raster."""
+"""The command ``accuracy`` is run on a result folder and a raster."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Figures of the accuracy report against numpy and simulation; prediction and bias tests and their distributions."""
+"""Figures of the accuracy report agree with numpy and simulation; its tests have the right distributions."""
 
 from __future__ import annotations
 

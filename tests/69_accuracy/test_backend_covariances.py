@@ -1,4 +1,4 @@
-"""Covariance blocks of all backends on random blocks: images, points, image with point, point with point.
+"""All backends give the same covariance blocks of images and points on random blocks.
 
 Compared with each other and with numpy's inverse of the full matrix, element by element in units of
 ``sqrt(c_ii c_jj)``: within 1e-8 wherever the condition of the normal matrix (unknowns in prior sigmas and metres) is at

@@ -1,4 +1,4 @@
-"""Heights against an elevation model: figures, the shift put in, its significance, what is not determined."""
+"""Heights are compared with an elevation model: the tests check figures, a planted shift and its significance."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Columns of image points that stand for something else are named by what fits."""
+"""Columns of image points with another meaning are named by the meaning that fits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Statistics without a file of their own: each check beside the same check with a wrong weight, which must fail."""
+"""Each check of a statistic must fail with a wrong weight."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``simulate block``: files, counts, roles, and an adjustment of it."""
+"""``simulate block`` is tested: files, counts, roles, and an adjustment of its block."""
 
 from __future__ import annotations
 

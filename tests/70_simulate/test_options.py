@@ -1,4 +1,4 @@
-"""Options of the simulators are checked with one line each."""
+"""Options of the simulators are checked, and each error is one line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The circular pass: consistent states, the point it must see, the side it looks to."""
+"""The states of the circular pass are consistent, and the sensor sees its point on the stated side."""
 
 from __future__ import annotations
 

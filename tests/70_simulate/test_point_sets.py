@@ -1,4 +1,4 @@
-"""Sizes and shapes of the eight point sets."""
+"""The eight point sets have the stated sizes and shapes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The projection of large blocks against the sensor's own."""
+"""The projection of large blocks agrees with the projection of the sensor."""
 
 from __future__ import annotations
 

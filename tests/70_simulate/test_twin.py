@@ -1,4 +1,4 @@
-"""The Zonguldak twin: files, truth, geometry, independence of the random streams."""
+"""The tests check files, truth, geometry and independent random streams of the Zonguldak twin."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Three rendered images of known geometry, matched once."""
+"""Fixtures are three rendered images of known geometry, matched once."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Parts of matching against independent computations: windows, candidates, trend, sigmas, distribution."""
+"""Parts of matching agree with independent computations: windows, candidates, trend, sigmas, distribution."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Real pairs, from pixels alone: the Pleiades pair of s2p against SIFT and its DSM, Mont Ventoux against SRTM."""
+"""Real pairs are matched from pixels alone: the Pléiades pair of s2p with SIFT and its DSM, Mont Ventoux with SRTM."""
 
 from __future__ import annotations
 

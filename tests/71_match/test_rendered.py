@@ -1,4 +1,4 @@
-"""Matching of rendered images: accuracy, calibrated sigmas, wrong matches, tracks, files, interruption."""
+"""Matching of rendered images is tested: accuracy, calibrated sigmas, wrong matches, tracks, interruption."""
 
 from __future__ import annotations
 

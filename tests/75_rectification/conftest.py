@@ -1,4 +1,4 @@
-"""Points of a made-up scene, and the reproduction of İpbüker 1994, computed once."""
+"""Fixtures are points of an invented scene and the reproduction of İpbüker 1994, computed once."""
 
 from __future__ import annotations
 

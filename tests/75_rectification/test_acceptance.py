@@ -1,4 +1,4 @@
-"""The seven acceptance tests of the description of İpbüker 1994, and what must show beside them."""
+"""The seven acceptance tests of the description of İpbüker 1994 pass."""
 
 from __future__ import annotations
 

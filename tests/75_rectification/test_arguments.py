@@ -1,4 +1,4 @@
-"""Nonsense given to the helpers in Python is refused with a message of the catalogue, each in turn."""
+"""Impossible values for the helpers in Python are each refused with a message of the catalogue."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The commands: tables in, folder and figures out, refusals in one line."""
+"""The commands read tables and write folder and figures; refusals are one line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Transformations: against other computations, their statistics, refusals."""
+"""Transformations and their statistics are compared with other computations; bad points are refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scanner geometry, projections and areas: the figures of the description, and each against another computation."""
+"""Scanner geometry, projections and areas agree with the figures of the description and other computations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where control points lie, what they weigh, and check points one by one: refusals and remarks."""
+"""The tests check positions and weights of control points, and single check points."""
 
 from __future__ import annotations
 

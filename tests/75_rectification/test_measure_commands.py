@@ -1,4 +1,4 @@
-"""Commands ``rectify area``, ``projection`` and ``scanner``: values of other programs and of print, refusals."""
+"""``rectify area``, ``projection`` and ``scanner`` give the values of other programs and of print."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Destriping, dark object, errors of a classification: planted effects and a published error matrix."""
+"""Destriping, dark object and classification errors: planted effects are found, a published matrix repeated."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""İpbüker 1994 beside what follows for it: verdicts, reasons, altered copies."""
+"""İpbüker 1994 is compared with its recomputation: verdicts, reasons, altered copies."""
 
 from __future__ import annotations
 

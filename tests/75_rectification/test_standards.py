@@ -1,4 +1,4 @@
-"""Accuracy standards: verdicts of the description, limits at the border of scales, each formula once more."""
+"""Accuracy standards give the verdicts of the description; each formula is written a second time."""
 
 from __future__ import annotations
 

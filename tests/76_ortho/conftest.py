@@ -1,4 +1,4 @@
-"""The twin rendered about its points, adjusted; and targets found in a map raster by their looks alone."""
+"""Fixtures are the twin rendered around its points and adjusted, and targets found in a map raster."""
 
 from __future__ import annotations
 

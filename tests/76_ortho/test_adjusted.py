@@ -1,4 +1,4 @@
-"""Corrections out of result folders, against the arrays of the same folder and against made-up ones."""
+"""Corrections are read from result folders and agree with the arrays of the folder."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Map rasters: georeferencing, windows, GDAL beside it, refusals, the command."""
+"""Map rasters are tested: georeferencing, windows, comparison with GDAL, refusals, the command."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a map raster is refused for: options, damaged images, models without an outline."""
+"""A map raster is refused for bad options, damaged images and models without an outline."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Resampling against scipy and against the kernels written out."""
+"""Resampling agrees with scipy and with kernels written out here."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The rendered twin rectified: every target is found where it truly lies, if orientation and terrain are right."""
+"""In the rectified twin every target has its true position if orientation and terrain are right."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ayhan 1996 as packaged: printed numbers by table, and the results of an independent double-precision program."""
+"""Fixtures are Ayhan 1996 as packaged, by table, and the results of an independent program."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cofactors belong to the solution and to the weights given: against derivatives of independent functions there."""
+"""Cofactors belong to the solution and its weights, as derivatives of independent functions show."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands ``closerange``: a stereo pair from control points to intersected points, surfaces, bad input."""
+"""``closerange`` commands are tested: a stereo pair up to intersected points, surfaces, bad input."""
 
 from __future__ import annotations
 

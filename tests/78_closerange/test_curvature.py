@@ -1,4 +1,4 @@
-"""Whether the covariance holds as a whole: the bend of the unknowns, on a known parabola and on far cameras."""
+"""The tests check whether the covariance is valid: a known parabola and distant cameras bend the unknowns."""
 
 from __future__ import annotations
 

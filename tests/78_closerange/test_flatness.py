@@ -1,4 +1,4 @@
-"""DLT on points that are flat within the noise: refused by that cause; spatial ones stay, with honest deviations."""
+"""DLT refuses points that are flat within the noise, and keeps spatial points with correct deviations."""
 
 from __future__ import annotations
 

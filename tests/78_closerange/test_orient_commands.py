@@ -1,4 +1,4 @@
-"""Commands ``closerange relative`` and ``absolute``: from image points of two photos to ground coordinates."""
+"""``closerange relative`` and ``absolute`` lead from image points of two photos to ground coordinates."""
 
 from __future__ import annotations
 

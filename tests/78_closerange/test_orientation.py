@@ -1,4 +1,4 @@
-"""Relative and absolute orientation of sets that are hard to begin with or leave something open."""
+"""Relative and absolute orientation are tested on difficult and on underdetermined sets of points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""DLT, resection, intersection, relative and absolute orientation, parallax: truth, other programs, refusals."""
+"""DLT, resection, intersection, orientations and parallax are compared with the truth and other programs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ayhan 1996 beside what follows from its measurements: verdicts, section by section, and altered copies."""
+"""Ayhan 1996 is compared with results from its measurements, section by section."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Surfaces: feet, fits against independent adjustments and programs, what points leave open, mapping."""
+"""Fits of surfaces agree with independent adjustments and programs; undetermined ones are refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A synthetic pair or triple of photos of points in a room, and the printed numbers of Ayhan 1996."""
+"""Fixtures are a synthetic pair or triple of photos in a room, and the printed numbers of Ayhan 1996."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The close-range bundle: the thesis' 77 unknowns, an independent adjustment, backends, what is not determined."""
+"""The close-range bundle has the 77 unknowns of the thesis and agrees with an independent adjustment."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""DBAT's camera calibration through the command, and the three runs of it that must fail: each names its cause."""
+"""DBAT's camera calibration runs through the command; three of its runs fail and name the cause."""
 
 from __future__ import annotations
 

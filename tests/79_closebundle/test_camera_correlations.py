@@ -1,4 +1,4 @@
-"""Significance of camera parameters with their correlations: warnings, t and F against numpy and refits."""
+"""The significance of camera parameters agrees with numpy and refits, including correlations."""
 
 from __future__ import annotations
 

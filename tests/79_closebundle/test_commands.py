@@ -1,4 +1,4 @@
-"""Command ``closerange bundle``: a pair from control points to calibrated photos, constraints, bad input."""
+"""``closerange bundle`` leads from control points to calibrated photos; bad input is refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Command ``closerange compare-report``: published values compared with a result by their digits."""
+"""``closerange compare-report`` compares published values with a result by their digits."""
 
 from __future__ import annotations
 

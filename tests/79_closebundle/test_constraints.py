@@ -1,4 +1,4 @@
-"""Random configurations of each constraint: it holds at the solution, and is the limit of soft ones."""
+"""In random configurations each constraint is met and is the limit of weighted constraints."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Constraints that contradict or repeat each other, and figures whose points are judged by their rays."""
+"""Constraints that contradict or repeat each other are found; points of figures are judged by their rays."""
 
 from __future__ import annotations
 

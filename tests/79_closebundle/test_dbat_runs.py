@@ -1,4 +1,4 @@
-"""The page on PhotoModeler exports: its commands on DBAT's own files give what DBAT's reports print."""
+"""The commands of the page on PhotoModeler exports give the printed reports of DBAT."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Gross errors in a bundle: search, robust losses, variance components; options of the common adjustment."""
+"""Gross errors in a bundle: the tests check search, robust losses, variance components and common options."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Observed stations, check points and the import of projects through the commands; redundancy numbers."""
+"""The commands handle observed stations, check points, imported projects and redundancy numbers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Predicted and real errors agree: the twin with errors drawn from the priors, set 20, many seeds.
+"""Predicted and real errors agree: the twin, set 20, many seeds, with errors drawn from the priors.
 
 NEES = e^T C^-1 e with e = estimate minus truth and C the joint prior-scale covariance; if
 model, weights and priors are right it is chi-square with as many degrees of freedom as e

@@ -1,4 +1,4 @@
-"""Dead directions of the 20 EOP sets on the twin: how many, what they are called, what happens without priors."""
+"""The 20 EOP sets on the twin have known numbers and names of undetermined directions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The real Pléiades pair: 86 points, ten control points, each point the first one in turn.
+"""The real Pléiades pair is adjusted with ten of 86 points as control, beginning with each point in turn.
 
 Bounds of the issue; an independent bundle gave medians 0.45-0.48 / 0.52-0.57 / 2.01-2.15 m.
 """

@@ -1,4 +1,4 @@
-"""Vendor RPC of real products in the bundle: Pléiades image 1, the Pléiades Neo pair, the SPOT-7 pair."""
+"""Vendor RPC of real products are adjusted: Pléiades image 1, the Pléiades Neo pair, the SPOT-7 pair."""
 
 from __future__ import annotations
 

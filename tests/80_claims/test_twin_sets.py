@@ -1,4 +1,4 @@
-"""The twin with a constant bias, all 20 EOP sets: what they reach at the check points.
+"""All 20 EOP sets reach stated errors at the check points of the twin with a constant bias.
 
 Bounds of the issue. H-10, +-5 m per ECEF axis and +-20 microrad per angle, signs drawn per
 image, image noise 0.3 px, ground noise 0.06/0.06/1.0 m.

@@ -1,4 +1,4 @@
-"""One run of each publication on the twin of seed 1, shared by all tests."""
+"""The fixture is one run of each publication on the twin of seed 1."""
 
 from __future__ import annotations
 

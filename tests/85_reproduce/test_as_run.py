@@ -1,4 +1,4 @@
-"""The program's procedure beside the print: what it reproduces that the equations of the text do not."""
+"""The procedure of the program reproduces printed values that the equations of the text do not."""
 
 from __future__ import annotations
 

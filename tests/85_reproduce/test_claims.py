@@ -1,4 +1,4 @@
-"""The claims of a faithful reproduction over seeds of the twin."""
+"""The claims of a faithful reproduction are tested over seeds of the twin."""
 
 from __future__ import annotations
 

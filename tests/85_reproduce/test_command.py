@@ -1,4 +1,4 @@
-"""The command and its folder."""
+"""The tests run the command and check its folder."""
 
 from __future__ import annotations
 

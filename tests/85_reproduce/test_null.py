@@ -1,4 +1,4 @@
-"""The null model: printed values exchanged among cells of the same role."""
+"""In the null model printed values are exchanged between cells of the same role."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Parts of the page: the grid holds every cell of a table once, the scatter stands where the numbers are."""
+"""In the page, the grid has every cell of a table once, and the scatter plot has its values."""
 
 from __future__ import annotations
 

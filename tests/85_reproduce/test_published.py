@@ -1,4 +1,4 @@
-"""The published tables: complete, with their digits and doubts; damaged ones are refused by file and line."""
+"""The published tables are complete with digits and doubts; damaged ones are refused by file and line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Published beside reproduced on one twin: coverage, independence of cells, and the numbers themselves."""
+"""Published values are compared with reproduced ones on one twin: coverage, independence, numbers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Figures of the publications: panels carry the numbers of their tables, lost ones say why."""
+"""Figures of the publications have the numbers of their tables; missing figures state the reason."""
 
 from __future__ import annotations
 

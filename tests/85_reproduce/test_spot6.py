@@ -1,4 +1,4 @@
-"""Tables 4.35-4.55: rules on made-up numbers, the machinery on a twin of 99 points, verdicts on the real ones."""
+"""Tables 4.35-4.55: rules on invented numbers, a twin of 99 points, verdicts on the real values."""
 
 from __future__ import annotations
 

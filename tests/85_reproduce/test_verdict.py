@@ -1,4 +1,4 @@
-"""Verdicts by their rules: each test holds where it should, and only there."""
+"""Each test of a verdict is met where its rule requires it, and only there."""
 
 from __future__ import annotations
 

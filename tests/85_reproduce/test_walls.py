@@ -1,4 +1,4 @@
-"""What computes may not read what was published; test_architecture.py holds that it may not import it."""
+"""Code that computes may not read published values; test_architecture.py forbids the import."""
 
 from __future__ import annotations
 

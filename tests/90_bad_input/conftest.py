@@ -1,4 +1,4 @@
-"""A small project folder with stand-in sensors."""
+"""The fixture is a small project folder with substitute sensors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Wrong values from Python: each is refused with the name of the argument and the row, and usable ones are not.
+"""Wrong values from Python are each refused with argument and row; usable values are accepted.
 
 Every case spoils one argument of a call that works. The error is an ``InputError`` in one line that names the place;
 no word of numpy or GTSAM reaches the user.

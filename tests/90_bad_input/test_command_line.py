@@ -1,4 +1,4 @@
-"""The bad inputs of the issue through the command line: one line each, exit code 2, nothing left behind.
+"""Bad inputs on the command line give one line each and exit code 2, and leave no files.
 
 Every case is the twin with one fault. The error must name the file, the place, the value and
 a remedy, on one line, as text and as JSON; the output folder must not exist afterwards.

@@ -1,4 +1,4 @@
-"""Small files that state or imply much: each loader refuses them within its time and memory; limits can be raised."""
+"""Each loader refuses small files that imply large data within its time and memory; limits can be raised."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""No data of a file become code: nothing unpickles, evaluates, or calls a shell."""
+"""No data of a file are executed: no code unpickles, evaluates, or calls a shell."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Names in input files never make a path out of the folder that a command reads or writes."""
+"""Names in input files never lead to a path outside the folder that a command reads or writes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Small rasters and binary tables that state or imply much are refused within their time and memory."""
+"""Small rasters and binary tables that imply large data are refused within time and memory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Spoilt points, observations and project files: one line each with file, place, value and remedy.
+"""Faults in points, observations and project files give one line with file, place, value, remedy.
 
 Every case spoils one thing in a valid project. The error must hold exactly one problem,
 with the expected code, place and value; nothing but the valid project may pass.

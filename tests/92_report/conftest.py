@@ -1,4 +1,4 @@
-"""One result of the twin with hostile ids written into its tables, its report, and a browser; all made once."""
+"""Fixtures are a result of the twin with hostile ids, its report, and a browser, made once."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The report in a browser: what it shows, what moves, and that nothing else runs in it."""
+"""The tests check what the report shows and moves in a browser, and that no other code runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The report of close range: drawings say what the record says, hostile names are words, nobody is asked."""
+"""Drawings in the report of close range agree with the record; hostile names are only text."""
 
 from __future__ import annotations
 

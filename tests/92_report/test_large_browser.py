@@ -1,4 +1,4 @@
-"""The report of 1e5 image points: small enough, and points within reach; its times are for the benchmarks."""
+"""The report of 1e5 image points is small enough, and its points can be found."""
 
 from __future__ import annotations
 

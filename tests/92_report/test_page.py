@@ -1,4 +1,4 @@
-"""The report without a browser: its size, its policy, and that every drawing says what the tables say."""
+"""Without a browser the tests check size and policy of the report, and each drawing against the tables."""
 
 from __future__ import annotations
 

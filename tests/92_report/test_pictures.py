@@ -1,4 +1,4 @@
-"""Pixels in the report: pictures under the vectors, chips of the largest residuals, and rasters that are not usable."""
+"""Pixels in the report: pictures under the vectors, chips of the largest residuals, unusable rasters."""
 
 from __future__ import annotations
 

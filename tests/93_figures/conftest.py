@@ -1,4 +1,4 @@
-"""The twin and one result of it, made once."""
+"""Fixtures are the twin and one result of it, made once."""
 
 from __future__ import annotations
 

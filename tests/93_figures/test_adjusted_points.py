@@ -1,4 +1,4 @@
-"""``fg-orient dsm-points``: four formats read back by other programs hold what the tables of the result hold."""
+"""Other programs read four formats of ``fg-orient dsm-points`` with the data of the result tables."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Figures of a result: what they show is what the tables hold; files repeat, are safe, and say what is missing."""
+"""Figures of a result agree with the tables, are repeatable and safe, and state what is missing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An adjustment by a Tikhonov solver: its curve in the record, on the page and as a figure."""
+"""An adjustment by a Tikhonov solver has its curve in the record, on the page and as a figure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Layers for a geographic information system: read back by pyogrio they hold what the tables hold."""
+"""pyogrio reads the layers for a geographic information system with the data of the tables."""
 
 from __future__ import annotations
 

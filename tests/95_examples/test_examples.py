@@ -1,4 +1,4 @@
-"""Every example runs as a user runs it and prints what docs/examples.md shows; on real files where they are present."""
+"""Every example runs and prints what docs/examples.md shows, with real files where they exist."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every command and code block of README and documentation is run, or the reason why not stands here.
+"""Every command and code block of README and documentation runs, or this file states why not.
 
 How blocks are written: ``tests/support/pages.py``. A page begins with the files of :func:`prepared` (or none, if it
 simulates its own data) and with the names fg, np, block, solution and folder. Each line of a ``sh`` block is an

@@ -1,4 +1,4 @@
-"""The pages on extending: the code of each is one file outside the package, loaded and used as a reader would."""
+"""The code of each page on extending is one file outside the package and is used as a reader would."""
 
 from __future__ import annotations
 

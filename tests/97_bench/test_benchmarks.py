@@ -1,4 +1,4 @@
-"""The arithmetic of the benchmarks: counts, bound, ratios, verdicts, and the page made of the results."""
+"""The tests check the arithmetic of the benchmarks and the page made from the results."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The study of estimators: its scenes have the stated truth, its page is made of its rows."""
+"""In the study of estimators the scenes have the stated truth, and the page is made from its rows."""
 
 from __future__ import annotations
 

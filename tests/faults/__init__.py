@@ -1,1 +1,1 @@
-"""Faults at every system call that writes: ``python -m tests.faults --command adjust`` (Linux, a C compiler)."""
+"""Each system call that writes fails once: ``python -m tests.faults --command adjust`` (Linux, a C compiler)."""

@@ -1,4 +1,4 @@
-"""Faults at writing calls of commands; figures and failures as JSON.
+"""Writing calls of commands fail in turn; figures and failures are printed as JSON.
 
 ``python -m tests.faults --command adjust --errors ENOSPC,EIO,EROFS,KILL`` lets every call of ``adjust`` fail by each
 error; ``--most N`` takes a sample of the calls. ``--kills N`` kills the command at random times instead, and

@@ -1,4 +1,4 @@
-"""Runs of a command in forked processes, of which one writing call fails, or which are killed.
+"""Commands run in forked processes, in which one writing call fails or the process is killed.
 
 The calls are counted by the system (``calls.c``), so that calls of GDAL and SQLite are met. The process that forks
 has loaded all modules and kernels: a run costs what the command itself costs.

@@ -1,4 +1,4 @@
-"""Contents of a folder without what differs from run to run: times, measured memory, their drawings, resumption."""
+"""The comparison of folders ignores what differs between runs: times, measured memory, drawings, resumption."""
 
 from __future__ import annotations
 

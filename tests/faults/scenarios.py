@@ -1,4 +1,4 @@
-"""Commands whose writing calls fail, on small inputs that this module makes."""
+"""These commands, whose writing calls fail, run on small inputs that this module makes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Trials of a command on copies of a folder: calls that fail, kills, two writers."""
+"""A trial runs a command on a copy of a folder: calls fail, processes are killed, or two commands write."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Run of one case within its limits, and of many cases with a record of what was found."""
+"""The harness runs one case within its limits, or many cases with a record of what was found."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Mutations of files: bytes, lines, cells, numbers, and members of archives; any sequence from one seed is repeated."""
+"""Mutations change bytes, lines, cells, numbers and members of archives; a seed repeats a sequence."""
 
 from __future__ import annotations
 

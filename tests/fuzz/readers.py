@@ -1,4 +1,4 @@
-"""Public readers with the files that fuzzing begins with."""
+"""The module lists public readers with the files that fuzzing begins with."""
 
 from __future__ import annotations
 

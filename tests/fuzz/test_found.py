@@ -1,4 +1,4 @@
-"""Cases that fuzzing found: each file is put into the files of its reader, which then reads or refuses it."""
+"""Each file that fuzzing found is read or refused by its reader."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Short runs of the fuzzer, long ones for the slow tests, and strategies of hypothesis for the loaders."""
+"""Short runs of the fuzzer and strategies of hypothesis test the loaders; long runs are slow tests."""
 
 from __future__ import annotations
 

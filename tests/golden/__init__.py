@@ -1,4 +1,4 @@
-"""What commands and backends give, kept before a change and compared after it.
+"""Outputs of commands and backends are kept before a change and compared after it.
 
 ``python -m tests.golden keep FOLDER`` runs the cases of :mod:`tests.golden.cases` with the code beside it and keeps
 every file, the standard output and the exit code. Run it in the tree before a change (a git worktree) and in the tree

@@ -1,4 +1,4 @@
-"""The cases: commands on files that are made before, each in a folder of its own."""
+"""The cases are commands on prepared files, each in a folder of its own."""
 
 from __future__ import annotations
 

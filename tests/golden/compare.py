@@ -1,4 +1,4 @@
-"""Compares what two trees gave: file by file, value by value."""
+"""The outputs of two trees are compared file by file and value by value."""
 
 from __future__ import annotations
 

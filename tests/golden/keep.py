@@ -1,4 +1,4 @@
-"""Runs the cases and keeps what they give."""
+"""The module runs the cases and keeps their outputs."""
 
 from __future__ import annotations
 

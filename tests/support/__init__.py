@@ -1,1 +1,1 @@
-"""Helpers shared by tests of several floors."""
+"""Helpers are shared by tests of several folders."""

@@ -1,4 +1,4 @@
-"""Photos of one camera with distortion, from above and rolled, over points with control: a self-calibration."""
+"""The self-calibration has photos of one camera with distortion, from above and rolled, over control points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Changes of a text that must be there: a damage that does not change the file would prove nothing."""
+"""A change of a text fails if the old text is missing, because the test would then prove nothing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Synthetic coasts, and simulated areas counted in pixels."""
+"""The module makes synthetic coasts and counts simulated areas in pixels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands run in this process, and how they ended."""
+"""Commands run in this process; the result has output and exit code."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Evaluator of CSM frame states from the published definitions of their fields; it knows nothing of ``fg_orient``."""
+"""An evaluator of CSM frame states follows the published definitions of the fields without ``fg_orient``."""
 
 from __future__ import annotations
 

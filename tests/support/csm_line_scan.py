@@ -1,4 +1,4 @@
-"""Second evaluator of CSM line-scan states, from the published field definitions of USGSCSM, with numpy alone.
+"""A second evaluator of CSM line-scan states follows the published field definitions with numpy alone.
 
 Pixels are those of CSM: (0.5, 0.5) is the centre of the first pixel. Nothing of the package is imported.
 """

@@ -1,4 +1,4 @@
-"""Degenerate blocks: of pushbroom images (the twin), of RPC images and of pinhole images."""
+"""The module makes degenerate blocks of pushbroom images (the twin), of RPC images and of pinhole images."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The equations of a block with the ground points eliminated by numpy alone: the oracle of regularisations."""
+"""numpy eliminates the ground points from the equations of a block, as a reference for regularisations."""
 
 from __future__ import annotations
 

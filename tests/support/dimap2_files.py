@@ -1,4 +1,4 @@
-"""Writer of DIMAP 2.0 sensor products (Pléiades, SPOT 6/7): input of tests of the reader."""
+"""The module writes DIMAP 2.0 sensor products (Pléiades, SPOT 6/7) for tests of the reader."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Random states of the registered equations of ``factors``, for the generic tests.
+"""Random states of the registered equations of ``factors`` serve the generic tests.
 
 Each state is well posed. Over many draws a state covers every branch of its equation.
 """

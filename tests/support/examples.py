@@ -1,4 +1,4 @@
-"""What docs/examples.md shows of the output of each example, held against a run."""
+"""The output of each example is compared with docs/examples.md."""
 
 from __future__ import annotations
 

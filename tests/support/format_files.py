@@ -1,4 +1,4 @@
-"""Files of other programs that the pages on formats speak of: the lines that a page shows, where it shows any."""
+"""The module writes the files of other programs that pages on formats mention, with their shown lines."""
 
 from __future__ import annotations
 

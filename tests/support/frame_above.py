@@ -1,4 +1,4 @@
-"""A block of pushbroom images with a frame camera on a satellite above it."""
+"""The block has pushbroom images and a frame camera on a satellite above it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Frame models made for tests: cameras around some points, image points by the projection plus noise."""
+"""Frame models for tests have cameras around some points, and image points by projection with noise."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Small blocks of every kind of observation, and their statistics from full matrices."""
+"""Statistics of small blocks with every kind of observation are computed from full matrices."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""DigitalGlobe ISD files of an invented satellite, which flies a circle and turns at a constant rate."""
+"""The module writes DigitalGlobe ISD files of an invented satellite on a circle with a constant rate."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Second evaluator of DigitalGlobe ISD files, and of their RPC, with numpy and scipy alone.
+"""A second evaluator of DigitalGlobe ISD files and their RPC uses numpy and scipy alone.
 
 Positions are cubic Hermite polynomials of positions and velocities, attitudes are slerp. Pixels are (line, sample) with
 (0, 0) = centre of the first pixel. Nothing of the package is imported.

@@ -1,4 +1,4 @@
-"""Simulated line-scan ISD of ALE, and a second evaluator made from the published field definitions, with numpy alone.
+"""The module simulates line-scan ISD of ALE and evaluates them by the published definitions with numpy.
 
 Pixels of the evaluator are those of CSM: (0.5, 0.5) is the centre of the first pixel. Nothing of the package is
 imported.

@@ -1,4 +1,4 @@
-"""Bundle adjustment of frames in an inertial frame with latitude, longitude, radius points: numpy only.
+"""An independent bundle adjustment of frames in an inertial frame uses only numpy.
 
 It knows nothing of ``fg_orient``: own reader of the ISD, labels and networks, own equations, own normal equations. The
 conventions are those of ISIS jigsaw as the data set states them. Units: km, mm on the plane of the scan, degrees.

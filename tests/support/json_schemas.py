@@ -1,4 +1,4 @@
-"""Schemas of what commands print with ``--json``: written from the records of a test run, and the check of a record.
+"""Schemas of the output with ``--json`` are made from records of a test run and check a record.
 
 ``FG_ORIENT_RECORDS=folder python -m pytest ...`` keeps what the commands of the tests print, then
 ``python -m tests.support.json_schemas folder`` adds it to the schemas, which are not narrowed.

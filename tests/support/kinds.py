@@ -1,4 +1,4 @@
-"""The kind of each test: where the value comes from that it expects; README.md of the tests defines them."""
+"""The kind of a test states where its expected value comes from; README.md of the tests defines the kinds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lattices of an invented pushbroom, and a second evaluator of lattices, with numpy and scipy alone."""
+"""The module makes lattices of an invented pushbroom and evaluates them with numpy and scipy alone."""
 
 from __future__ import annotations
 

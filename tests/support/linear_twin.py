@@ -1,4 +1,4 @@
-"""The twin as a linear problem: residuals of simulated adjustments by projection, thousands at once."""
+"""The twin as a linear problem gives residuals of thousands of simulated adjustments by projection."""
 
 from __future__ import annotations
 

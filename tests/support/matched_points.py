@@ -1,4 +1,4 @@
-"""Image points that a run of matching wrote, against their true places in rendered images."""
+"""Image points of a matching run are compared with their true places in rendered images."""
 
 from __future__ import annotations
 

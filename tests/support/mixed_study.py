@@ -1,4 +1,4 @@
-"""Runs over seeds of the mixed block: the global test and the variance component of each kind of sensor."""
+"""Runs over seeds of the mixed block give the global test and the variance component of each sensor."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The 27 nonlinear regression sets of NIST StRD: the models, and the reader of the files.
+"""The module has the models of the 27 nonlinear regression sets of NIST StRD and reads the files.
 
 Source: Statistical Reference Datasets, nonlinear regression, US National Institute of Standards and Technology (public
 domain).

@@ -1,4 +1,4 @@
-"""Observation equation of parameters, for tests of extra observations."""
+"""An observation equation of parameters serves the tests of extra observations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Images and surveyed points of a place, and tables of them in the forms that offices use.
+"""The module makes images and surveyed points of a place, and tables of them as offices write them.
 
 Pixels come from an evaluation of the rational functions apart from the package, map coordinates from PROJ.
 """

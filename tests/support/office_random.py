@@ -1,4 +1,4 @@
-"""Random tables of points: columns, their order and names, units, separators, encodings, angles and heights."""
+"""Random tables of points vary in columns, names, units, separators, encodings, angles and heights."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an HTML page is made of, read without a browser."""
+"""An HTML page is read without a browser."""
 
 from __future__ import annotations
 

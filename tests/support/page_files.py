@@ -1,4 +1,4 @@
-"""The files that pages of the documentation speak of: the twin, its result, its RPC, tables of points."""
+"""The module writes the files that pages of the documentation mention: the twin, its result, RPC, tables."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fenced code of Markdown pages, run in this process as a reader would run it.
+"""Fenced code of Markdown pages runs in this process as a reader would run it.
 
 A page is run from top to bottom in one folder and one Python namespace. What the languages mean:
 

@@ -1,4 +1,4 @@
-"""The small block of the tests of parts and workers."""
+"""Tests of parts and workers share this small block."""
 
 from __future__ import annotations
 

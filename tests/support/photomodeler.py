@@ -1,4 +1,4 @@
-"""Blocks of the runs of Börlin, Grussenmeyer (2016): DBAT on exports of PhotoModeler, here from our reader.
+"""Blocks of the runs of Börlin and Grussenmeyer (2016) are read from exports of PhotoModeler.
 
 DBAT takes image points, camera and start values from the export, and control points from a file of its own.
 :func:`write_projects` writes small projects of our own under the names of theirs.

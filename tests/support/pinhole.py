@@ -1,4 +1,4 @@
-"""Synthetic blocks of pinhole images of any size in a local system, as bundle adjustment programs are compared on.
+"""Synthetic blocks of pinhole images of any size serve the comparison of bundle adjustment programs.
 
 Cameras stand on a grid above rough ground and look down, each tilted its own way by some degrees; every point is
 measured in the cameras nearest to it. Unknown are, per image, rotation, projection centre, focal length, k1 and k2: the

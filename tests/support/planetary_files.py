@@ -1,4 +1,4 @@
-"""A small block of frames above the Moon as files: image support data, labels, a control network, a project."""
+"""The module writes a small block of frames above the Moon: ISD, labels, control network, project."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Blocks of the twin as RPC, all points control: image points and coordinates check each other."""
+"""In blocks of the twin with RPC and only control points, image points and coordinates check each other."""
 
 from __future__ import annotations
 

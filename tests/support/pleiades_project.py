@@ -1,4 +1,4 @@
-"""The real Pléiades pair as a project folder: 86 surveyed points, every eighth one control."""
+"""The real Pléiades pair is a project folder with 86 surveyed points, of which every eighth is control."""
 
 from __future__ import annotations
 

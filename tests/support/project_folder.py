@@ -1,4 +1,4 @@
-"""A small valid project folder whose files a test may spoil, and a stand-in for the sensor."""
+"""The module makes a small valid project folder, which a test may change, and a substitute sensor."""
 
 from __future__ import annotations
 

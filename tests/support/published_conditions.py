@@ -1,4 +1,4 @@
-"""The SPOT-5 conditions a second time, in plain numpy from the formulas: the oracle of the published procedure.
+"""The SPOT-5 conditions are written a second time in numpy, as a reference for the published procedure.
 
 Nothing of the kernels is used. All functions accept complex arguments, so that derivatives can be taken by
 complex step. ``as_run`` leaves the across-track axis V/|V| x Z unnormalised and the attitude a small-angle

@@ -1,4 +1,4 @@
-"""Rays of pushbroom metadata a second time, by numpy and scipy from the formulas: nothing of the sensor is used."""
+"""Rays of pushbroom metadata are computed a second time by numpy and scipy, without the sensor."""
 
 from __future__ import annotations
 

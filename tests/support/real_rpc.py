@@ -1,4 +1,4 @@
-"""Blocks of the real RPC products: Pléiades image 1, the Pléiades Neo pair, the SPOT-7 pair."""
+"""The module makes blocks of real RPC products: Pléiades image 1, the Pléiades Neo pair, the SPOT-7 pair."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Images of known geometry, rendered by numpy: relief, walls that hide ground, blur, noise, another radiometry.
+"""numpy renders images of known geometry with relief, walls, blur, noise and another radiometry.
 
 The models are affine RPC, so that rays are straight lines of (x, y) against the height and each step is a closed
 formula that shares nothing with the code under test. x and y are metres East and North of the middle of the scene. The

@@ -1,4 +1,4 @@
-"""Repetitions of a test: the first ones run with every change, the others with ``make test-slow``."""
+"""The first repetitions of a test run with every change, the others with ``make test-slow``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Result folders that a test has changed on purpose."""
+"""The module changes result folders on purpose."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The Zonguldak twin with RPC instead of its rigorous models: fitted here, compensated, observed with noise."""
+"""The Zonguldak twin has RPC instead of its rigorous models; they are fitted and compensated here."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A synthetic RPC with the sizes of a metre-resolution scene, and an evaluation written apart from the package."""
+"""A synthetic RPC of a metre-resolution scene has an evaluation without code of the package."""
 
 from __future__ import annotations
 

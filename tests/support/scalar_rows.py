@@ -1,4 +1,4 @@
-"""Rows of image points by the scalar kernel of their equation: independent of the batches that the package takes."""
+"""The scalar kernel of an equation computes rows of image points without the batches of the package."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sensor descriptions of the twin's images, written from their DIMAP 1 metadata in each of the frames."""
+"""Sensor descriptions of the twin's images are written from their DIMAP 1 metadata in each frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Small synthetic metadata of pushbroom images: a circular orbit, 40 lines of 24 samples."""
+"""Small synthetic metadata of pushbroom images have a circular orbit and 40 lines of 24 samples."""
 
 from __future__ import annotations
 

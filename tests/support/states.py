@@ -1,4 +1,4 @@
-"""States of a problem away from its solution, and how far two of them are apart."""
+"""The module makes states of a problem away from its solution and measures the distance of two states."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Surveys for the formats of other programs: random ones, and the comparison of two."""
+"""The module makes random surveys for the formats of other programs and compares two surveys."""
 
 from __future__ import annotations
 

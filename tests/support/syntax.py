@@ -1,4 +1,4 @@
-"""The syntax trees of the modules, each read once in a run."""
+"""The syntax trees of the modules are each read once in a run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Random linear systems."""
+"""The module makes random linear systems."""
 
 from __future__ import annotations
 

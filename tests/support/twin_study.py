@@ -1,4 +1,4 @@
-"""Runs over seeds of the twin for the claims: accuracy by EOP set, calibration."""
+"""Runs over seeds of the twin give accuracy by EOP set and calibration for the claims."""
 
 from __future__ import annotations
 

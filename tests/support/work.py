@@ -1,4 +1,4 @@
-"""Work in calls of functions: the same on each machine, however quick or busy it is."""
+"""Work is measured in calls of functions, which does not depend on the speed of the machine."""
 
 from __future__ import annotations
 
