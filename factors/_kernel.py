@@ -54,7 +54,7 @@ def _flags(fastmath: str, forceinline: bool) -> Flags:
 
 
 class _KernelCompiler(_FunctionCompiler):  # type: ignore[misc]
-    """Compiler of parts, and of kernels from parts."""
+    """The compiler makes parts, and kernels from parts."""
 
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)

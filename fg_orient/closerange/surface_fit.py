@@ -273,9 +273,9 @@ def _require_steep(task: _Task, base: tuple[Array, float] | None, k: int) -> Non
     Raises
     ------
     InputError
-        Names the parameters and the direction near the start; or the semi-axis that
-        cannot be verified, because no fit converges there and its squares do not stay far
-        above.
+        The error names the parameters and the direction near the start. If a semi-axis cannot
+        be verified, it names this axis: no fit converges there, and its sum of squares is not
+        clearly larger.
     """
     model = task.model
     if base is None:

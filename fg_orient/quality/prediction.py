@@ -1,15 +1,17 @@
 """Test of excluded observations for consistency with the adjustment of the other observations.
 
-The excluded observations are tested as if they were included again. With their misclosure v at the solution
-of the other observations, their Jacobian J in whitened rows, the cofactors Q of the unknowns,
-``S = I + J Q J^T`` and the columns E of the error in these rows::
+The excluded observations are tested as if they were included again. v is their misclosure at
+the solution of the other observations, J is their Jacobian in whitened rows, and Q are the
+cofactors of the unknowns. E are the columns of the error in these rows. With
+``S = I + J Q J^T`` the test value is::
 
     T = (E^T S^-1 v)^T (E^T S^-1 E)^+ (E^T S^-1 v)
 
-is the T of the outlier test in the adjustment that includes these observations. (There the whitened residuals are
-``S^-1 v``, with these cofactors; leave one out, Kok 1984.) If they are included again, v^T v increases by ``v^T S^-1
-v``. A ground point that the other observations do not determine is first intersected from the excluded observations;
-the test uses the remaining combinations.
+It is equal to T of the outlier test in the adjustment that includes these observations, in
+which ``S^-1 v`` are the whitened residuals and ``S^-1`` their cofactors (leave one out, Kok
+1984). If they are included again, v^T v increases by ``v^T S^-1 v``. A ground point that the
+other observations do not determine is first intersected from the excluded observations; the
+test uses the remaining combinations.
 """
 
 from __future__ import annotations

@@ -77,7 +77,7 @@ def by_parts(n: int, some: Callable[[slice], Sequence[npt.NDArray[Any]]]) -> lis
 
 @dataclass(frozen=True, eq=False)
 class ResidualCofactors:
-    """Residuals of a solution and their cofactors, whitened, prior scale; each is computed at first use.
+    """Whitened residuals of a solution and their cofactors in prior scale; each is computed at first use.
 
     Parameters
     ----------

@@ -41,7 +41,7 @@ from fg_orient.quality.variance_components import UnknownFreedom
 #: Probability of a false alarm among all coefficients.
 LEVEL: Final = 0.05
 _TINY: Final = float(np.finfo(float).tiny)
-#: Parts of the distortion of a camera, by the names of their coefficients.
+#: Each part of the distortion of a camera has coefficients with these names.
 DISTORTION: Final = {
     "radial distortion": re.compile("k[0-9]|(radial|orthogonal)_[0-9]"), "decentring distortion": re.compile("p[12]"),
     "affinity": re.compile("(affinity|film)_[a-z]+"), "Brown's parameters": re.compile("a[0-9]+"),
