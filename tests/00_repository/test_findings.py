@@ -128,7 +128,7 @@ def test_a_code_has_one_entry() -> None:
 
 @pytest.mark.behaviour
 def test_results_of_earlier_and_later_versions_are_read() -> None:
-    """Sentences only; a code without words here, or one whose words ask for other data, keeps those of the record."""
+    """The sentences of the record are kept if it has only sentences, or if its code is unknown or has other data."""
     first, second = findings_of({"warnings": ["few points", "no fit"], "reason": "no fit"})
     assert [(str(one), one.severity) for one in (first, second)] == [("few points", "warning"), ("no fit", "doubt")]
     assert findings_of({}) == ()

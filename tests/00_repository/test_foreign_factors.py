@@ -98,7 +98,7 @@ def test_our_own_is_accepted(site: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("content", ["", "import pandas_of_another\n", "raise SystemExit(0)\n"])
 def test_overwritten_by_another_distribution(site: Path, tmp_path: Path, content: str) -> None:
-    """The order of the remedy matters: uninstalling the other one takes the file along, whoever wrote it last."""
+    """The order of the remedy matters, because uninstalling the other distribution removes the file."""
     write(site / "factors" / "__init__.py", content)
     dist_info(site, "factors", "0.1.1", ["factors/__init__.py", "factors/models.py"])
     text = refusal(site)
@@ -114,7 +114,7 @@ def test_the_command_ends_with_one_line(site: Path) -> None:
 
 
 def test_file_gone_with_another_distribution(site: Path, tmp_path: Path) -> None:
-    """What uninstalling the other one leaves: our folder without ``__init__``; other such folders do not matter."""
+    """After the other distribution is uninstalled, our folder has no ``__init__``."""
     (site / "factors" / "__init__.py").unlink()
     leftover = tmp_path / "script" / "factors"
     leftover.mkdir(parents=True)
@@ -141,7 +141,7 @@ def test_file_of_the_user_beside_the_script(site: Path, tmp_path: Path) -> None:
 
 
 def test_script_of_the_user_that_has_the_name(site: Path, tmp_path: Path) -> None:
-    """It would be imported by what it imports, and run twice."""
+    """Without the check the script would be imported by fg_orient and run twice."""
     script = tmp_path / "factors.py"
     write(script, f"import sys; sys.path.append({str(site)!r}); print('RUN'); import fg_orient\n")
     done = subprocess.run([sys.executable, "-S", script], capture_output=True, text=True, timeout=60)
@@ -151,7 +151,7 @@ def test_script_of_the_user_that_has_the_name(site: Path, tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("old_copy", [False, True])
 def test_folder_of_the_user(repository: Path, site: Path, tmp_path: Path, old_copy: bool) -> None:
-    """Also an old copy of ours: its code may be another one of the same version."""
+    """The folder may be an old copy of ours with other code of the same version."""
     folder = tmp_path / "script" / "factors"
     text = (repository / "factors" / "__init__.py").read_text("utf-8") if old_copy else "print('RUN')\n"
     write(folder / "__init__.py", text)
@@ -167,7 +167,7 @@ def test_folder_on_pythonpath(site: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("editable", [False, True])
 def test_another_distribution_that_is_found_first(site: Path, tmp_path: Path, editable: bool) -> None:
-    """As beside an editable fg_orient, whose folder comes last: nothing of ours is lost, nothing is installed again."""
+    """As with an editable fg_orient, whose folder comes last, our files exist and nothing must be installed again."""
     first = tmp_path / "first"
     write(first / "src" / "factors" / "__init__.py", "print('RUN')\n")
     if editable:
@@ -220,7 +220,7 @@ def test_remains_of_an_interrupted_installation_do_not_disturb(site: Path) -> No
 
 
 def test_doctor_warns_of_a_file_with_two_owners(site: Path) -> None:
-    """Ours, installed last, works; it goes when the other one is uninstalled."""
+    """fg_orient works if it was installed last, but the file is removed when the other distribution is uninstalled."""
     code = "from fg_orient.model.installation import shared_file; print(shared_file() or '', end='')"
     for expected in ("", f"{site / 'factors' / '__init__.py'}: the distribution factors 0.1.1 has this file too"):
         text = f"import sys; sys.path.insert(0, {str(site)!r}); {code}"

@@ -154,7 +154,7 @@ def test_entries_are_well_formed(repository: Path) -> None:
 
 @pytest.mark.behaviour
 def test_entries_format_with_values_of_their_fields(repository: Path) -> None:
-    """Each field takes what its format asks for, and no other word of the entry is lost."""
+    """Each field accepts a value of its format, and all other words of the entry are kept."""
     for code in entries(repository):
         parts = [p for text in texts(code) for p in FORMAT.parse(OPTION.sub(r"option \1", text))]
         values: dict[str, object] = {name: 1.5 if kind else "WORD" for _, name, kind, _ in parts if name}
@@ -181,7 +181,7 @@ def test_no_code_has_two_entries() -> None:
 
 @pytest.mark.repository
 def test_an_entry_has_parts_a_remedy_and_a_severity() -> None:
-    """Lines are joined, parts begin with +, the remedy with ->; failures that follow each other share a remedy."""
+    """Lines are joined; parts begin with +, the remedy with ->. Failures that follow each other share a remedy."""
     table = "a.b (note): one\n    two: three\n    + , {four}\n    -> do\n    it\n"
     table += "c.c: last\nc.d: five\n    -> six\ne.e (note): x"
     assert words(table) == {
@@ -194,7 +194,7 @@ def test_an_entry_has_parts_a_remedy_and_a_severity() -> None:
 
 @pytest.mark.repository
 def test_choices_are_offered_in_the_same_words(repository: Path) -> None:
-    """A list of what is known is introduced alike everywhere."""
+    """The same words introduce every list of known values."""
     others = re.compile(r"choose among|use one of|give one of \{|^known: \{known\}$|choose one of: ")
     assert [code for code in entries(repository) if any(others.search(text) for text in texts(code))] == []
 

@@ -58,7 +58,7 @@ def test_numbers_in_an_equation(text: str) -> None:
 )  # fmt: skip
 @pytest.mark.parametrize("folder", ["factors", "fg_orient"])
 def test_a_record_under_another_name(name: str, text: str, folder: str) -> None:
-    """Passed on to a function, that indexes it, or hands an offset to one that does."""
+    """A record is passed to a function that indexes it, or that passes an offset on."""
     more = f"""
 def three(a, i, n):
     return a[i], a[i + n]

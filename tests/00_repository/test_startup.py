@@ -60,7 +60,7 @@ def run(code: str, folder: Path) -> str:
 
 @pytest.mark.repository
 def test_import_loads_nothing_but_itself(repository: Path) -> None:
-    """Its three modules and the standard library, so that it takes some hundredths of a second."""
+    """The import loads three modules and the standard library, so that it takes some hundredths of a second."""
     code = (
         "import sys; before = set(sys.modules); import fg_orient\n"
         "found = set(sys.modules) - before\n"
@@ -79,7 +79,7 @@ def twin(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.repository
 @pytest.mark.parametrize("name", FORBIDDEN)
 def test_a_command_loads_only_what_it_uses(name: str, repository: Path, twin: Path, tmp_path: Path) -> None:
-    """Kernels are left as they are: they are compiled in advance or not, and call for numba and scipy.linalg."""
+    """Kernels are not counted: they may be compiled in advance or not, and need numba and scipy.linalg."""
     words, forbidden = FORBIDDEN[name]
     places = {"left": twin / "left.DIM", "project": twin / "project.toml", "out": tmp_path / "out"}
     words = [word.format(**places) for word in words]

@@ -145,7 +145,7 @@ def test_a_change_two_imports_away_gives_the_new_result(chain: Chain) -> None:
 
 
 def test_stamps_do_not_depend_on_the_order_of_sets(repository: Path) -> None:
-    """Python numbers strings anew in each process, and literals such as ``{"a", "b"}`` are sets."""
+    """Python hashes strings differently in each process, and literals such as ``{"a", "b"}`` are sets."""
     code = """
 import sys
 from fg_orient.kernels import batch, batch_cofactors, batch_pairs
@@ -218,7 +218,7 @@ def test_stamp_sees_what_a_function_is_bound_to() -> None:
 
 
 def test_stamp_of_a_kernel_follows_functions_and_intrinsics() -> None:
-    """A callee with another body gives another stamp; what a kernel does not call, does not."""
+    """A changed callee changes the stamp; a function that the kernel does not call does not change it."""
     kernels: list[Any] = [batch_pairs.pair_blocks, batch.rows_of_form, pushbroom.fill]
     before = [stamp(kernel.py_func) for kernel in kernels]
 
@@ -240,7 +240,7 @@ def test_stamp_of_a_kernel_follows_functions_and_intrinsics() -> None:
 
 
 def test_a_function_that_numba_compiles_may_call_kernels() -> None:
-    """A user's own loop over an equation: with all that the kernel calls, arrays that it makes among it."""
+    """A loop of the user over an equation is compiled with all that the kernel calls."""
     e = look_angle_collinearity(np.random.default_rng(5))
     fill: Any = pushbroom.fill
 
@@ -278,7 +278,7 @@ def test_a_kernel_is_compiled_whole_and_its_parts_are_not(tmp_path: Path) -> Non
 
 
 def test_a_part_that_becomes_a_kernel_gives_arrays(chain: Chain) -> None:
-    """What boxes an array stands beside the code of a kernel, not beside that of another one which has it as a part."""
+    """The code that converts an array to Python belongs to the kernel, not to one that has it as a part."""
     code = """
 import json, sys
 import numpy as np
@@ -308,7 +308,7 @@ json.dump([value, []], sys.stdout)
 
 
 def test_a_function_does_not_take_the_rounding_of_its_first_caller() -> None:
-    """Numba hands fastmath and forceinline on to functions that say nothing and are compiled for a caller."""
+    """numba passes fastmath and forceinline of a caller on to functions without such options."""
     for compile_ in (_compile.compiled, _compile.inlined, _compile.exact, _compile.threaded):
         options = compile_(lambda x: x * x).targetoptions  # type: ignore[attr-defined]
         assert {"fastmath", "forceinline"} <= options.keys()
@@ -317,7 +317,7 @@ def test_a_function_does_not_take_the_rounding_of_its_first_caller() -> None:
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="rights of POSIX")
 @pytest.mark.parametrize("opened", ["folder", "index", "data"])
 def test_files_that_others_can_write_are_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, opened: str) -> None:
-    """They are compiled again; writing takes the right from others, and the next run reads them."""
+    """Such kernels are compiled again; writing removes the permission of others, and the next run reads the files."""
     monkeypatch.setattr(numba.core.config, "CACHE_DIR", str(tmp_path))
 
     def runs() -> int:

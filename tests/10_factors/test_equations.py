@@ -40,7 +40,7 @@ def test_every_equation_has_examples() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("equation", EQUATIONS, ids=lambda e: e.name)
 def test_jacobian_equals_complex_step(equation: Equation, references: dict[str, list[Derived]]) -> None:
-    """Bound of the issue: 1e-11 of the largest element of the row, in prior-sigma units; observed 7e-16."""
+    """The limit is 1e-11 of the largest element of the row, in prior sigmas; the measured difference is 7e-16."""
     worst = 0.0
     assert len(references[equation.name]) == DRAWS
     for example, expected in references[equation.name]:
@@ -162,7 +162,7 @@ def reference_conditions(record: np.ndarray, setup: np.ndarray, x: np.ndarray, g
 
 @pytest.mark.oracle
 def test_pushbroom_equals_an_independent_evaluation() -> None:
-    """The pair arithmetic against plain matrices in 80-bit floats: 1e-15 rad, a few roundings."""
+    """Arithmetic with pairs of numbers agrees with plain matrices in 80-bit floats to 1e-15 rad, some roundings."""
     equation = registered()["look_angle_collinearity"]
     rng = np.random.default_rng(5)
     for _ in range(DRAWS):
@@ -176,7 +176,7 @@ def test_pushbroom_equals_an_independent_evaluation() -> None:
 
 @pytest.mark.oracle
 def test_differences_keep_their_digits() -> None:
-    """A correction of 1e-9 prior sigmas changes F by its derivative to 1e-6 relative: no cancellation."""
+    """A correction of 1e-9 prior sigmas changes F by its derivative to 1e-6 relative, because no digits cancel."""
     equation = registered()["look_angle_collinearity"]
     rng = np.random.default_rng(6)
     e = draw(equation, rng)

@@ -51,7 +51,7 @@ def gradient_of_error(f: gtsam.CustomFactor, values: gtsam.Values, length: int) 
 
 @pytest.mark.oracle
 def test_linearisation_equals_the_kernel() -> None:
-    """The kernel's numbers, in the order of the keys: the gradient is the difference quotients of the error."""
+    """The factor has the kernel's numbers in the order of its keys; differences of the error give the gradient."""
     e, values = example()
     f = image_point(e, pushbroom.LOOK_ANGLE_COLLINEARITY)
     value, j_image, j_ground = pushbroom.LOOK_ANGLE_COLLINEARITY.kernel(e.record, e.setup, *e.unknowns, True)
@@ -72,7 +72,7 @@ def test_error_is_half_the_weighted_square() -> None:
 
 @pytest.mark.oracle
 def test_constant_ground_point_is_no_unknown() -> None:
-    """Only the image's unknowns move the error; by difference quotients its gradient is that of the rows."""
+    """Only the unknowns of the image change the error; differences of the error give the gradient of the rows."""
     e, values = example()
     f = image_point(e, pushbroom.LOOK_ANGLE_COLLINEARITY, ground=e.unknowns[1])
     assert list(f.keys()) == [E0]
@@ -113,7 +113,7 @@ WRONG = {
 @pytest.mark.behaviour
 @pytest.mark.parametrize("fault", WRONG)
 def test_faulty_kernels_are_named(fault: str) -> None:
-    """GTSAM accepts a (2, 5) Jacobian for 36 unknowns and nan silently; we do not."""
+    """GTSAM accepts a (2, 5) Jacobian for 36 unknowns, and nan, without a message; fg_orient refuses both."""
     e, values = example()
 
     def kernel(record: np.ndarray, setup: np.ndarray, x: np.ndarray, g: np.ndarray, want: bool) -> tuple:
@@ -130,7 +130,7 @@ def test_faulty_kernels_are_named(fault: str) -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize("size", [5, 35, 37])
 def test_wrong_sizes_are_named_with_a_constant_ground_point(size: int) -> None:
-    """In the words of the fast path; the kernel itself gives nan, not what the memory held."""
+    """The error has the words of the fast path; the kernel itself returns nan, not old content of the memory."""
     e, _ = example()
     values = gtsam.Values()
     values.insert(E0, np.zeros(size))

@@ -179,7 +179,7 @@ def test_look_table_is_linear_in_the_tangent() -> None:
 
 @pytest.mark.oracle
 def test_sines_equal_those_of_extended_precision(rng: np.random.Generator) -> None:
-    """Over many turns within rounding of one, small angles within rounding of themselves."""
+    """Over many turns the error is a rounding of 1, and for small angles a rounding of the angle."""
     for size in (1e-9, 1e-4, 0.5, 0.78, 2.0, 10.0, 1e6):
         x = rng.uniform(-size, size, 2000)
         sine, less = np.array([sine_cosine(v) for v in x]).T
@@ -266,7 +266,7 @@ def test_pair_rotation_sums_to_the_plain_product(rng: np.random.Generator) -> No
 
 @pytest.mark.consistency
 def test_few_rows_give_the_bits_of_many(rng: np.random.Generator) -> None:
-    """Few rows run in Python, many are compiled: a result does not depend on how many are asked for at once."""
+    """Few rows run in Python and many are compiled, but a result does not depend on the number of rows."""
 
     def require_equal(function: Callable[..., np.ndarray], arrays: tuple[np.ndarray, ...], times: int) -> np.ndarray:
         few = function(*arrays)

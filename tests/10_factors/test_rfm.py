@@ -17,7 +17,7 @@ PUBLISHED_TO_B = [1, 2, 3, 4, 5, 7, 6, 8, 9, 10, 11, 16, 15, 17, 13, 12, 14, 19,
 
 @pytest.mark.truth
 def test_term_orders() -> None:
-    """All orders hold the 20 monomials of degree <= 3; RPC00A has the product term in position 8."""
+    """All orders contain the 20 monomials of degree <= 3; RPC00A has the product term in position 8."""
     monomials = {(i, j, k) for i in range(4) for j in range(4) for k in range(4) if i + j + k <= 3}
     for order in EXPONENTS.values():
         assert len(order) == 20
@@ -105,7 +105,7 @@ def test_a_pole_gives_nan_and_its_neighbours_a_value() -> None:
 
 @pytest.mark.oracle
 def test_location_inverts_projection(rng: np.random.Generator) -> None:
-    """To 1e-13 of the range from the centre as first guess; a pixel that no ground point has gives nan."""
+    """From the centre as start, the error is 1e-13 of the range; a pixel without a ground point gives nan."""
     model, ground = synthetic_model(), rng.uniform(-1, 1, (300, 3))
     axes = dict(zip("LPH", ground.T, strict=True))
     terms = np.array([np.prod([axes[f] for f in term if f != "1"] + [np.ones(300)], axis=0) for term in TERMS])
@@ -148,7 +148,7 @@ def test_beyond_the_axis_there_is_no_difference() -> None:
 
 @pytest.mark.oracle
 def test_residuals_repeat_to_a_part_in_1e11_of_a_pixel() -> None:
-    """Moving the ground point by 1e-7 m changes the residual by its derivative: no jitter of 1e-9 m coordinates."""
+    """If the ground point moves by 1e-7 m, the residual changes by its derivative, without noise of rounding."""
     e = rational_function(np.random.default_rng(3))
     x, ground = e.unknowns
     r0, _, j = rfm_equation.RATIONAL_FUNCTION.kernel(e.record, e.setup, x, ground, True)

@@ -64,7 +64,7 @@ def test_any_kappa_has_its_place(system: LinearSystem) -> None:
 
 @pytest.mark.oracle
 def test_the_corner_bends_most(system: LinearSystem) -> None:
-    """Curvature of the recorded polyline itself, by differences; the chosen kappa stands at its largest."""
+    """The curvature of the recorded curve, computed by differences, is largest at the chosen kappa."""
     curve = l_curve_of(system)
     at, x, y = np.log(curve.kappa), np.log(curve.residual_norm), np.log(curve.solution_norm)
     dx, dy = np.gradient(x, at), np.gradient(y, at)
@@ -78,7 +78,7 @@ def test_the_corner_bends_most(system: LinearSystem) -> None:
 
 @pytest.mark.behaviour
 def test_a_rule_that_finds_nothing_says_why_and_the_others_stay() -> None:
-    """No redundancy: HKB and LW have no s0, and nothing is left of the residuals."""
+    """Without redundancy HKB and LW have no s0, and there are no residuals."""
     curve = l_curve_of(LinearSystem.from_design(np.diag([3.0, 0.1]), np.array([1.0, 1.0])))
     found = {c.rule: c for c in curve.choices}
     assert np.isnan(found["hkb"].kappa) and "more observations than unknowns" in found["hkb"].failure

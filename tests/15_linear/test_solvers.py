@@ -75,7 +75,7 @@ def test_modern_solver_equals_lstsq(name: str, seed: int, u: int, log_cond: floa
 
 @pytest.mark.truth
 def test_column_scaling_rescues_what_units_break() -> None:
-    """Units 1, 1e8, 1e16: N in raw units has cond 1e32, in unit-length columns that of the random design."""
+    """With units 1, 1e8 and 1e16, N has cond 1e32; with columns of unit length it has that of the random design."""
     rng = np.random.default_rng(2)
     design = rng.normal(size=(12, 3)) * [1.0, 1e8, 1e16]
     truth = np.array([3.0, 2e-8, -1e-16])
@@ -233,7 +233,7 @@ def test_tolerance_of_the_pseudo_inverse() -> None:
 
 @pytest.mark.truth
 def test_cramer_does_not_overflow() -> None:
-    """det = 1e-600 and 1e600 are no doubles."""
+    """Determinants of 1e-600 and 1e600 are outside the range of doubles."""
     for unit in (1e-100, 1e100):
         normal = unit * np.diag([1.0, 2.0, 4.0, 5.0, 8.0, 10.0])
         assert relative(invert_cramer(normal) * unit, np.diag([1.0, 0.5, 0.25, 0.2, 0.125, 0.1])) <= 1e-12
@@ -265,7 +265,7 @@ def test_as_run_takes_complex_roots_and_the_real_part(name: str) -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("name", ["cholesky_inverse", "cholesky_elimination"])
 def test_as_run_changes_nothing_on_a_positive_definite_matrix(name: str) -> None:
-    """The solution is LAPACK's, and not one bit depends on the switch."""
+    """The solution is that of LAPACK, and the switch changes no bit of it."""
     rng = np.random.default_rng(6)
     system = LinearSystem(positive_definite(rng, 6, 3.0), rng.normal(size=6))
     found = solve(name, system, as_run=True).x
@@ -290,7 +290,7 @@ def test_check_sums_hold_on_good_and_ill_conditioned_systems() -> None:
 @pytest.mark.truth
 @pytest.mark.parametrize("size", [1e-3, 1e-9])
 def test_injected_error_is_found_by_the_check_sums(size: float) -> None:
-    """Sums carried since N was formed; then one element (and its mirror) is corrupted."""
+    """The sums are computed when N is formed; then one element and its mirror image are changed."""
     rng = np.random.default_rng(9)
     normal, rhs = positive_definite(rng, 7, 2.0), rng.normal(size=7)
     sums = normal.sum(axis=1) + rhs

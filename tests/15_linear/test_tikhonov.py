@@ -90,7 +90,7 @@ def test_hkb_and_lw_are_their_formulas(system: LinearSystem) -> None:
 
 @pytest.mark.consistency
 def test_start_solver_of_hkb_is_named_by_the_caller() -> None:
-    """Where plain least squares is wild, kappa follows it; from a truncated solution it does not."""
+    """kappa follows the large errors of plain least squares, but not those of a truncated solution."""
     system, _, _ = vandermonde(0)
     wild = choose_kappa("hkb", system).kappa
     tame = choose_kappa("hkb", system, Given(start_solver="moore_penrose_inverse")).kappa
@@ -113,7 +113,7 @@ def test_clamping_as_published(value: float, kappa: float, note: str) -> None:
 
 @pytest.mark.behaviour
 def test_clamped_solver_and_unclamped_rule() -> None:
-    """Large residuals of tiny unknowns: HKB is far above 1; the unit of the unknowns decides."""
+    """With large residuals and tiny unknowns HKB is far above 1, because it depends on the unit of the unknowns."""
     rng = np.random.default_rng(1)
     system = LinearSystem.from_design(rng.normal(size=(10, 2)), rng.normal(size=10))
     assert choose_kappa("hkb", system).kappa > 1.0
@@ -234,7 +234,7 @@ def test_gcv_comes_near_the_best_kappa_but_for_its_known_exceptions() -> None:
 
 @pytest.mark.truth
 def test_plain_least_squares_is_far_from_the_best_kappa() -> None:
-    """Without this the tests above would say nothing."""
+    """Otherwise the tests above could not fail."""
     for seed in range(6):
         system, truth, _ = vandermonde(seed)
         best = min(float(np.linalg.norm(Ridge.of(system, "test").solution(k) - truth)) for k in np.logspace(-9, 0, 50))

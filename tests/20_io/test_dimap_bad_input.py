@@ -149,7 +149,7 @@ def test_missing_file_and_folder(tmp_path: Path, refused: Refused) -> None:
 
 
 def test_unreadable_file(dim1: Path, refused: Refused, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Root may read everything, so the refusal of the system is played."""
+    """Root may read everything; therefore the test simulates the refusal of the system."""
 
     def refuse(*_: object, **__: object) -> None:
         raise PermissionError(13, "Permission denied")

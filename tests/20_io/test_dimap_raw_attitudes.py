@@ -150,7 +150,7 @@ def test_two_detectors_give_all_of_a_straight_line(mirror_deg: float) -> None:
 
 @pytest.mark.oracle
 def test_tangents_about_the_nadir_would_be_far_off() -> None:
-    """The bend this rule is for: at 27 degrees the centre detector, 830 km away, moves by more than 500 m."""
+    """The rule is needed: at 27 degrees the centre detector would move by more than 500 m at 830 km."""
     sample_, _, psi_y = tilted_line(np.radians(27.0), 601)
     tangent = np.interp(300.0, sample_[[0, -1]], np.tan(psi_y[[0, -1]]))
     assert abs(tangent - np.tan(psi_y[300])) * 830e3 > 500.0

@@ -143,7 +143,7 @@ def test_spot124_frame_points(real_data: Path, name: str, limit_m: float) -> Non
 
 @pytest.mark.truth
 def test_spot6_frame_points_lie_at_terrain_height(real_data: Path) -> None:
-    """No height in the file: one height near 830 m meets all five within 2 m, as the folder's notes say."""
+    """The file has no height, but with one height near 830 m all five points agree within 2 m."""
     m = read_dimap(real_data / COSI / "SPOT6.XML")
     assert all(p.height_m is None for p in m.frame_points)
     assert frame_distances_m(m, 830.0).max() <= 2.0

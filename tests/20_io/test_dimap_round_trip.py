@@ -67,7 +67,7 @@ finite = st.floats(-1e-2, 1e-2, allow_nan=False)
 def test_any_float_survives_the_print(
     tmp_path_factory: pytest.TempPathFactory, seconds: float, roll: float, psi: float, period: float
 ) -> None:
-    """Any day time (lists reach over midnight on both sides) and any digits come back equal."""
+    """Any time of day (lists cross midnight on both sides) and any digits are read back unchanged."""
     around = seconds + 30.0 * np.arange(-4, 5)
     angles = np.stack([np.full(9, roll), np.linspace(-roll, roll, 9), np.zeros(9)], axis=1)
     sample = np.arange(3.0)

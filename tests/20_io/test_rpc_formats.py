@@ -374,7 +374,7 @@ def test_bad_rpb_and_dimap_name_the_place(tmp_path: Path, model: RpcModel) -> No
 
 @pytest.mark.behaviour
 def test_direct_models_are_scaled_to_unit_constants(tmp_path: Path, model: RpcModel) -> None:
-    """Some programs leave 0.9996 there; it is a scale of numerator and denominator alike."""
+    """Some programs write 0.9996 for the constant, which scales numerator and denominator alike."""
     direct = synthetic_model(5).coefficients.copy()
     path = tmp_path / "a.XML"
     write_rpc(path, replace(model, direct=np.concatenate([direct[:2] * 0.5, direct[2:]])))

@@ -89,7 +89,7 @@ def test_a_file_sweeps_its_folder_too(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("there", "expected"), [(False, "old"), (True, "new")])
 def test_an_output_that_was_being_replaced_is_put_back(tmp_path: Path, there: bool, expected: str) -> None:
-    """Killed between two renamings, where the system cannot exchange folders."""
+    """The process is killed between two renamings on a system that cannot exchange folders."""
     stem = ".out.0123456789ab"
     for name, text in ((f"{stem}.old", "old"), (f"{stem}.tmp", "half"), *([("out", "new")] if there else [])):
         (tmp_path / name).mkdir()
@@ -234,7 +234,7 @@ def test_the_lock_of_a_killed_run_excludes_nobody(tmp_path: Path) -> None:
 
 
 def test_a_hidden_file_that_cannot_be_removed_keeps_its_lock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """So the next run removes both: without the lock it would not know the file as its own."""
+    """The next run removes both; without the lock it would not know that the file is its own."""
     with monkeypatch.context() as patched, held(tmp_path / "out") as temporary:
         temporary.write_text("half")
         patched.setattr(Path, "unlink", lambda *_, **__: (_ for _ in ()).throw(OSError(5, "error")))

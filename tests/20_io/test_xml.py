@@ -122,7 +122,7 @@ def test_places_name_line_and_path(tmp_path: Path) -> None:
 
 @pytest.mark.behaviour
 def test_line_numbers_are_right_in_long_files(tmp_path: Path) -> None:
-    """Beyond 65535 lines libxml2 counts from the following text: right within one line."""
+    """Beyond 65535 lines libxml2 takes the number from the following text; it is right within one line."""
     root = node(tmp_path, "\n" * 70_000 + "<a>\n<b>x</b>\n</a>")
     line = int(root.one("a/b").place.split(",")[0].removeprefix("line "))
     assert abs(line - 70_002) <= 1

@@ -34,7 +34,7 @@ STATED = ("--sigma-ground", "0.05", "0.05", "0.1", "--sigma-image", "0.5", "0.5"
 
 
 class Terminal(io.StringIO):
-    """Text that claims to be a terminal."""
+    """A text stream that claims to be a terminal."""
 
     def isatty(self) -> bool:
         return True
@@ -151,7 +151,7 @@ def marks_table(there: Place, names: tuple[str, str] = ("left", "right"), ids: s
 
 
 def test_images_of_tie_points_are_told_by_rays_that_meet(tmp_path: Path) -> None:
-    """The images are nearly alike: exchanged, rays meet as well, in mirrored heights; elsewhere they do not."""
+    """The images are nearly alike: after an exchange the rays also meet, at mirrored heights, but not elsewhere."""
     there = place("fr")
     write_images(tmp_path / "in", there)
     (tmp_path / "in" / "ties.csv").write_text(marks_table(there, ("A", "B")), "utf-8")

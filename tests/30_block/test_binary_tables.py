@@ -236,7 +236,7 @@ def test_a_table_larger_than_the_memory_is_refused_before_it_is_read(
 
 @pytest.mark.behaviour
 def test_without_pyarrow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One line with the remedy, and before anything is computed."""
+    """The error is one line with the remedy, before anything is computed."""
     project = simulate_block(tmp_path / "block", BlockOptions(points=20))
     path = store(tmp_path / "o.parquet", good())
     monkeypatch.setitem(sys.modules, "pyarrow", None)
@@ -343,7 +343,7 @@ def test_commands_on_result_folders(projects: dict[str, Path], tmp_path: Path, f
 @pytest.mark.consistency
 @pytest.mark.parametrize("suffix", BINARY)
 def test_conversion_to_and_fro(projects: dict[str, Path], tmp_path: Path, suffix: str) -> None:
-    """The comment with the CRS goes along."""
+    """The conversion keeps the comment with the CRS."""
     folder = projects["csv"].parent
     tables = (folder / "points.csv", folder / "observations.csv")
     steps = [("--from", "csv", *tables, "--to", "csv", "--out", tmp_path / "a.csv"),

@@ -145,7 +145,7 @@ def test_every_default_is_allowed_and_documented(record: type) -> None:
 
 @pytest.mark.repository
 def test_flags_are_different() -> None:
-    """Units are left out of the flags, so two names could fall together."""
+    """Flags have no units, so that two names could become the same flag."""
     for records in ((Options, Reading), (ZonguldakOptions,), (BlockOptions,), (MixedOptions,)):
         flags = [option.flag for option in declared(*records).values()]
         assert len(set(flags)) == len(flags)

@@ -77,7 +77,7 @@ def test_ecef_to_geodetic_inverts_the_closed_formula(lon, lat, height):
 
 @pytest.mark.oracle
 def test_satellite_positions_convert_as_well():
-    """PROJ's own inverse is off by 7 mm at this height."""
+    """At this height PROJ's own inverse has an error of 7 mm."""
     lat = np.linspace(-90.0, 90.0, 181)
     _, back, height = geodesy.ecef_to_geodetic(closed_ecef(31.8, lat, 832e3))
     np.testing.assert_allclose(height, 832e3, rtol=0, atol=ROUNDING_M)

@@ -121,7 +121,7 @@ def test_options_of_the_file_and_overrides(folder):
 
 @pytest.mark.behaviour
 def test_paths_are_relative_to_the_project_file(folder, monkeypatch, tmp_path_factory):
-    """Check coordinates are found after a change of folder, too."""
+    """Check coordinates are also found after a change of the folder."""
     monkeypatch.chdir(folder.project.parent)
     block = read_project(folder.project.name)
     monkeypatch.chdir(tmp_path_factory.mktemp("elsewhere"))
@@ -276,7 +276,7 @@ def test_the_documented_example_is_a_valid_project(folder, repository):
 @pytest.mark.consistency
 @pytest.mark.parametrize("entry", ["", "[points]\n"])
 def test_a_project_without_points_has_tie_points_alone(folder, entry):
-    """As with a table of tie points: order, ids and pixels."""
+    """Order, ids and pixels are those with a table of tie points."""
     folder.change("project.toml", "max_iterations = 50", 'max_iterations = 50\ndatum = "priors"')
     header, rows = folder.points.read_text().splitlines()[1], ("01", "1", "c3", "c4", "k1", "k2", "t1")
     folder.points.write_text(f"{header}\n" + "".join(f"{name},tie,,,,,,\n" for name in rows), encoding="utf-8")

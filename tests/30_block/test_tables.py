@@ -61,7 +61,7 @@ def test_every_finite_double_is_read_back(value):
 @pytest.mark.behaviour
 @given(st.text(max_size=12))
 def test_only_plain_decimal_numbers_are_numbers(text):
-    """Whatever is accepted is a finite float for Python, too, and holds nothing but number characters."""
+    """Python also reads each accepted text as a finite float, and the text contains only characters of numbers."""
     faults = Faults("t.csv")
     value = number(Row(2, {"x": text}), "x", faults)
     assert math.isnan(value) == bool(faults)

@@ -100,7 +100,7 @@ def test_values_do_not_depend_on_blocks_or_on_the_cache(
 
 @pytest.mark.consistency
 def test_a_ray_does_not_depend_on_the_others(tmp_path: Path, rng: np.random.Generator) -> None:
-    """One pixel alone, and among others: equal within the tolerance of the heights."""
+    """A pixel has the same result alone and among others, within the tolerance of the heights."""
     sensor = zonguldak_block(ZonguldakOptions(seed=1))[0].images[0].sensor
     rows, columns = slice(27_000, 35_000), slice(23_000, 34_000)
     dem = RasterDem(write(tmp_path / "dem.tif", rows, columns))

@@ -140,7 +140,7 @@ def test_extrapolation_stops_at_its_seconds(metadata: PushbroomMetadata) -> None
 
 @pytest.mark.truth
 def test_extrapolated_quaternions_keep_their_rate(metadata: PushbroomMetadata) -> None:
-    """A rotation of constant rate about one axis: what is held is that rate, to the cube of its angle."""
+    """For a rotation of constant rate about one axis, the rate is kept to the cube of the angle."""
     image = open_end(metadata, 0.15)
     listed = metadata.attitude.time_s
     half = 5e-4 * (listed - listed[0])  # 1e-3 rad/s

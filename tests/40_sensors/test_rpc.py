@@ -255,7 +255,7 @@ def test_a_pole_is_refused_unless_taken(seed: int, row: int, term: int, value: f
 
 @pytest.mark.behaviour
 def test_a_pole_outside_the_image_does_no_harm() -> None:
-    """The cube of normalised coordinates may be wider than the image: the pole lies where no pixel looks."""
+    """The cube of normalised coordinates may be wider than the image, so that no pixel sees the pole."""
     c = np.zeros((4, 20))
     c[1::2, 0], c[0, 2], c[2, 1], c[3, 1] = 1.0, -100.0, 100.0, -1.5  # the image is 2 % of the cube
     model = RpcModel(np.array([100.0, 100.0, 31.8, 41.4, 0.0]), np.array([100.0, 100.0, 1.0, 1.0, 100.0]), c)

@@ -105,7 +105,7 @@ def test_every_file_is_read_and_equals_gdal(real_data: Path) -> None:
 
 @pytest.mark.truth
 def test_located_points_equal_gdal_within_its_tolerance(real_data: Path) -> None:
-    """GDAL iterates until a pixel is met to 0.1; where poles lie among the ground points it gives up in places."""
+    """GDAL stops when a pixel is met to 0.1 px; near poles it fails at some points."""
     for path in files(real_data):
         model = read(path)
         line, sample, h = pixels_and_heights(model)
@@ -209,7 +209,7 @@ def test_spot7_equals_xing(real_data: Path, image: str) -> None:
 
 @pytest.mark.truth
 def test_dimap_models_agree_with_their_own_model_to_the_ground(real_data: Path) -> None:
-    """Vendors' fits of both directions: 0.03 px; one file contradicts itself by 135 px and is told apart."""
+    """Vendors' fits of both directions agree to 0.03 px; one file contradicts itself by 135 px and is named."""
     checked = 0
     for path in files(real_data):
         model = read(path)

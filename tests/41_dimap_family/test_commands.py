@@ -83,7 +83,7 @@ def test_result_gives_adjusted_geometry(twin: Path, result: Path) -> None:
 
 @pytest.mark.behaviour
 def test_intersection_with_a_result(twin: Path, result: Path) -> None:
-    """Rays miss by metres only: with the metadata by 45 m."""
+    """With the result the rays miss each other by metres; with the metadata by 45 m."""
     project = twin / "project.toml"
     after = run("intersect", project, "--result", result, "--json").json
     assert np.median([p["miss_m"] for p in after["points"]]) < 3.0

@@ -230,7 +230,7 @@ def test_heights_of_frame_points_are_solved(twin: PushbroomMetadata) -> None:
 
 @pytest.mark.oracle
 def test_the_solved_height_is_the_best_one(twin: PushbroomMetadata) -> None:
-    """Against a search over heights: no other one comes nearer to a point that no height meets."""
+    """A search over heights finds no height that is nearer to a point that no height meets."""
     metadata = without_heights(twin, [300.0] * 4)
     moved = tuple(replace(p, lat_deg=p.lat_deg + 1e-4) for p in metadata.frame_points)
     sensor = PushbroomSensor(replace(metadata, frame_points=moved))
@@ -242,7 +242,7 @@ def test_the_solved_height_is_the_best_one(twin: PushbroomMetadata) -> None:
 
 @pytest.mark.behaviour
 def test_a_vertical_ray_decides_no_height(twin: PushbroomMetadata) -> None:
-    """Looking straight down no height moves the point sideways: it is taken to 0, and the record says so."""
+    """On a vertical ray no height moves the point sideways; the height is 0, and the record states this."""
     down = replace(twin, look=LookAnglePolynomial(6000.0, np.array([0.0]), np.array([0.0, 1e-7])))
     metadata = without_heights(down, [700.0] * 4)
     found = frame_records(PushbroomSensor(metadata))

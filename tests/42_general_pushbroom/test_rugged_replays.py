@@ -87,7 +87,7 @@ def hits(sensor: GeneralPushbroom, found: Replay, ground: np.ndarray) -> np.ndar
 @pytest.mark.truth
 @pytest.mark.parametrize(("effect", "least_m"), [("light_time", 0.5), ("aberration", 10.0)])
 def test_without_an_effect_the_point_is_missed(real_data: Path, effect: str, least_m: float) -> None:
-    """The files can tell: without the effect the ray is far off."""
+    """The files show each effect: without it the ray is far from the point."""
     found = replay(real_data, "direct-loc-01")
     located = by_line(found)[0]
     sensor = line_sensor(found, located)

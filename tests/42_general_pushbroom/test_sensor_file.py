@@ -55,7 +55,7 @@ def test_every_frame_gives_the_rays_of_the_dimap_sensor(
 
 @pytest.mark.consistency
 def test_kepler_and_inertial_velocity_are_one_frame(block: Block, tmp_path: Path) -> None:
-    """They turn against the Earth-fixed one by the Earth's rotation across the track: degrees of yaw."""
+    """The frame differs from the Earth-fixed one by the Earth's rotation across the track: degrees of yaw."""
     sensor, at = block.images[0].sensor, ([10.0], [20.0])
     found = {}
     for k, kind in enumerate(("kepler", "inertial velocity", "earth-fixed velocity")):

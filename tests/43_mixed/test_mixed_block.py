@@ -147,7 +147,7 @@ def test_the_frames_share_one_camera() -> None:
 
 @pytest.mark.behaviour
 def test_commands_take_the_block(folder: Path, tmp_path: Path) -> None:
-    """`adjust project.toml` and `report --truth`: nothing special is asked for."""
+    """`adjust project.toml` and `report --truth` need no special options."""
     out = tmp_path / "result"
     assert in_process("adjust", folder / "project.toml", "--out", out).code == 0
     assert json.loads((out / "result.json").read_text())["status"] == "converged"
@@ -181,7 +181,7 @@ def test_global_test_of_a_few_seeds() -> None:
 
 @pytest.mark.oracle
 def test_components_find_wrong_weights() -> None:
-    """Sigmas that are wrong by factors come back to the true ones: the fixed point does not know the start."""
+    """Sigmas that are wrong by factors return to the true values; the result does not depend on the start."""
     wrong = dict(zip(SENSORS, (2.0, 0.5, 3.0), strict=True))
     right, found = (run(5, weights, points=30) for weights in ({}, wrong))
     np.testing.assert_allclose(found.factors * list(wrong.values()), right.factors, rtol=1e-3)

@@ -73,7 +73,7 @@ def test_parallel_lines_name_the_direction_that_they_leave_open() -> None:
 
 @pytest.mark.oracle
 def test_a_planted_error_is_found_and_left_out() -> None:
-    """12 px across a line; the point of the line leaves the block with its image point."""
+    """An error of 12 px across a line is found; the point of the line is removed with its image point."""
     block = scene(0, eop_set=1).block
     o, line, sample = block.observations, block.observations.line.copy(), block.observations.sample.copy()
     line[40], sample[40] = line[40] + 12.0, sample[40] + 9.0

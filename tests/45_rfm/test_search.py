@@ -71,6 +71,6 @@ def test_a_seed_repeats_a_search_and_the_budget_bounds_it(
 @pytest.mark.oracle
 @pytest.mark.parametrize("name", ["genetic", "particle_swarm"])
 def test_few_points_leave_freedom(make: Make, name: str) -> None:
-    """Degree 3 has 70 coefficients beyond the affine part; 16 points allow 14 of them."""
+    """Degree 3 has 70 coefficients beyond the affine part; 16 points permit 14 of them."""
     fit = fit_selected(make(16, noise_px=0.5), RfmForm(3), name, evaluations=400)
     assert len(fit.form) <= 8 + 14 and fit.redundancy >= 10 - 1e-9

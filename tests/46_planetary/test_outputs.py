@@ -51,7 +51,7 @@ def test_rays_meet_the_ellipsoid(body: Body, rng: np.random.Generator) -> None:
                         ("IAU_2015:19902", (2440530.0, 2440530.0, 2438260.0)), ("Venus", (6051800.0,) * 3)],
 )  # fmt: skip
 def test_bodies_by_name(name: str, radii: tuple[float, float, float]) -> None:
-    """Archinal et al. 2018 (IAU 2015)."""
+    """The radii are those of Archinal et al. 2018 (IAU 2015)."""
     np.testing.assert_allclose(body_named(name).radii_m, radii, rtol=1e-9)
 
 

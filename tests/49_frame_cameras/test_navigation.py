@@ -182,7 +182,7 @@ def test_estimates_are_unbiased_and_their_covariance_is_right(seeds: range) -> N
 
 @pytest.mark.oracle
 def test_drift_that_is_not_modelled_is_seen() -> None:
-    """Without the drift unknowns the same data fail the global test: the test above could fail."""
+    """Without the drift unknowns the same data fail the global test, so that the test above can fail."""
     block, _ = small()
     held = {name: 1e-9 for name in block.images[0].sensor.camera.sigma if "drift" in name or "shift" in name}
     images = tuple(

@@ -25,7 +25,7 @@ def motions(points: Array) -> Array:
 
 @pytest.mark.oracle
 def test_cofactors_are_those_of_the_pseudo_inverse() -> None:
-    """Points and residuals of a free network with scale bars; the datum of all points by an S-transformation."""
+    """A free network with scale bars has these cofactors of points and residuals after an S-transformation."""
     block, _ = network(TENTH)
     solution = fg.adjust(block)
     assert solution.status is fg.Status.CONVERGED

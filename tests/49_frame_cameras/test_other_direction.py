@@ -61,7 +61,7 @@ def test_the_scale_of_the_corrected_image_decides_nothing(true: str, k1: float) 
 @pytest.mark.truth
 @pytest.mark.parametrize("true", DIRECTIONS)
 def test_no_note_without_a_difference(true: str) -> None:
-    """A weak distortion: both directions fit the same."""
+    """With a weak distortion both directions fit equally well."""
     (other,) = (model for model in DIRECTIONS if model != true)
     for seed in range(3):
         block = calibration_block((-0.002, 0, 0, 0, 0), true, other, seed=seed, sigma_px=NOISE_PX / 3.0)

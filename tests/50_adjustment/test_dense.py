@@ -232,7 +232,7 @@ def test_any_solver_of_the_registry(twin: Block, solver: str) -> None:
 
 @pytest.mark.oracle
 def test_a_regularised_solver_gives_the_step(twin: Block) -> None:
-    """Tikhonov inside the loop: each step is the solver's x; that it has not converged is said."""
+    """With Tikhonov in the loop each step is the x of the solver; the result states that it has not converged."""
     problem = compiled(twin, eop_set=16)
     backend = DenseBackend(problem, "tikhonov_hkb")
     residual, design = assemble(problem, problem.start)
@@ -251,7 +251,7 @@ def test_a_regularised_solver_gives_the_step(twin: Block) -> None:
 
 @pytest.mark.behaviour
 def test_a_solver_that_breaks_down_is_one_line_and_exit_code_three(twin: Block) -> None:
-    """Without priors and control, N is singular: the solver says where it stops."""
+    """Without priors and control N is singular, and the error names the step at which the solver stops."""
     no_priors = compiled(twin, eop_set=20, priors=False)
     with pytest.raises(fg.NoSolutionError, match="lapack_cholesky") as caught:
         DenseBackend(no_priors, "lapack_cholesky").linearise(no_priors.start).solve(0.0)

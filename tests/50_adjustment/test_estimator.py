@@ -193,7 +193,7 @@ def test_sigma0_is_the_root_of_all_weighted_squares(twin: Block) -> None:
 
 @pytest.mark.oracle
 def test_gradient_vanishes_at_the_solution(twin: Block) -> None:
-    """A^T r = 0 in scaled unknowns: the minimum, not only the end of a loop."""
+    """A^T r = 0 in scaled unknowns shows a minimum, not only the end of a loop."""
     solution = fg.adjust(twin, eop_set=20, look_polynomial=1)
     a = dense_jacobian(solution.problem, solution.state)
     r = residual_vector(solution.problem, solution.state)

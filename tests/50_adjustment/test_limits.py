@@ -89,7 +89,7 @@ def test_excluded_check_points_of_many_rays_are_calibrated() -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize("fault", ["line", "sigma_sample_px", "control coordinate", "control sigma"])
 def test_values_that_are_not_finite_are_refused_at_the_python_border(twin: Block, fault: str) -> None:
-    """Files are checked by the readers; a block made by hand is checked here."""
+    """The readers check files; this test checks a block made in Python."""
     o, known = twin.observations, twin.points.known
     first = int(twin.points.where(Role.CONTROL)[0])
     row = np.arange(len(twin.points.ids))[:, None] == first

@@ -51,7 +51,7 @@ def without(block: Block, test: GroupTest) -> Block:
 @pytest.mark.oracle
 @pytest.mark.parametrize("backend", ["graph", "dense", "schur"])
 def test_statistic_is_what_the_removal_of_the_observation_gains(backend: str) -> None:
-    """T = chi2 before minus chi2 without the image point: what the formula predicts, done."""
+    """T is chi2 before minus chi2 after the image point is removed."""
     block = all_control()
     solution = fg.adjust(block, backend=backend)
     tests = [t for t in solution.outlier_tests() if t.part == "image"]
@@ -145,7 +145,7 @@ def test_single_ray_names_both_places_of_the_error() -> None:
 
 @pytest.mark.behaviour
 def test_what_nothing_checks_is_never_suspected() -> None:
-    """Tie points: across the epipolar line they are checked, along it not; dimension 1."""
+    """Tie points are checked across the epipolar line and not along it; the dimension is 1."""
     solution = fg.adjust(rpc_twin("shift").block)
     tests = {(t.point, t.image): t for t in solution.outlier_tests()}
     check = solution.block.points.ids[int(solution.block.points.where(Role.CHECK)[0])]

@@ -53,7 +53,7 @@ def assert_equal(found: Problem, expected: Problem) -> None:
 def test_one_image_point_less_and_back(
     block: Block, full: Problem, role: Role, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """All rays of its point are made again, and nothing else."""
+    """All rays of its point are computed again, and no others."""
     o, rays = block.observations, np.bincount(block.observations.point)
     point = next(int(j) for j in block.points.where(role) if rays[j] > 2)
     smaller, made = without(block, int(np.flatnonzero(o.point == point)[0])), []

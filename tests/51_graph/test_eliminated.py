@@ -276,7 +276,7 @@ def test_points_that_cannot_be_intersected_cost_much_and_are_named() -> None:
 
 @pytest.mark.behaviour
 def test_graph_and_arrays_are_freed_with_the_backend() -> None:
-    """A callback that held the graph would keep both for ever."""
+    """A callback that refers to the graph would keep both in memory."""
     backend = GraphBackend(problem_of("grid"))
     backend.graph.error(backend.values(backend.problem.start))
     watched = weakref.ref(backend.elimination)

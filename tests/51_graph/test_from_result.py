@@ -119,7 +119,7 @@ def test_two_campaigns_equal_the_whole_block(backend: fg.Backend) -> None:
 
 @pytest.mark.oracle
 def test_the_difference_to_the_whole_block_is_of_second_order() -> None:
-    """Errors ten times as large: a hundred times the difference to numpy, at most."""
+    """If the errors are ten times as large, the difference to numpy is at most a hundred times as large."""
     whole, (first, second) = Dense.of(compile_problem(block(0.1))), campaigns(block(0.1))
     require_equal(fg.adjust(second, start=fg.adjust(first), start_prior=True), whole, 1e-4)
 

@@ -343,7 +343,7 @@ def test_rows_computed_again_change_no_bits(request: pytest.FixtureRequest) -> N
 
 @pytest.mark.behaviour
 def test_points_that_only_damping_determines(request: pytest.FixtureRequest) -> None:
-    """A tie point on one ray: what Gauss-Newton would eliminate at once is put off until there is a damping."""
+    """A tie point on one ray is not eliminated by Gauss-Newton until there is a damping."""
     request.getfixturevalue("tiles")
     problem = compile_problem(with_options(grid(1, 2, 900), eop_set=2))
     o = problem.observations
@@ -363,7 +363,7 @@ def mixed_size() -> Block:
 
 @pytest.mark.consistency
 def test_order_of_the_observations_does_not_matter() -> None:
-    """Sorted inside: a permuted file gives the same bits."""
+    """Observations are sorted; a permuted file gives the same bits."""
     block = with_options(grid(2, 2, 60), eop_set=15)
     order = np.random.default_rng(0).permutation(len(block.observations))
     a, b = (compile_problem(x) for x in (block, replace(block, observations=block.observations.take(order))))
@@ -639,7 +639,7 @@ def test_a_failure_in_any_thread_is_raised() -> None:
 
 @pytest.mark.behaviour
 def test_auto_falls_back_on_the_graph(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the Schur complement gives up, QR may not; asked for by name it is refused in words."""
+    """If the Schur complement fails, QR may succeed; if Schur was requested by name, the error is reported."""
 
     def give_up(*_: object) -> None:
         raise Singular("not positive definite")

@@ -41,7 +41,7 @@ def spoiled(**options: Any) -> Problem:
 
 
 class Stopped(Exception):
-    """Stands for the end of the process."""
+    """The exception stands for the end of the process."""
 
 
 def solve_in_two(problem: Problem, path: Path, after: int, monkeypatch: pytest.MonkeyPatch) -> Estimate:

@@ -170,7 +170,7 @@ def test_solution_says_what_its_figures_are() -> None:
 
 @pytest.mark.behaviour
 def test_a_loss_that_turns_most_points_down_is_not_trusted() -> None:
-    """Sigmas fifty times too small: nothing fits."""
+    """Sigmas are fifty times too small, so that no point fits."""
     block = clean_block(2, 2, 40)
     o = block.observations
     tiny = fg.ImagePoints(o.image, o.point, o.line, o.sample, o.sigma_line_px / 50.0, o.sigma_sample_px / 50.0)

@@ -228,7 +228,7 @@ def test_fixed_weights_are_an_ordinary_problem(name: str) -> None:
 
 @pytest.mark.behaviour
 def test_a_point_without_weight_keeps_a_place() -> None:
-    """Both rays of a tie point lose their weight; the block stays solvable, the point on their intersection."""
+    """Both rays of a tie point lose their weight; the block is solvable, and the point is on both rays."""
     block = clean_block(2, 2, 40)
     o = block.observations
     rays = np.bincount(o.point)

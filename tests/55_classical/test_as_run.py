@@ -70,7 +70,7 @@ def test_real_orbit_and_attitude_leave_a_constant_error(seed: int, distortion: f
 @pytest.mark.consistency
 @pytest.mark.parametrize("point_set", ["H-0", "H-20"])
 def test_the_error_does_not_depend_on_the_number_of_points(point_set: str) -> None:
-    """As published: the same with 47 and with 27 control points."""
+    """As published, 47 and 27 control points give the same error."""
     run = stage(True, point_set=point_set, **REAL)
     here, usual = gcp_errors(run), gcp_errors(stage(True, **REAL))
     assert len(here) != len(usual)

@@ -136,7 +136,7 @@ def test_lines_are_counted_from_the_centre_of_the_scene(block: Block) -> None:
 
 @pytest.mark.oracle
 def test_line_exact_orbits_differ_from_polynomials_by_centimetres(block: Block) -> None:
-    """D3: Lagrange through the state vectors, as the sensor gives them."""
+    """D3: the orbit is interpolated by Lagrange through the state vectors, as in the sensor."""
     ground, o = block.points.known.ecef_m, block.observations
     at = conditions.build(block.images, o, ground, line_exact=True)
     smooth = conditions.build(block.images, o, ground)
