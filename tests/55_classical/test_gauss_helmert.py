@@ -116,7 +116,7 @@ def test_gauss_markov_is_the_case_b_equals_minus_one(rng: np.random.Generator, s
 
 @pytest.mark.truth
 def test_conditions_only() -> None:
-    """The angles of a triangle: the misclosure is shared by the cofactors; no unknowns, one condition."""
+    """The angles of a triangle have one condition and no unknowns; the cofactors distribute the misclosure."""
 
     def closed(l_: np.ndarray, _: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return np.array([l_.sum() - 180.0]), np.zeros((1, 0)), np.ones((1, 3))

@@ -71,7 +71,7 @@ def test_type_2_bundles_are_the_programs(eop_set: int, expected: list[float]) ->
     (1, 14, [2.3e5]), (1, 18, [1.8e3]), (2, 14, [3130, 578, 2987]), (2, 18, [320, 65, 338]),
 ])  # fmt: skip
 def test_sets_14_and_18_fail_as_the_programs(seed: int, eop_set: int, expected: list[float]) -> None:
-    """Weak directions: a machine's rounding moves them by per cent, so a factor of 1.5 is all that is held."""
+    """Rounding moves weak directions by per cent; therefore the test allows a factor of 1.5."""
     found = bundle(eop_set, PROGRAM, seed).gcp_rmse
     values = found if len(expected) == 3 else found.max()
     assert np.all(np.abs(np.log10(values / np.array(expected))) < np.log10(1.5))
@@ -100,7 +100,7 @@ def test_ranks_and_condition_numbers_are_the_programs() -> None:
 @pytest.mark.consistency
 @pytest.mark.parametrize("name", ["cholesky_inverse", "cholesky_elimination"])
 def test_cholesky_fails_for_the_sets_with_velocity_at_two_times(name: str) -> None:
-    """Complex roots hide the failure: they are off here. Sets whose least pivot is rounding may fail or not."""
+    """Complex roots, which hide the failure, are off. Sets whose least pivot is a rounding error may fail or not."""
     run = run_of(PROGRAM.without("complex_roots"))
     for eop_set in (5, 13, 17, 20):
         assert run.bundle(eop_set, 2, name).failure
@@ -123,7 +123,7 @@ def test_matrices_leave_the_constant_residual() -> None:
 
 @pytest.mark.consistency
 def test_without_the_numbered_switches_it_is_the_former_procedure() -> None:
-    """Numbers of the program beside ours before D1 to D8."""
+    """The numbers of the program are compared with ours before D1 to D8."""
     run = run_of(WITHOUT_NUMBERED)
     assert near(run.uncorrected().gcp_rmse, [39.75, 25.35, 25.23], 0.001)
     assert near(run.look_only().gcp_rmse, [0.691, 0.200, 0.390], 0.001)
@@ -250,7 +250,7 @@ def test_d8_the_quotients_of_the_look_angles_are_needed_for_sets_15_and_16() -> 
 def test_without_bundle_check_points_diverge_with_the_control_points(
     eop_set: int, control: list[float], check: list[float]
 ) -> None:
-    """Set 19 is nearly singular: another machine may move it, so a factor of 1.5 is held."""
+    """Set 19 is nearly singular and depends on the machine; therefore the test allows a factor of 1.5."""
     found = run_of().step_two_only(eop_set, "pivot_inverse")
     share = 0.01 if eop_set == 15 else 0.5
     assert near(found.gcp_rmse, control, share)
@@ -260,7 +260,7 @@ def test_without_bundle_check_points_diverge_with_the_control_points(
 
 @pytest.mark.behaviour
 def test_without_bundle_a_solver_that_breaks_down_leaves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A solver from outside: whether a singular system breaks one of ours down is a matter of rounding."""
+    """The test uses its own solver, because rounding decides whether ours fail on a singular system."""
     monkeypatch.setattr(registry, "_REGISTRY", dict(registry._REGISTRY))
 
     @registry.register_solver("breaks_down", "Breaks down", "modern", source="test")

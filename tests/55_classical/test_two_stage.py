@@ -138,7 +138,7 @@ def test_step_one_closes_every_condition(run: TwoStage) -> None:
 
 @pytest.mark.oracle
 def test_step_one_is_a_back_projection(run: TwoStage, independent: Independent) -> None:
-    """Whatever is wrong goes into the look angles: v is what the control point itself asks for."""
+    """All errors go into the look angles: v is the correction that the control point itself requires."""
     control = independent.control
     assert np.abs(run.look.adjusted_rad[control] - independent.look[control]).max() < 1e-13
     v = run.look.v_rad[control]
@@ -207,7 +207,7 @@ def test_step_two_solves_rounding_noise(run: TwoStage, eop_set: int) -> None:
 @pytest.mark.parametrize("image", [0, 1])
 @pytest.mark.parametrize("eop_set", [2, 10, 14])
 def test_step_two_equals_least_squares(run: TwoStage, independent: Independent, image: int, eop_set: int) -> None:
-    """With the file's look angles the misclosures are real, and so is the comparison."""
+    """With the look angles of the file the misclosures are not zero, so that the test can fail."""
     open_run = TwoStage(run.block)
     open_run.__dict__["pre_adjusted"] = open_run.start
     step = open_run.pre_adjust(image, eop_set, SOLVER)
@@ -316,7 +316,7 @@ def test_residuals_fulfil_the_linearised_conditions(run: TwoStage, independent: 
 
 @pytest.mark.consistency
 def test_type_two_starts_from_step_two(run: TwoStage) -> None:
-    """dP of a type 2 run holds that of step 2; with a good set step 2 is nothing."""
+    """dP of a type 2 run contains that of step 2; with a good set step 2 changes nothing."""
     one, two = run.bundle(2, 1, SOLVER), run.bundle(2, 2, SOLVER)
     assert np.abs(one.dP - two.dP).max() < 1e-6
     assert np.abs(one.accuracy.icp_m - two.accuracy.icp_m).max() < 1e-6
@@ -468,7 +468,7 @@ def without(block: Block, point: int, image: int) -> Block:
 
 @pytest.mark.behaviour
 def test_a_control_point_of_one_image_is_no_failure() -> None:
-    """It takes part, has no intersection, and is left out of the accuracy."""
+    """The point is used, has no intersection, and is not in the accuracy."""
     block = zonguldak_block(ZonguldakOptions())[0]
     full, less = TwoStage(block), TwoStage(without(block, int(block.points.where(Role.CONTROL)[5]), 1))
     assert less.control_ids == full.control_ids
@@ -573,7 +573,7 @@ def test_cholesky_breaks_down_on_a_set_with_velocity(run: TwoStage) -> None:
 def test_wild_corrections_are_reported(
     run: TwoStage, monkeypatch: pytest.MonkeyPatch, as_run: bool, iterations: int, size: float
 ) -> None:
-    """Numbers that no ray survives end in nan or in huge errors, never in an exception or a warning."""
+    """Impossible numbers give nan or huge errors, but never an exception or a warning."""
     wild = TwoStage(run.block, as_run=as_run)
     monkeypatch.setattr(two_stage, "attempt", lambda _, system, as_run: LinearSolution(np.full(len(system), size)))
     for eop_set in (15, 20):
@@ -589,7 +589,7 @@ def test_wild_corrections_are_reported(
 def test_control_points_that_cannot_be_intersected_are_a_failure(
     run: TwoStage, monkeypatch: pytest.MonkeyPatch, eop_set: int
 ) -> None:
-    """Good check points must not hide that the orientation has no rays left."""
+    """Good check points must not hide that the rays of the orientation do not meet."""
 
     def half_wild(_: str, system: object, as_run: bool) -> LinearSolution:
         return LinearSolution(np.where(np.arange(len(system)) < len(system) - 30, 1e200, 0.0))

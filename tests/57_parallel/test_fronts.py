@@ -92,7 +92,7 @@ def test_solution_and_cofactors_are_those_of_one_part(problem: Problem, optimize
 
 @pytest.mark.oracle
 def test_observations_of_one_image_and_images_without_points() -> None:
-    """Both are eliminated in a front; an observation of two images is not."""
+    """A front eliminates both; an observation of two images is not eliminated there."""
     own = block("grid")
     k = len(problem_of("grid").parameters[0])
     extra = tuple(
@@ -167,7 +167,7 @@ def test_separators_of_a_strip_are_narrow() -> None:
 
 @pytest.mark.behaviour
 def test_small_blocks_and_wide_fronts_are_summed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By default one process solves what it can hold, and what the fronts would not make smaller."""
+    """By default one process solves a block that fits in its memory, or that fronts would not make smaller."""
     problem = problem_of("strip")
     assert dissected(problem, 4, joined=False).levels
     monkeypatch.setattr(dissection, "SMALLER", 1e6)
@@ -224,7 +224,7 @@ def test_covariance_of_an_ill_conditioned_block_is_unavailable(monkeypatch: pyte
 
 @pytest.mark.behaviour
 def test_files_exist_as_long_as_the_solution(tmp_path: Path) -> None:
-    """Of a step only the last factors are there; of the solution those of its covariance."""
+    """Of a step only the last factors exist; of the solution those of its covariance."""
     counts = Counter[int]()
 
     def count(_: object) -> None:

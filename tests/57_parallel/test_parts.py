@@ -246,7 +246,7 @@ def test_the_work_folder_does_not_grow_and_is_removed(problem: Problem, tmp_path
 
 @pytest.mark.behaviour
 def test_parts_that_cannot_be_read_are_named(problem: Problem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A worker of another version; a file that is not whole, and one that is not there."""
+    """A worker may have another version, and a file may be incomplete or missing."""
     PartedBackend(problem, Pool(), tmp_path, 2)
     path = part_file(tmp_path, 1)
 

@@ -64,7 +64,7 @@ def test_a_process_that_dask_has_given_up_is_started_again() -> None:
 
 
 def test_too_many_ends_close_the_client(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One worker that ends again and again; waiting calls then end with exit code 3 and the number of processes."""
+    """One worker ends repeatedly; waiting calls then end with exit code 3 and the number of processes."""
     monkeypatch.setattr(watch, "PAUSE_S", 0.0)
     cluster, client = Processes(2), Client()
     with Watch(cluster, client, 2) as seen:

@@ -47,7 +47,7 @@ class Few(Cluster):
 
 
 class Deadly(Cluster):
-    """Ends the process of a worker in the middle of each of the first tasks' numbers given, once each."""
+    """The task ends the process of a worker in the middle of each of the given first tasks, once each."""
 
     def __init__(self, client: Any, marks: Path, when: Sequence[int]) -> None:
         super().__init__(client)
@@ -143,7 +143,7 @@ def test_workers_agree_with_one_piece(small: Block, problem: Problem, client: An
 
 @pytest.mark.consistency
 def test_workers_that_die_change_nothing(problem: Problem, client: Any, alone: State, tmp_path: Path) -> None:
-    """One ends when it has nearly eliminated its points: its work is done again elsewhere."""
+    """A worker ends when it has nearly eliminated its points; another worker repeats its work."""
     deadly = Deadly(client, tmp_path, (3,))
     before = set(client.run(os.getpid).values())
     assert_same_bits(run(problem, deadly), alone)
@@ -156,7 +156,7 @@ def test_workers_that_die_change_nothing(problem: Problem, client: Any, alone: S
 def test_fronts_do_not_depend_on_the_workers(
     problem: Problem, client: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Also when workers end that have eliminated the images of a part, or of an inner node."""
+    """The result is the same if workers end that have eliminated the images of a part or of an inner node."""
     for name in ("HELD", "SMALLER"):
         monkeypatch.setattr(dissection, name, 0.0)
     alone = run(problem, Pool())
@@ -228,7 +228,7 @@ def test_own_processes_answer_on_this_machine_with_a_certificate_only(client: An
 
 @pytest.mark.behaviour
 def test_the_end_of_every_worker_is_said() -> None:
-    """As dask says it; the slow test below ends them."""
+    """The message is that of dask; the slow test below ends the workers."""
     lost = pytest.importorskip("distributed").KilledWorker("task", "tcp://127.0.0.1:9", 1)
     with pytest.raises(fg.NoSolutionError) as caught, pool_module._failures():
         raise lost

@@ -30,7 +30,7 @@ def block() -> Block:
 @pytest.mark.oracle
 @pytest.mark.parametrize("backend", ["schur", "graph", "dense"])
 def test_estimate_covers_what_is_allocated_and_not_much_more(block: Block, backend: str) -> None:
-    """Arrays are counted by tracemalloc; GTSAM's own memory is not seen by it."""
+    """tracemalloc counts the arrays; it does not count GTSAM's own memory."""
     adjust(block, backend=backend, max_iterations=1)  # what is loaded or compiled once does not count
     tracemalloc.start()
     try:
@@ -98,7 +98,7 @@ def test_statistics_are_left_out_where_only_they_exceed_the_limit(tmp_path: Path
 
 @pytest.mark.behaviour
 def test_a_block_above_the_limit_is_adjusted_in_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Some parts are open at once; the note says so."""
+    """Only some parts are open at once; the note states this."""
     monkeypatch.setattr("fg_orient.adjustment.memory.PART_SIZE", 400)
     monkeypatch.setattr("fg_orient.quality.deficiency.affordable", lambda problem: False)  # as of a large block
     monkeypatch.setattr("fg_orient.quality.deficiency.ENOUGH", 1000)

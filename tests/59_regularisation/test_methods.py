@@ -135,7 +135,7 @@ def test_backends_end_at_the_same_place(block: Block, eop_set: int, options: dic
 
 @pytest.mark.consistency
 def test_kappa_1_is_the_priors(block: Block) -> None:
-    """The same equations as with priors: kappa 1 in prior sigmas; priors plus kappa 3 are kappa 4."""
+    """In prior sigmas kappa 1 gives the equations with priors; priors plus kappa 3 are kappa 4."""
     prior = fg.adjust(block, eop_set=20)
     ridge = fg.adjust(block, eop_set=20, priors=False, regularisation="tikhonov")
     np.testing.assert_allclose(ridge.state.image, prior.state.image, rtol=0.0, atol=1e-9)
@@ -149,7 +149,7 @@ def test_kappa_1_is_the_priors(block: Block) -> None:
 
 @pytest.mark.truth
 def test_minimum_norm_counts_the_rank(block: Block) -> None:
-    """Held directions are as many equations as they remove unknowns: redundancy n - rank."""
+    """Held directions are as many equations as they remove unknowns; the redundancy is n - rank."""
     solution = fg.adjust(block, eop_set=17, priors=False, regularisation="minimum_norm", rank_cut=1e-6)
     problem = solution.problem
     assert problem.regularisation is not None

@@ -96,7 +96,7 @@ def test_one_json_object_and_nothing_else_on_standard_output(fresh: Any, twin: P
 
 @pytest.mark.behaviour
 def test_not_trustworthy_is_exit_4_with_result(run: Any, twin: Path) -> None:
-    """Set 5 (velocity) cannot take up a constant offset of position and attitude."""
+    """Set 5 (velocity) cannot represent a constant offset of position and attitude."""
     ended = run("adjust", twin, "--eop-set", "V", "--json")
     record = ended.json
     assert (ended.code, record["status"], record["eop_set"]) == (4, "not_trustworthy", 5)
@@ -166,7 +166,7 @@ def test_rank_deficient_for_people(run: Any, twin: Path) -> None:
 
 @pytest.mark.behaviour
 def test_directions_without_control_points_are_one_line(run: Any, twin: Path) -> None:
-    """Not one line per direction that control points which do not exist fail to fix; the way out is the datum."""
+    """Without control points one line suggests the datum, instead of a line for each free direction."""
     points = twin.parent / "points.csv"
     points.write_text(points.read_text("utf-8").replace(",control,", ",check,"), "utf-8")
     ended = run("adjust", twin, "--datum", "inner", "--no-priors")

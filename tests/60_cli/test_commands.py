@@ -68,7 +68,7 @@ def test_validate(run: Any, twin: Path) -> None:
     ("entry", "place"), [('loss = "nonsense"', "loss"), ("gnc = true", "gnc"), ('optimizer = "newton"', "optimizer")]
 )
 def test_validate_refuses_what_adjust_refuses(run: Any, twin: Path, entry: str, place: str) -> None:
-    """With the file and the entry, the same in both."""
+    """Both commands name the same file and entry."""
     text, count = re.subn(rf"^{place} = .*$", entry, twin.read_text("utf-8"), flags=re.MULTILINE)
     assert count == 1
     twin.write_text(text, "utf-8")
@@ -79,7 +79,7 @@ def test_validate_refuses_what_adjust_refuses(run: Any, twin: Path, entry: str, 
 
 
 def test_self_test_notices_a_wrong_jacobian(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A sensor that projects 0.01 px beside the truth must not pass."""
+    """A sensor whose projection is wrong by 0.01 px must not pass."""
     from fg_orient.sensors.pushbroom import PushbroomSensor
 
     assert self_test()[0]

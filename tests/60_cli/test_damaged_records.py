@@ -183,7 +183,7 @@ def test_damaged_folder_is_refused(run: Any, copied: tuple[Output, Path], case: 
 
 
 def test_whole_and_old_folders_are_read(run: Any, copied: tuple[Output, Path]) -> None:
-    """Renamed, with another page, and of a version without manifest."""
+    """The folders are renamed, have another page, or come from a version without manifest."""
     output, folder = copied
     result = (folder / "result").rename(folder / "renamed")
     (result / "report.html").write_text("edited", "utf-8")

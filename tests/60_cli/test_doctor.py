@@ -49,7 +49,7 @@ def test_doctor(run: Any, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_doctor_of_a_broken_installation(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Exit code 1, and the other checks are made all the same."""
+    """The exit code is 1, and all other checks are still made."""
 
     def broken() -> list[Path]:
         raise RuntimeError("numba is broken")
@@ -76,7 +76,7 @@ def test_no_cache_is_a_warning_with_a_remedy(run: Any, monkeypatch: pytest.Monke
 
 
 def test_caches_without_a_reason_to_warn(cache: Path) -> None:
-    """Of the user alone; below a sticky folder, which is as good as /tmp; not made yet."""
+    """The cache belongs to the user alone, is below a sticky folder such as /tmp, or does not exist yet."""
     assert checks.cache_findings(cache) == []
     found = checks.examine_cache([cache, cache / "deep" / "er"])
     assert (found["files"], found["bytes"]) == (2, 20)
@@ -88,7 +88,7 @@ def test_caches_without_a_reason_to_warn(cache: Path) -> None:
 
 
 def test_cache_that_may_not_be_read(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As the folder of another user; root may read everything, so that the refusal is simulated."""
+    """The folder of another user cannot be read; root may read everything, so that the refusal is simulated."""
     true_stat = os.stat
 
     def refused(path: Any, *args: Any, **options: Any) -> os.stat_result:
@@ -135,7 +135,10 @@ def status(mode: int, user: int, group: int) -> os.stat_result:
 
 
 def test_who_can_write(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Another owner, also of a sticky folder; a group with others in it; not root, not the user's own group."""
+    """Another owner (also of a sticky folder) and a group with other members can write.
+
+    Root and the user's own group do not count.
+    """
     me, stranger = os.getuid(), 54321
     name = checks._user(me)
     groups = {
@@ -156,7 +159,7 @@ def test_who_can_write(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_doctor_without_numba(fresh: Any) -> None:
-    """What cannot be imported is said as well; nothing of ours may need it before."""
+    """Missing modules are reported, and no code of fg_orient needs them before."""
     ended = fresh("doctor", before="sys.modules['numba'] = None")
     assert (ended.code, ended.stderr) == (1, "")
     text = " ".join(ended.stdout.split())

@@ -57,7 +57,7 @@ def test_killed_at_random_times(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["rectify", "pair", "match"])
 def test_two_writers(name: str) -> None:
-    """A folder, two tables, and tables of a project with a folder: no mixture, whichever run is faster."""
+    """Two runs write a folder, tables, or tables and a folder; the outputs are never mixed."""
     (report,) = reports("--command", name, "--writers", "--most", "20")
     assert report["failures"] == [] and report["runs"] >= 40
 

@@ -73,7 +73,7 @@ def test_point_far_outside_is_null_and_not_inside(run: Any, twin_source: Path) -
 
 @pytest.mark.oracle
 def test_locate_on_a_dem(run: Any, twin_source: Path, tmp_path: Path) -> None:
-    """On a raster of constant height the answer is that of the height."""
+    """On a raster of constant height the result is that for the height."""
     rasterio = pytest.importorskip("rasterio")
 
     dem = tmp_path / "dem.tif"

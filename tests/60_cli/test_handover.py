@@ -154,7 +154,7 @@ def test_dimap_of_a_result_has_both_directions(shifted: tuple[RpcTwin, Path], ru
 
 @pytest.mark.truth
 def test_a_translation_of_the_camera_is_found() -> None:
-    """A model moved by 3 m: its shift of the image is a translation within the limit, a change of scale is none."""
+    """For a model moved by 3 m the shift of the image is a translation within the limit; a change of scale is not."""
     model = twin_with_models()[2][0]
     small = np.array([0.6, -0.4, 0.0, 0.0, 0.0, 0.0])
     move = translation(Handed(corrected(model, small).model, small, "a"))

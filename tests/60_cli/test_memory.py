@@ -54,7 +54,7 @@ def test_a_command_without_memory_is_one_line(project: Path, monkeypatch: pytest
     not sys.platform.startswith("linux"), reason="the system limits the addresses of a process on Linux"
 )
 def test_any_limit_of_memory_is_one_line_or_a_result(project: Path, tmp_path: Path) -> None:
-    """From what Python needs to start to what the command needs."""
+    """The limits range from the memory that Python needs to the memory that the command needs."""
     import resource
 
     codes = []

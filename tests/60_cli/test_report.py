@@ -115,7 +115,7 @@ def test_hostile_names_are_escaped(run: Any, twin: Path) -> None:
 
 @pytest.mark.behaviour
 def test_bad_folders(run: Any, result: Path, twin: Path, tmp_path: Path) -> None:
-    """No result, no truth, the truth of other images, a table gone; the page stays as it was."""
+    """Without result or truth, or with the truth of other images or a missing table, the page does not change."""
     path = twin.parent / "truth" / "eop.csv"
     path.write_text(path.read_text("utf-8").replace("left,", "west,"), encoding="utf-8")
     for words, code in (

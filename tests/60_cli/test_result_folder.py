@@ -206,7 +206,7 @@ def test_overwrite_replaces_a_result(run: Any, twin: Path) -> None:
 
 @pytest.mark.behaviour
 def test_overwrite_spares_a_folder_that_is_no_result(run: Any, twin: Path) -> None:
-    """``--out`` on the project's own folder, by mistake."""
+    """``--out`` names the folder of the project by mistake."""
     before = content(twin.parent)
     ended = run("adjust", twin, "--out", twin.parent, "--overwrite", "--json")
     assert (ended.code, ended.json["errors"][0]["code"]) == (2, "output.foreign")
@@ -240,7 +240,7 @@ def test_file_or_link_is_no_output_folder(run: Any, twin: Path, result: Path, tm
 @pytest.mark.behaviour
 @pytest.mark.parametrize("existing", [False, True])
 def test_interrupted_run_leaves_nothing(run: Any, twin: Path, monkeypatch: pytest.MonkeyPatch, existing: bool) -> None:
-    """Ctrl-C in the first iteration: exit code 130; an earlier result stays, there is nothing to resume."""
+    """Ctrl-C in the first iteration gives exit code 130; an earlier result remains, and nothing can be resumed."""
     if existing:
         assert run("adjust", twin, "--quiet").code == 0
     before = content(twin.parent)
@@ -308,7 +308,7 @@ def test_staged_folder_yields_to_somebody_faster_and_needs_a_place(tmp_path: Pat
 
 @pytest.mark.behaviour
 def test_error_of_the_computation_is_not_blamed_on_the_folder(tmp_path: Path) -> None:
-    """An OSError inside, of a missing raster say, passes unchanged; the folder is cleaned up."""
+    """An OSError of the computation, for instance of a missing raster, passes unchanged, and the folder is removed."""
     with pytest.raises(FileNotFoundError), staged_folder(tmp_path / "out"):
         raise FileNotFoundError("planted")
     assert list(tmp_path.iterdir()) == []

@@ -580,7 +580,7 @@ def test_fit_says_that_m0_of_the_linear_form_is_not_the_accuracy(run: Run, model
 
 @pytest.mark.behaviour
 def test_more_coefficients_than_the_points_carry(run: Run, model: RpcModel, tmp_path: Path) -> None:
-    """Polynomials have no pole: only the points left out tell."""
+    """Polynomials have no pole; therefore only excluded points show the error."""
     points = write_points(tmp_path / "p.csv", *measured(model, 12, values=np.zeros(6), noise=0.5))
     words = ("--degree", 2, "--denominators", "one", "--select", "none")
     ended = run("rpc", "fit", points, *words, "--json")
@@ -644,7 +644,7 @@ def test_options_that_do_not_fit(
 
 @pytest.mark.oracle
 def test_fit_to_a_sensor(run: Run, file: Path, model: RpcModel, tmp_path: Path) -> None:
-    """An RPC file is a sensor, too: its own form is found again, in both directions."""
+    """An RPC file is also a sensor; the fit finds its own form again in both directions."""
     out = tmp_path / "fit.XML"
     words = ("rpc", "fit", file, "--heights", 0, 1000, "--grid", 8, 8, 5, "--out", out, "--json")
     ended = run(*words)
@@ -856,7 +856,7 @@ def test_real_files_that_contradict_themselves(run: Run, real_data: Path) -> Non
 @pytest.mark.truth
 @pytest.mark.real_data
 def test_gross_error_of_pleiades_neo_is_named(run: Run, real_data: Path, tmp_path: Path) -> None:
-    """Point 53 is wrong in one image; it lies below the height range, too."""
+    """Point 53 is wrong in one image; it is also below the range of heights."""
     folder, image = real_data / "micmac-pneo-pair", "PNEO3_202309051055194"
     with (folder / "gcp_ground.csv").open() as stream:
         ground = {row["gcp_id"]: row for row in csv.DictReader(stream)}

@@ -137,7 +137,7 @@ def test_people_are_told_what_was_adjusted(tmp_path: Path, run: Run) -> None:
 
 @pytest.mark.oracle
 def test_gross_errors_are_listed(tmp_path: Path, run: Run) -> None:
-    """A point measured 10 px off in one image leads the list of the record, and stands in the report."""
+    """A point with an error of 10 px in one image is first in the list of the record, and is in the report."""
     twin = rpc_twin("shift")
     block, o = twin.block, twin.block.observations
     j = int(block.points.where(Role.CONTROL)[8])
@@ -155,7 +155,7 @@ def test_gross_errors_are_listed(tmp_path: Path, run: Run) -> None:
 
 @pytest.mark.behaviour
 def test_relative_adjustment_from_the_command_line(tmp_path: Path, run: Run) -> None:
-    """Refused without its option; with it: parallaxes, the datum in words, no accuracy."""
+    """The run is refused without its option; with it the result has parallaxes and the datum, but no accuracy."""
     project = write_folder(tmp_path / "twin", rpc_twin("shift", seed=5), control=False)
     refused = run("adjust", project, "--json")
     assert (refused.code, refused.json["errors"][0]["code"]) == (2, "block.no_control")
@@ -180,7 +180,7 @@ def test_relative_adjustment_from_the_command_line(tmp_path: Path, run: Run) -> 
 
 @pytest.mark.behaviour
 def test_points_outside_the_validity_are_named(tmp_path: Path) -> None:
-    """A model valid up to 300 m: the higher points are named, the adjustment still runs."""
+    """The model is valid up to 300 m; the higher points are named, and the adjustment still runs."""
     _, _, models = twin_with_models()
     twin = rpc_twin("shift")
     low = replace(models[0], stated_validity=models[0].validity._replace(height_m=(-200.0, 300.0)))

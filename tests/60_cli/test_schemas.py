@@ -48,7 +48,7 @@ def test_schemas_are_printed(run: Run) -> None:
 def test_what_is_printed_is_as_the_schema_says(
     run: Run, adjusted: tuple[Path, Ended], twin_source: Path, tmp_path: Path
 ) -> None:
-    """Every key is named, and has one of its types."""
+    """The schema names every key, and each value has one of its types."""
     out, adjust = adjusted
     project, image = twin_source / "project.toml", twin_source / "left.DIM"
     rpc = tmp_path / "scene_RPC.TXT"

@@ -150,7 +150,7 @@ def test_steps_are_logged_once_a_second_and_at_the_end(tmp_path: Path) -> None:
 
 
 def test_other_work_has_a_rate_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first hundred took ten seconds; the second count begins a new clock."""
+    """The first hundred steps took ten seconds; the second count starts a new clock."""
     clock = [0.0]
     log = tmp_path / "run.log"
     with opened(log, as_json=True, quiet=False), progress_bar("orbits") as tell:

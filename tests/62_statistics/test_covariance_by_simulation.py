@@ -37,7 +37,7 @@ def truth() -> Solution:
 
 @dataclass(frozen=True)
 class Run:
-    """Simulated observations, and the state they were made from."""
+    """Simulated observations and the state from which they were made."""
 
     block: Block
     state: State
@@ -132,7 +132,7 @@ def test_covariance_in_twelve_runs(truth: Solution) -> None:
 
 
 def test_wrong_sigma_is_seen_in_twelve_runs(truth: Solution) -> None:
-    """Sigmas 20 % too small: every covariance that rests on the image points is too small."""
+    """Sigmas are 20 % too small, so that every covariance that depends on image points is too small."""
     assert {"residuals", "observations"} <= set(scatter(truth, 12, seed=621, sigma_factor=0.8).outside)
 
 

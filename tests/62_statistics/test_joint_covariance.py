@@ -93,7 +93,7 @@ def test_residuals_go_with_nothing_that_is_adjusted(grid: Block) -> None:
 
 @pytest.mark.oracle
 def test_wrong_weight_is_seen(grid: Block) -> None:
-    """One sigma 20 % off, and adjusted observation plus residual are no longer the observation."""
+    """One sigma is wrong by 20 %; then adjusted observation plus residual is not the observation."""
     solution = fg.adjust(grid)
     o = solution.problem.observations
     wrong = replace(solution.problem, observations=replace(o, sigma_line_px=1.2 * o.sigma_line_px))

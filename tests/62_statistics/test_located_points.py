@@ -201,7 +201,7 @@ def test_radii_of_circle_sphere_and_line() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("ratio", [0.8, 0.3, 0.1, 0.02, 0.004])
 def test_radii_of_ellipses_hold_their_share(ratio: float) -> None:
-    """Probability inside by an integral over angles, which the function does not use."""
+    """The probability inside is computed by an integral over angles, which the function does not use."""
     r = radius(np.diag([ratio**2, 1.0]))
     angle = np.linspace(0.0, 2.0 * np.pi, 200_001)[:-1]
     a = np.cos(angle) ** 2 / ratio**2 + np.sin(angle) ** 2
@@ -223,7 +223,7 @@ def test_error_ellipse() -> None:
 @pytest.mark.behaviour
 def test_refusals(solution: Solution) -> None:
     class Gap(Plane):
-        """No height beside the point, so no slope."""
+        """The surface has no height beside the point, and therefore no slope."""
 
         def height_m(self, lon_deg: np.ndarray, lat_deg: np.ndarray) -> np.ndarray:
             found = super().height_m(lon_deg, lat_deg)

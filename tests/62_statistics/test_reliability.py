@@ -124,7 +124,7 @@ def test_normalised_residuals(solution: Solution, found: BlockReliability) -> No
 
 @pytest.mark.oracle
 def test_smallest_and_largest_bias_of_an_image_point(solution: Solution, found: BlockReliability) -> None:
-    """Both are met, and not passed, by all directions of the plane."""
+    """Over all directions of the plane both values are reached and not exceeded."""
     o, q = solution.problem.observations, solution.residual_cofactors.image
     angles = np.linspace(0.0, np.pi, 20_001)
     for row in np.flatnonzero(~found.image.not_checkable)[:5]:
@@ -146,7 +146,7 @@ def test_probabilities_that_are_none_are_refused(solution: Solution, alpha: floa
 
 @pytest.mark.oracle
 def test_two_rays_do_not_check_the_epipolar_line(grid: Block, solution: Solution, found: BlockReliability) -> None:
-    """The direction of redundancy 0 is that in which the point moves along its other ray."""
+    """In the direction with redundancy 0 the point moves along its other ray."""
     problem, o = solution.problem, solution.problem.observations
     rays = np.bincount(o.point, minlength=len(problem.active))
     tie = np.isin(np.arange(len(rays)), grid.points.where(Role.TIE))
@@ -246,7 +246,7 @@ def test_power_is_the_stated_one(solution: Solution) -> None:
 
 @pytest.mark.oracle
 def test_power_of_another_bias_is_not(solution: Solution) -> None:
-    """Weights 20 % off make a bias 20 % off: the check sees it."""
+    """Weights that are wrong by 20 % make a bias wrong by 20 %, and the check finds it."""
     for factor in (0.8, 1.2):
         rates = power_of_the_test(solution, 2000, factor=factor)
         assert not rates.low <= rates.single <= rates.high

@@ -109,7 +109,7 @@ def test_mistaken_ids_are_named(block: Block) -> None:
 
 @pytest.mark.truth
 def test_ids_of_points_near_each_other_are_named() -> None:
-    """Twelve metres apart, about a pixel: only the solution tells."""
+    """The points are twelve metres apart, about a pixel; only the solution shows the exchange."""
     block = zonguldak_block(ZonguldakOptions())[0]
     a, b = block.points.where(Role.CONTROL)[[1, 4]]
     truth = block.points.known.ecef_m[a] + [8.0, -8.0, 4.0]
@@ -134,7 +134,7 @@ def test_ids_of_points_near_each_other_are_named() -> None:
 
 @pytest.mark.truth
 def test_two_points_under_one_id_are_named() -> None:
-    """Two images of four see a point 100 m away."""
+    """Two of four images show a point at a distance of 100 m."""
     block = grid_block(BlockOptions(points=60, control_share=0.2, check_share=0.2, seed=1))[0]
     o, tie = block.observations, block.points.where(Role.TIE)
     j = int(tie[np.bincount(o.point)[tie] >= 4][0])
@@ -188,7 +188,7 @@ def test_a_known_datum_is_named(block: Block) -> None:
 
 @pytest.mark.behaviour
 def test_a_cause_that_the_adjustment_does_not_confirm_is_withdrawn(block: Block) -> None:
-    """The same finding with a block that is no better, and with none that can be adjusted."""
+    """The same finding is given with a block that is not better, and with one that cannot be adjusted."""
     wrong = fg.adjust(with_control(block, written(lambda x, y, h: (x, y, h - 36.0))))
     assert "no doubt remains" in cause(wrong)
     assert wrong.supposed is None
@@ -333,7 +333,7 @@ def test_exchanged_metadata_are_named_first_in_the_report() -> None:
 
 @pytest.mark.behaviour
 def test_a_refusal_names_exchanged_metadata() -> None:
-    """Where rays no longer meet, the block is refused before any adjustment."""
+    """If rays do not meet, the block is refused before any adjustment."""
     block = grid_block(BlockOptions(points=60, control_share=0.25, check_share=0.2))[0]
     one, two, *rest = block.images
     turned = (replace(one, sensor=two.sensor), replace(two, sensor=one.sensor), *rest)

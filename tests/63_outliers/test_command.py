@@ -37,7 +37,7 @@ def run(project: Path, out: Path, *words: object) -> Any:
 
 
 def test_record_table_and_report(project: Path, tmp_path: Path) -> None:
-    """Left out in the first round, named everywhere, and the files are those of the last round."""
+    """The error is rejected in the first round and named everywhere; the files are those of the last round."""
     out = tmp_path / "result"
     ended = run(project, out, "--snoop", "--backend", "schur")
     assert ended.code == 0

@@ -72,7 +72,7 @@ def test_tau_by_simulation() -> None:
 
 @pytest.mark.behaviour
 def test_what_cannot_be_tested() -> None:
-    """No freedom of the suspect; for an estimated scale none of the rest."""
+    """The suspect has no redundancy; for an estimated scale the other observations have none."""
     d = np.array([0, 1, 2, 3])
     assert can_be_tested(d, 2, "baarda").tolist() == [False, True, True, False]
     assert can_be_tested(d, 2, "t").tolist() == can_be_tested(d, 2, "pope").tolist() == [False, True, False, False]

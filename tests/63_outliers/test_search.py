@@ -95,9 +95,10 @@ def test_several_in_a_round_are_those_of_single_rounds(test: str, monkeypatch: p
 
 @pytest.mark.truth
 def test_rays_that_could_both_be_wrong_both_go() -> None:
-    """Four rays, two of them parallel: an error along the plane of the rays fits to either of the others.
+    """Of four rays two are parallel; an error along the plane of the rays fits to either of the other rays.
 
-    One of both was kept by chance, 60 standard deviations from the truth. Seeds 9 and 28 have such points.
+    If only one of both is rejected by chance, the point has an error of 60 standard deviations. Seeds 9 and 28 have
+    such points.
     """
     for seed in (9, 28):
         block, truth = grid_block(BlockOptions(points=200, control_share=0.1, check_share=0.0, seed=seed))
@@ -119,7 +120,7 @@ def test_rays_that_could_both_be_wrong_both_go() -> None:
 
 @pytest.mark.behaviour
 def test_what_went_with_it_is_counted_and_named() -> None:
-    """A check point with one wrong ray of two: two image points go, and the point is no longer in the accuracy."""
+    """A check point has one wrong ray of two; both image points are rejected, and the accuracy excludes the point."""
     block = twin()
     row = row_of(block, Role.CHECK, 2)
     point = block.points.ids[block.observations.point[row]]
@@ -206,7 +207,7 @@ def test_prediction_of_coordinates(error: tuple[float, float, float]) -> None:
 
 @pytest.mark.oracle
 def test_whole_points() -> None:
-    """A wrong target, measured alike in both images of a control point: all of the point goes at once."""
+    """A wrong target is measured alike in both images of a control point; the whole point is rejected at once."""
     block = twin()
     j = int(block.points.where(Role.CONTROL)[8])
     wrong = block
@@ -237,7 +238,7 @@ def leave_out_first(block: Block, rows: list[int], monkeypatch: pytest.MonkeyPat
 
 @pytest.mark.behaviour
 def test_what_was_left_out_in_vain_comes_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A good ray is left out first, in place of the wrong one: it comes back, and only the wrong one stays out."""
+    """A good ray is rejected first instead of the wrong one; it is restored, and only the wrong one stays rejected."""
     block = twin()
     bad, good = row_of(block, Role.CONTROL, 3), row_of(block, Role.CONTROL, 12, image=1)
     wrong = with_error(block, bad, 6.0, 0.0)
@@ -256,7 +257,7 @@ def test_what_was_left_out_in_vain_comes_back(monkeypatch: pytest.MonkeyPatch) -
 
 @pytest.mark.behaviour
 def test_nothing_comes_back_twice(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Left out again after it came back, an observation stays out: the search ends although it always fits."""
+    """An observation that is rejected again after it was restored stays rejected, so that the search ends."""
     block = twin()
     bad, good = row_of(block, Role.CONTROL, 3), row_of(block, Role.CONTROL, 12, image=1)
     leave_out_first(block, [good, good], monkeypatch)
@@ -269,7 +270,7 @@ def test_nothing_comes_back_twice(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.behaviour
 def test_many_errors_end_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A fifth of the image points wrong by tens of sigmas: given up at the share that is allowed, with the reason."""
+    """A fifth of the image points are wrong by tens of sigmas; the search ends at its limit with the reason."""
     monkeypatch.setattr(outlier_search, "MOST", 0.05)
     block = twin()
     wrong = block
@@ -286,7 +287,10 @@ def test_many_errors_end_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.behaviour
 def test_last_control_point_is_not_given_up() -> None:
-    """The coordinates of the only control point are wrong: without them there is no datum, and that is said."""
+    """The coordinates of the only control point are wrong.
+
+    Without them there is no datum, and a message states this.
+    """
     block = twin()
     roles = [Role.TIE] * len(block.points.ids)
     j = int(block.points.where(Role.CONTROL)[0])

@@ -97,7 +97,7 @@ def test_wrong_ratios_of_sigmas_show_in_the_rates() -> None:
 
 
 def test_wrong_cofactors_show_in_the_rates() -> None:
-    """Q_vv = I, as if nothing were estimated: residuals look too small, all rates are too low."""
+    """With Q_vv = I, as if nothing were estimated, residuals look too small and all rates are too low."""
     twin, runs = linear_twin(), 1000
     v = twin.residuals(twin.noise(63, runs))
     single = one(*preselected(twin)["point"])

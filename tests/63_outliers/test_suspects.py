@@ -85,7 +85,7 @@ def one_ray_more_than_needed() -> Block:
 
 @pytest.mark.behaviour
 def test_inseparable_suspects_are_one_hypothesis() -> None:
-    """Both rays of a tie point stand or fall together: two suspects, one test in the count."""
+    """Both rays of a tie point have the same statistic: two suspects count as one test."""
     solution = fg.adjust(one_ray_more_than_needed())
     tests = solution.outlier_tests()
     roles = solution.block.points.roles
@@ -114,7 +114,7 @@ def test_what_is_not_tested_has_no_figures() -> None:
 
 @pytest.mark.behaviour
 def test_tests_that_cannot_be_are_refused() -> None:
-    """No covariance, weights of a loss, a kind that is none."""
+    """There is no covariance, the weights are those of a loss, or the kind does not exist."""
     plain = linear_twin().solution
     bare, robust = (
         replace(plain, cofactors=None, unavailable=(finding("unavailable.indeterminate", why="singular"),)),
@@ -131,7 +131,7 @@ def test_tests_that_cannot_be_are_refused() -> None:
 
 @pytest.mark.behaviour
 def test_what_an_intersection_takes_up_is_not_checked() -> None:
-    """Errors of observations that only place their own point: nothing left of them, or rounding, is no direction."""
+    """Errors of observations that only determine their own point leave nothing or rounding errors."""
     v, s = np.array([0.3, -0.2]), np.eye(2)
     for left in (0.0, 1e-17):
         e = np.array([[1.0, 0.0], [0.0, left]])

@@ -92,7 +92,7 @@ def test_points_without_contradiction_stay() -> None:
 @pytest.mark.truth
 @pytest.mark.parametrize("options", [{"loss": "tls", "gnc": True}])
 def test_right_rays_outlive_wrong_ones(options: dict[str, Any]) -> None:
-    """Of points with at least three right rays none keeps a wrong one against them: it keeps the right ones."""
+    """A point with at least three right rays keeps the right ones, and no wrong ray that contradicts them."""
     kept = points = 0
     for seed in range(4):
         block, _, _, bad = solved(seed)

@@ -51,7 +51,7 @@ def test_what_is_checkable_follows_from_the_redundancy_of_its_direction() -> Non
 
 @pytest.mark.oracle
 def test_a_small_twin_of_the_study() -> None:
-    """One pair, 20 % wrong: Tukey's loss and Hampel's keep the check points, least squares loses them."""
+    """In one pair 20 % are wrong: Tukey's and Hampel's losses keep the check points right, least squares does not."""
     records = study.study(1, ["twin"], 1, shares=(0.0, 0.2), methods=(PLAIN, "tukey", "hampel"))
     mean = means(records)
     for method in ("tukey", "hampel"):
@@ -66,7 +66,10 @@ def test_a_small_twin_of_the_study() -> None:
 
 @pytest.mark.behaviour
 def test_only_what_is_missing_runs_and_is_added(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A file with one seed gets the second; the first is not run again, and what is gathered can be spread again."""
+    """A file with one seed gets the second one.
+
+    The first one does not run again, and gathered results can be separated.
+    """
     asked: list[tuple[str, int, float]] = []
 
     def measure(spoiled: tuple[str, int, float], method: str) -> dict[str, object]:

@@ -77,7 +77,7 @@ def test_two_dimensions_between_bounds_of_a_polygon(seed: int) -> None:
 
 @pytest.mark.oracle
 def test_another_weight_misses_the_bound() -> None:
-    """1 / t^2 instead of 1 / t: the check above fails."""
+    """With 1 / t^2 instead of 1 / t the check above fails."""
     a, b = line(1)
     x = fitted(a, b, 1, lambda last, norm, cycle, dimension, sigma0: 1.0 / np.maximum(norm, 0.3) ** 2)
     assert np.abs(b - a @ x).sum() > np.abs(b - a @ fitted(a, b, 1)).sum() * (1.0 + 2e-4)

@@ -48,7 +48,7 @@ def test_as_with_exact_cofactors(block: fg.Block) -> None:
 
 @pytest.mark.oracle
 def test_residuals_taken_as_errors_are_found_out() -> None:
-    """Without the share that the unknowns take up, the check above fails by far."""
+    """Without the share that the unknowns absorb, the check above fails by far."""
     solution = fg.adjust(grid())
     v = residuals(solution.problem, solution.state)
     plain = float(np.sqrt(np.median(np.sum(v**2, axis=1)) / chi2.median(2)))

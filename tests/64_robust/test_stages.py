@@ -97,7 +97,7 @@ def test_a_stopped_run_goes_on_with_its_scale(tmp_path: Path, options: dict[str,
 
 @pytest.mark.behaviour
 def test_an_image_turned_down_is_said() -> None:
-    """30 of 47 points of the left image off by 30 to 60 px, each elsewhere: no majority there."""
+    """30 of 47 points of the left image are wrong by 30 to 60 px in different directions. No majority exists."""
     block, rng = twin(), np.random.default_rng(4)
     rows = np.flatnonzero(block.observations.image == 0)[:30]
     wrong = moved(block, rows, rng.choice([-1, 1], 30) * rng.uniform(30, 60, 30), rng.uniform(-60, 60, 30))
@@ -124,7 +124,7 @@ def test_a_point_without_ray_is_said() -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize("image", [0, 1])
 def test_a_wrong_ray_of_two_costs_the_point(image: int) -> None:
-    """A check point with a line 40 px wrong: nothing says which ray is wrong, and its position is not trusted."""
+    """A check point has a line wrong by 40 px; the data do not show which ray is wrong, and its position is doubted."""
     block = twin()
     point = block.points.where(fg.Role.CHECK)[0]
     o = block.observations

@@ -84,7 +84,10 @@ def test_pairs_are_those_of_a_count() -> None:
 
 @pytest.mark.truth
 def test_an_error_along_the_plane_of_parallel_rays_costs_both() -> None:
-    """Rays of two parallel pairs: an error across their plane costs one ray; along the plane it costs the pair."""
+    """Rays form two parallel pairs.
+
+    An error across their plane rejects one ray; along the plane it rejects the pair.
+    """
     block, _ = grid_block(BlockOptions(points=80, control_share=0.1, seed=4))
     clean, o = fg.adjust(block), block.observations
     lines = np.linalg.svd(linearised(clean.problem, clean.state).ground)[2][:, 2]

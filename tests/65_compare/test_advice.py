@@ -104,7 +104,7 @@ def test_limit_of_the_predicted_rmse_against_a_simulation(twin: Block) -> None:
 @pytest.mark.slow
 @pytest.mark.behaviour
 def test_mixed_block_has_its_answer() -> None:
-    """Satellite, RPC and frame images with shared unknowns: engines that cannot are rows with the reason."""
+    """Satellite, RPC and frame images share unknowns; engines that cannot adjust them are rows with the reason."""
     block = mixed_block(MixedOptions())[0]
     found = compare(block, eop_sets=[2, 9], solvers="qr")
     said = verdict(found)

@@ -42,7 +42,7 @@ VOID = {"meta", "br", "img", "link", "input", "hr"}
 
 
 class Structure(HTMLParser):
-    """Collects tags, ids and attributes; fails on tags that do not match."""
+    """The parser collects tags, ids and attributes, and fails on tags that do not match."""
 
     def __init__(self) -> None:
         super().__init__(convert_charrefs=True)

@@ -39,7 +39,7 @@ def test_directions_are_those_of_adjust(twin: Block, comparison: Comparison, num
 
 @pytest.mark.behaviour
 def test_motions_of_the_block_are_named_too(twin: Block) -> None:
-    """One control point leaves turns of the whole block to the priors."""
+    """With one control point only the priors determine rotations of the whole block."""
     roles = twin.points.roles
     first = next(k for k, role in enumerate(roles) if role == "control")
     o = twin.observations

@@ -97,7 +97,7 @@ def test_engines_have_the_same_solution_with_priors(comparison: Comparison) -> N
 
 @pytest.mark.truth
 def test_difference_is_measured(twin: Block, comparison: Comparison) -> None:
-    """A reference that is off by a known amount shows as that amount."""
+    """A reference with a known error shows this error as the difference."""
     with one_blas_thread():
         of_set = engines.Adjustments(twin, 2, Limits(None, 60.0))
         assert of_set.solution is not None
@@ -275,7 +275,7 @@ def test_all_sets_and_published_solvers(twin: Block) -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize("limit", ["memory", "time"])
 def test_too_large_for_dense(monkeypatch: pytest.MonkeyPatch, limit: str) -> None:
-    """Dense rows say so by the estimate, graph rows still come; nothing of u x u is made."""
+    """Dense rows state the estimate, graph rows are computed, and no u x u array is made."""
     block = grid_block(BlockOptions(rows=1, columns=2, points=700))[0]
     monkeypatch.setattr(engines, "assemble", None)
     if limit == "memory":
@@ -294,7 +294,7 @@ def test_too_large_for_dense(monkeypatch: pytest.MonkeyPatch, limit: str) -> Non
 @pytest.mark.slow
 @pytest.mark.consistency
 def test_dense_matrices_beyond_two_thousand_unknowns(twin: Block) -> None:
-    """The limit of `adjust` does not hold for a comparison."""
+    """The limit of `adjust` does not apply to a comparison."""
     block = grid_block(BlockOptions(rows=1, columns=2, points=700))[0]
     found = compare(block, eop_sets=[2], solvers="lapack_cholesky", backends="dense")
     (row,) = found.rows
@@ -304,7 +304,7 @@ def test_dense_matrices_beyond_two_thousand_unknowns(twin: Block) -> None:
 
 @pytest.mark.behaviour
 def test_single_image_has_no_published_procedure(twin: Block) -> None:
-    """The rows of the published procedure say why; the others come."""
+    """The rows of the published procedure state the reason; the other rows are computed."""
     o = twin.observations
     control = np.isin(o.point, twin.points.where(Role.CONTROL))
     block = replace(twin, images=twin.images[:1], observations=o.take((o.image == 0) & control))

@@ -216,7 +216,7 @@ def with_sigmas(block: Block, image: float, control: float) -> Block:
 
 @pytest.mark.oracle
 def test_the_start_does_not_matter() -> None:
-    """Given sigmas of image points and coordinates wrong by 100, against each other.
+    """Given sigmas of image points and coordinates are wrong by 100 in opposite directions.
 
     Sums of squares and standard deviations at the end are those of the full matrix by numpy.
     """

@@ -190,7 +190,7 @@ def test_false_alarms_of_the_t_test() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize(("direction", "begin"), [("backward", 9), ("forward", 10)])
 def test_constant_errors_leave_constant_coefficients(twin: Block, direction: str, begin: int) -> None:
-    """Truth: constant errors of position and attitude."""
+    """In truth the errors of position and attitude are constant."""
     told: list[str] = []
     found = reduce_unknowns(
         twin, direction=direction, eop_set=begin, progress=lambda done, most, text: told.append(text)

@@ -86,7 +86,7 @@ def test_classes_and_conditions_are_those_of_the_jacobian() -> None:
 
 @pytest.mark.oracle
 def test_tighter_priors_hold_more() -> None:
-    """Mutation: prior sigmas ten times smaller, and the classes must move: a tenth of numpy's singular values."""
+    """With prior sigmas ten times smaller the singular values are a tenth, and the classes must change."""
     block = pushbroom()
     o = block.options
     tight = options(

@@ -47,7 +47,7 @@ def motions(error: fg.FgOrientError) -> list[tuple[str, str]]:
 @pytest.mark.truth
 @pytest.mark.parametrize(("kind", "count"), [("shift", 3), ("shift_drift", 4), ("affine", 7)])
 def test_no_control_in_an_rpc_block(kind: str, count: int) -> None:
-    """Images that can only be shifted do not follow a turn: three motions, not seven."""
+    """Images that can only be shifted cannot follow a rotation; therefore three motions are free, not seven."""
     block = with_control(rpc(kind), ())
     with pytest.raises(fg.InputError) as caught:
         fg.adjust(block, priors=False)
@@ -249,7 +249,7 @@ def test_images_that_do_not_follow_have_no_motion() -> None:
 
 @pytest.mark.consistency
 def test_large_blocks_are_judged_without_elimination() -> None:
-    """The motions found without eliminating the points are the same."""
+    """The motions found without elimination of the points are the same."""
     for block in (pinhole((6,)), pinhole(ON_LINE, on_line=True), two_pinhole_blocks((0, 7, 12, 20))):
         problem = compile_problem(block)
         a, b = analyse_block(problem), analyse_block(problem, whole=False)
