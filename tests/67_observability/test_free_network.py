@@ -231,7 +231,7 @@ def variances_of_shape(solution: Solution, q: np.ndarray) -> np.ndarray:
 
 @pytest.mark.oracle
 def test_invariants_have_the_same_variance_in_every_datum() -> None:
-    """That which they have by the pseudo-inverse of numpy."""
+    """The variance is that from the pseudo-inverse of numpy."""
     solution = solved("dense")
     _, design = jacobian(solution)
     base = variances_of_shape(solution, pseudo_inverse(design, design.shape[1] - 7))
@@ -319,7 +319,10 @@ def test_control_points_leave_no_motion_and_inner_is_the_plain_adjustment() -> N
 @pytest.mark.behaviour
 @pytest.mark.parametrize(("make", "changes"), [(rpc, {"rpc_compensation": "shift"}), (pushbroom, {"eop_set": 10})])
 def test_sensors_that_know_where_they_are_have_no_exact_defect(make, changes: dict[str, object]) -> None:
-    """RPC and orbits feel a motion a little: inner constraints on the images, without priors a refusal."""
+    """RPC and orbits depend a little on a motion.
+
+    The images get inner constraints; without priors the run is refused.
+    """
     block = with_control(make(), ())
     inner, vendor = (fg.adjust(block, datum=name, **changes) for name in ("inner", "vendor"))
     assert np.array_equal(inner.state.image, vendor.state.image)
@@ -365,7 +368,7 @@ def test_minimal_datum_holds_as_many_unknowns_as_there_are_motions() -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize("priors", [True, False])
 def test_control_that_holds_the_datum_is_said(priors: bool) -> None:
-    """Nothing is left to inner constraints; that priors went is said where there were some."""
+    """Inner constraints are not needed; if there were priors, a message states that they are not used."""
     block = pinhole((0, 7, 12, 20))
     solution = fg.adjust(block, datum="inner", priors=priors)
     told = [w for w in solution.warnings if "inner constraints have no effect" in w]

@@ -48,7 +48,7 @@ def shares(block: Block) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
 
 @pytest.mark.oracle
 def test_directions_are_those_of_all_rows() -> None:
-    """As many as numpy finds, and the result has no part along them; the others are free."""
+    """numpy finds the same number of directions, and the result has no part along them; the others are free."""
     block, _ = without_control()
     mu, moves, n, limit = shares(block)
     solution = fg.adjust(block)
@@ -64,7 +64,7 @@ def test_directions_are_those_of_all_rows() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("optimizer", ["gauss-newton", "levenberg-marquardt", "dogleg"])
 def test_backends_agree(optimizer: str) -> None:
-    """Also in parts; the held directions are rows of all images."""
+    """The test includes parts; the held directions are rows of all images."""
     block, _ = without_control()
     dense = fg.adjust(block, backend="dense", optimizer=optimizer)
     whole = [fg.adjust(block, backend=name, optimizer=optimizer) for name in ("graph", "schur")]
@@ -148,7 +148,7 @@ def test_shape_and_datum_cover_the_true_errors(kind: str) -> None:
 
 @pytest.mark.behaviour
 def test_control_leaves_nothing_to_hold() -> None:
-    """With control points the rays and the control see all directions, and the result is that of the default."""
+    """With control points rays and control determine all directions, and the result is that of the default."""
     twin = rpc_twin("shift", seed=3, noise_px=0.3)
     block = replace(twin.block, options=replace(twin.block.options, rpc_compensation="shift"))
     vendor, default = fg.adjust(block, datum="vendor"), fg.adjust(block)

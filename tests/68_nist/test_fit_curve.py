@@ -124,7 +124,7 @@ def test_a_parameter_that_acts_on_nothing_of_its_own_is_named() -> None:
 
 @pytest.mark.truth
 def test_far_starts_are_named_by_gauss_newton_and_met_by_damping() -> None:
-    """An exponent that runs away at the first full step."""
+    """An exponent diverges at the first full step."""
     y = 200.0 * (1.0 - np.exp(-0.5 * X[1:])) + np.sin(7.0 * X[1:])
 
     def saturation(x: Any, b1: Any, b2: Any) -> Any:

@@ -175,7 +175,7 @@ def with_joint(d: np.ndarray) -> PointDifferences:
 
 @pytest.mark.behaviour
 def test_differences_that_chance_does_not_give_are_doubts() -> None:
-    """Of ten independent points one coordinate beyond three is chance, four are not, and one at five is not."""
+    """Of ten independent points one coordinate beyond three is chance; four such coordinates or one at five are not."""
     d = np.zeros((10, 3))
     scale = np.hypot(1.0, 0.5)
     d[1, 0] = 3.1 * scale

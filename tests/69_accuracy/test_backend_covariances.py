@@ -37,7 +37,7 @@ EPS = np.finfo(float).eps
 
 
 class Inverse:
-    """Blocks of the inverse by numpy."""
+    """The blocks of the inverse are computed by numpy."""
 
     def __init__(self, problem: Problem, state: State) -> None:
         self.full = Full.of(problem, state)
@@ -130,7 +130,7 @@ def test_parts_agree() -> None:
 
 
 def test_a_wrong_weight_fails_the_check() -> None:
-    """One of 48 pixel sigmas off by a millionth, in one backend alone."""
+    """In one backend one of 48 pixel sigmas is wrong by a millionth."""
     problem = small()
     found = all_cofactors(problem, problem.start)
     _, design = assemble(problem, problem.start)

@@ -20,7 +20,7 @@ EAST_M, NORTH_M = 83_600.0, 111_100.0  # metres of a degree there, near enough f
 
 @dataclass
 class Hills:
-    """Waves of 1.5 km in two directions, 120 m high; flat, tilted or absent on request."""
+    """Waves have a length of 1.5 km in two directions and a height of 120 m; flat, tilted or absent on request."""
 
     height: float = 120.0
     tilt: float = 0.0
@@ -67,7 +67,7 @@ def test_figures(rng: np.random.Generator) -> None:
 
 @pytest.mark.truth
 def test_a_shift_of_the_points_shows_in_every_figure_of_its_kind() -> None:
-    """3 m upwards, planted: mean, median, RMSE and quantiles leave their values, deviations from the mean keep them."""
+    """A planted shift of 3 m upwards changes mean, median, RMSE and quantiles, but not deviations from the mean."""
     lon, lat = LON + 0.01 * np.arange(-7, 8), LAT + 0.01 * np.arange(-7, 8)
     error, flat = np.random.default_rng(8).normal(0.0, 0.5, 15), Hills(height=0.0)
     plain, up = (

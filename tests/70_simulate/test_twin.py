@@ -226,7 +226,7 @@ def test_true_unknowns_give_the_noise_free_pixels(written: Path) -> None:
 
 @pytest.mark.oracle
 def test_metadata_are_true_minus_error() -> None:
-    """With the correction the sensor with errors is the sensor without, also where time bends the attitude."""
+    """The sensor with errors and the correction is the sensor without errors, also for changing attitudes."""
     wrong, truth = zonguldak_block(replace(OPTIONS, distortion_rad=0.0))
     right, _ = zonguldak_block(replace(OPTIONS, distortion_rad=0.0, errors="none"))
     line = sample = np.linspace(0.0, N_LINES - 1.0, 50)
@@ -243,7 +243,7 @@ def test_metadata_are_true_minus_error() -> None:
 @pytest.mark.consistency
 @pytest.mark.parametrize("eop_set", [1, 6, 10, 12, 15, 20])
 def test_without_errors_nothing_is_corrected(eop_set: int) -> None:
-    """Claim C2: no noise, no errors, then corrections and residuals are rounding."""
+    """Claim C2: without noise and errors, corrections and residuals are rounding errors."""
     block, truth = zonguldak_block(EXACT)
     solution = adjust(block, eop_set=eop_set)
     assert solution.status is Status.CONVERGED

@@ -41,7 +41,7 @@ def pair(place: np.ndarray, a: np.ndarray, curvature: float, direction: np.ndarr
 @pytest.mark.oracle
 @pytest.mark.parametrize("kind", [SHIFT, SLOPE, AFFINE, CURVED])
 def test_a_window_is_found_where_it_is(kind: int) -> None:
-    """Each kind recovers the unknowns that it has; those that it lacks are given."""
+    """Each kind of window finds the unknowns that it has; the others are given."""
     direction = np.array([0.6, 0.8])
     known = np.array([[0.99, 0.06], [-0.05, 1.01]])
     free = {SHIFT: np.zeros((2, 2)), SLOPE: np.outer(direction, [0.04, -0.03]),
@@ -173,7 +173,7 @@ def test_a_match_far_from_its_neighbours_is_wrong(rng: np.random.Generator) -> N
 
 @pytest.mark.oracle
 def test_points_are_spread(rng: np.random.Generator) -> None:
-    """Strong features crowd in a corner: half of the points lie elsewhere, and none is near another one."""
+    """Strong features are close together in a corner; half of the points are elsewhere, and none is near another."""
     pixel = np.vstack([rng.uniform(0.0, 30.0, (900, 2)), rng.uniform(0.0, 300.0, (300, 2))])
     strength = np.r_[np.full(900, 10.0), np.ones(300)] + rng.random(1200)
     kept = spread(pixel, strength, 5.0, 100)

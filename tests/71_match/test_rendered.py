@@ -82,7 +82,7 @@ def test_tables_of_the_project_can_be_adjusted(matched: Matched) -> None:
 
 @pytest.mark.behaviour
 def test_points_of_a_table_stay(project: Path) -> None:
-    """Tie points are added below the records of a user, in the order of the columns; a second run replaces its own."""
+    """Tie points are added below the records of a user with the same columns; a second run replaces its own points."""
     points = "# surveyed\nrole,id,x_m,y_m,z_m,sigma_east_m,sigma_north_m,sigma_up_m\ncontrol,7,1,2,3,1,1,1\n"
     image = "id,image,sample,line,sigma_sample_px,sigma_line_px\n7,a,10,20,0.5,0.5\n7,b,11,21,0.5,0.5\n"
     (project.parent / "gcp.csv").write_text(points, "utf-8")
@@ -161,7 +161,7 @@ def test_wrong_input_is_refused(project: Path, change: Callable[[Path], Any], co
 
 @pytest.mark.behaviour
 def test_a_dem_restricts_the_search(project: Path, matched: Matched, scene: Scene) -> None:
-    """Nearly the same points are found; heights 500 m too high leave none."""
+    """With the DEM nearly the same points are found; with heights 500 m too high none are found."""
     scene.write_dem(project.parent / "dem.tif", 5.0)
     ended = in_process("match", project, "--dem", project.parent / "dem.tif", "--dem-sigma", 5, "--json")
     assert ended.code == 0, ended.stderr
@@ -215,7 +215,7 @@ def test_control_points_by_chips(project: Path, scene: Scene) -> None:
 
 @pytest.mark.behaviour
 def test_images_that_show_different_ground_do_not_match(project: Path) -> None:
-    """By chance alone no trend is found: the pair is refused, with the reason."""
+    """By chance alone no trend is found, and the pair is refused with the reason."""
     write_raster(project.parent / "b.tif", read_raster(project.parent / "b.tif")[::-1, ::-1])
     VIEWS[1].write_rpc(project.parent)  # GDAL has removed it together with the old image
     text = project.read_text("utf-8").partition('\n[[images]]\nid = "c"')[0]

@@ -175,7 +175,7 @@ def test_refusals_of_fit(words: tuple[str, ...], text: str, tmp_path: Path, rng:
 
 @pytest.mark.behaviour
 def test_points_that_do_not_do_are_refused(tmp_path: Path, rng: np.random.Generator) -> None:
-    """On a line; check points only; for a study no check points."""
+    """The points are on a line, or only check points; a study has no check points."""
     line = np.column_stack([np.arange(10.0), 2.0 * np.arange(10.0)])
     image, plane, _ = scene(rng, 8)
     for command, table, words in (

@@ -237,7 +237,7 @@ def test_unknown_models_are_refused(name: str, degree: int | None, code: str) ->
 
 @pytest.mark.behaviour
 def test_a_pole_among_the_points_is_refused() -> None:
-    """Half of the points beyond the horizon of a projective image: no denominator of one sign fits."""
+    """Half of the points are beyond the horizon of a projective image, so that no denominator has one sign."""
     rng = np.random.default_rng(6)
     source = rng.uniform(-1.0, 1.0, (30, 2))
     source = source[np.abs(source[:, 0]) > 0.3]

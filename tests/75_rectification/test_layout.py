@@ -47,7 +47,7 @@ def refusal(points: Observations, name: str = "affine", degree: int | None = Non
 @pytest.mark.parametrize("n", [12, 30, 300])
 @pytest.mark.parametrize(("name", "degree"), [("affine", None), ("polynomial", 2), ("projective", None)])
 def test_points_within_their_noise_of_a_line_are_refused(name: str, degree: int | None, n: int, angle: float) -> None:
-    """Whatever its direction and the number of points; along an axis no condition number shows it."""
+    """The test holds for any direction and number of points; for a line along an axis no condition number shows it."""
     assert refusal(strip(0.0, angle, n=n, seed=n), name, degree).problems[0].code == "rectify.narrow"
 
 
@@ -60,7 +60,7 @@ def test_the_refusal_names_the_direction() -> None:
 
 @pytest.mark.consistency
 def test_neither_unit_nor_size_nor_sigma_of_all_enters() -> None:
-    """In kilometres, with images of another size, with all sigmas 7: the same judgement."""
+    """In kilometres, with images of another size, or with all sigmas 7, the judgement is the same."""
     for width, refused in ((0.0, True), (30.0, False)):
         points = strip(width, 0.3)
         alike = (
@@ -227,7 +227,7 @@ def test_sigmas_that_the_residuals_contradict_are_remarked(
 
 @pytest.mark.behaviour
 def test_points_far_from_their_zone_are_remarked(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Zone 35 (24 to 30 degrees east): at home, in the next zone beside it, and two zones away."""
+    """Points lie in zone 35 (24 to 30 degrees east), in the next zone, and two zones away."""
     from fg_orient.rectification.projections import project, unproject, utm
 
     image, plane, _ = scene(rng, 12)

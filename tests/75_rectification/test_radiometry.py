@@ -63,7 +63,7 @@ def test_planted_stripes_are_removed(rng: np.random.Generator) -> None:
 
 @pytest.mark.truth
 def test_planted_haze_is_subtracted() -> None:
-    """Water of 12, two dead pixels of 3."""
+    """Water has the value 12, and two dead pixels have 3."""
     band = np.full((20, 20), 60.0)
     band[:5], band[7, 7], band[8, 8], band[9, 9] = 12.0, 3.0, 3.0, np.nan
     found, dark = subtract_dark_object(band, least_pixels=10)

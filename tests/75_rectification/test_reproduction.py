@@ -34,7 +34,7 @@ def test_every_table_is_complete(reproduction: Reproduction) -> None:
 
 @pytest.mark.truth
 def test_verdicts(reproduction: Reproduction) -> None:
-    """A changed count is a changed statement: docs/rectification.md has them, too."""
+    """If a count changes, docs/rectification.md must change too."""
     assert reproduction.counts() == {
         "equal": 65, "rounding": 0, "unit": 4, "spread": 3, "sigma": 0, "order": 5, "side": 0, "fitted": 29,
         "differs": 11, "not_reproducible": 218,

@@ -72,7 +72,7 @@ def test_factors_are_quantiles_of_the_circular_normal_distribution() -> None:
 
 @pytest.mark.truth
 def test_nmas_counts_points() -> None:
-    """Of 20 points two may lie beyond the limit, a third may not."""
+    """Of 20 points two may exceed the limit, but not three."""
     d = np.zeros((20, 2))
     d[:2, 0] = 100.0
     d[2, 1] = 25.4

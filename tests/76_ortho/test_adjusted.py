@@ -60,7 +60,7 @@ def test_look_angles_and_small_angles(twin: Twin, tmp_path: Path) -> None:
 
 @pytest.mark.truth
 def test_compensation_of_an_rpc_image(twin: Twin, tmp_path: Path) -> None:
-    """The compensated model moves a projected point by what the names say."""
+    """The compensated model moves a projected point as the names of the terms state."""
     model, _ = fit_image(twin.sensors["left"], (-50.0, 1850.0), FitOptions())
     sensor = RpcSensor(model)
     found = read_correction(folder(tmp_path, {"line_0": 2.0, "sample_0": -3.0}), sensor, "one")
@@ -80,7 +80,7 @@ def refused(path: Path, sensor: object, image: str = "") -> tuple[str, str]:
 
 @pytest.mark.behaviour
 def test_the_image_asked_for_is_that_of_the_metadata(twin: Twin, tmp_path: Path) -> None:
-    """By content: the file of another image is refused whatever its name, a renamed copy of the right one is taken."""
+    """The content decides: the file of another image is refused, and a renamed copy of the right file is used."""
     left = twin.sensors["left"]
     code, text = refused(twin.result, left, "right")
     assert code == "ortho.other_image" and "image right" in text and "right.DIM" in text
@@ -104,7 +104,7 @@ def test_the_image_asked_for_is_that_of_the_metadata(twin: Twin, tmp_path: Path)
 
 @pytest.mark.behaviour
 def test_two_images_with_files_of_one_name_are_told_apart(twin: Twin, tmp_path: Path) -> None:
-    """Products of one mission are all called METADATA.DIM; without their contents in the record nothing tells which."""
+    """All products of a mission have the name METADATA.DIM; only their content in the record distinguishes them."""
     files = {}
     for name in ("left", "right"):
         (tmp_path / name).mkdir()

@@ -95,7 +95,7 @@ def test_pixels_do_not_depend_on_the_windows(twin: Twin, tmp_path: Path, name: s
 
 @pytest.mark.consistency
 def test_another_raster_over_the_same_ground_agrees(twin: Twin, tmp_path: Path) -> None:
-    """Its knots lie elsewhere: places differ by the error between knots, grey values by one after rounding."""
+    """Its knots are at other places: positions differ by the error between knots, grey values by one after rounding."""
     left, bottom, right, top = bounds_about(twin, 0)
     whole = ortho(twin, tmp_path / "a.tif").astype(int)
     part = ortho(twin, tmp_path / "b.tif", bounds=(left + 55.0, bottom, right, top - 35.0)).astype(int)

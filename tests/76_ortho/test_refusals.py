@@ -129,7 +129,7 @@ def test_an_image_beyond_the_fold_of_a_polynomial_has_no_outline(tmp_path: Path)
 @pytest.mark.behaviour
 @pytest.mark.parametrize("which", ["image", "dem", "model", "foreign"])
 def test_nothing_that_is_read_and_no_foreign_file_is_replaced(tmp_path: Path, which: str) -> None:
-    """Whatever --overwrite says; judged before anything is read."""
+    """The check is made before anything is read, also with --overwrite."""
     files = {name: tmp_path / f"{name}.tif" for name in ("image", "dem", "model", "foreign")}
     for path in files.values():
         path.write_bytes(b"not to be lost")

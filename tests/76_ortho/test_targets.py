@@ -124,7 +124,7 @@ def test_points_lie_on_the_terrain(twin: Twin) -> None:
 @pytest.mark.oracle
 @pytest.mark.slow
 def test_whole_images_rectified_in_one_run(tmp_path: Path) -> None:
-    """12000 x 12000 pixels each, rendered whole, rectified whole by the command: all targets of both images."""
+    """Images of 12000 x 12000 pixels are rendered and rectified as a whole; all targets of both images are found."""
     folder, result = tmp_path / "twin", tmp_path / "result"
     for words in (("simulate", "zonguldak", "--raster", "--out", folder),
                   ("adjust", folder / "project.toml", "--out", result)):  # fmt: skip

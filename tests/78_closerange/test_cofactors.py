@@ -134,7 +134,7 @@ def test_intersection() -> None:
 
 @pytest.mark.oracle
 def test_absolute_orientation() -> None:
-    """Unequal sigmas: the solution for equal ones, which is the start, is another."""
+    """With unequal sigmas the solution differs from the solution for equal ones, which is the start."""
     _, model, rng = scene(5)
     turn = Rotation.from_rotvec([0.5, -1.0, 0.3]).as_matrix()
     sigma = np.exp(rng.uniform(-2.0, 1.0, model.shape)) * 0.3

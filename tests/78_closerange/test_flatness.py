@@ -57,7 +57,7 @@ def test_the_limit_is_where_the_inverse_of_a_number_is_honest() -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize(("shape", "code"), [("cubic", "closerange.critical"), ("plane", "closerange.plane")])
 def test_deep_points_of_a_critical_configuration_are_no_plane(shape: str, code: str) -> None:
-    """Nine points and the camera on a twisted cubic leave L open; they were said to lie in a plane."""
+    """Nine points and the camera on a twisted cubic do not determine L; a message said that they lie in a plane."""
 
     def cubic(t: Array) -> Array:
         return np.column_stack([t, 1.4 * t**2, 1.6 * (t**3 - 0.8 * t)])
@@ -78,7 +78,7 @@ def test_deep_points_of_a_critical_configuration_are_no_plane(shape: str, code: 
 @pytest.mark.parametrize(("runs", "sizes"), [(8, (8, 20)), pytest.param(300, (6, 8, 20), marks=pytest.mark.slow)])
 @pytest.mark.parametrize("heights_m", [1e-5, 1e-4, 1e-3])
 def test_no_camera_from_flat_points(heights_m: float, runs: int, sizes: tuple[int, ...]) -> None:
-    """Cameras that were returned were 5 to 11000 of their standard deviations off, more than half of them."""
+    """More than half of the cameras returned earlier were wrong by 5 to 11000 standard deviations."""
     for n in sizes:
         for seed in range(runs):
             points, _, image = scene(seed, heights_m, n)
@@ -108,7 +108,7 @@ def test_spatial_points_are_accepted_with_honest_deviations(heights_m: float, ru
 
 @pytest.mark.behaviour
 def test_a_projection_parallel_within_the_noise_is_called_so() -> None:
-    """Points in space, coarse images: 30 m away a photo is affine, from 10 m hardly central, from 3 m it is."""
+    """Points in space on coarse images: from 30 m a photo is affine, from 10 m hardly central, from 3 m central."""
     said = []
     for distance_m in (30.0, 10.0, 3.0):
         points, _, image = scene(1, 1.0, 20, distance_m=distance_m, sigma=0.05)

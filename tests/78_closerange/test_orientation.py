@@ -60,7 +60,7 @@ def require_near(found: RelativeOrientation, rotation: Array, base: Array, *, m0
 @pytest.mark.oracle
 @pytest.mark.parametrize("seed", some_slow(range(8), 2))
 def test_points_of_a_plane_are_oriented(seed: int) -> None:
-    """The essential matrix is open there; the camera may have any turn about its axis."""
+    """Points of a plane do not determine the essential matrix; the camera may have any rotation about its axis."""
     rng = np.random.default_rng(seed)
     points = np.column_stack([rng.uniform(-1.0, 1.0, (20, 2)), np.zeros(20)])
     rotation, base, images = pair(rng, points, turned=True)
@@ -126,7 +126,7 @@ def test_photos_of_one_place_are_called_so(n: int) -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize("n_photos", [2, 3])
 def test_rays_of_one_place_are_parallel(n_photos: int) -> None:
-    """The iteration runs away along them: the cause, not that it did not converge."""
+    """The error names this cause, not the iteration that diverges along the rays."""
     rng = np.random.default_rng(n_photos)
     points, centre = rng.uniform(-1.0, 1.0, (5, 3)), np.array([0.0, 0.0, 5.0])
     photos = [Photo.of(str(k), CAMERA, looking(centre, rng), centre) for k in range(n_photos)]
@@ -161,7 +161,7 @@ def test_eight_points_need_more_starts_than_the_linear_solution() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("seed", some_slow([0, 8]))
 def test_few_points_of_a_rolled_camera(seed: int) -> None:
-    """Starts were without roll: three of 30 pairs of a camera turned about its view ended wrong with seven points."""
+    """Earlier starts had no roll, and three of 30 pairs of a rolled camera with seven points ended wrong."""
     rng = np.random.default_rng(seed)
     rotation, base, images = pair(rng, rng.uniform(-1.0, 1.0, (7, 3)), turned=True, base_m=2.0)
     found = relative_orientation(CAMERA, CAMERA, images[0], images[1], sigma=SIGMA)
@@ -174,7 +174,7 @@ def tangents(images: list[Array]) -> Array:
 
 @pytest.mark.oracle
 def test_essential_matrices_of_five_points_equal_opencv_and_contain_the_truth() -> None:
-    """OpenCV gives the real ones only."""
+    """OpenCV returns only the real matrices."""
     cv2 = pytest.importorskip("cv2")
     count = 0
     for seed in range(10):

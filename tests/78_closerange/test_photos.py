@@ -122,7 +122,7 @@ def test_dlt_with_distortion_about_a_known_point() -> None:
 
 @pytest.mark.behaviour
 def test_dlt_of_the_thesis_with_16_parameters_settles_on_the_direct_centre(values: dict[CellKey, float]) -> None:
-    """15 points do not tell decentring from the principal point: an answer all the same, with sigmas that say so."""
+    """15 points do not separate decentring from the principal point; the result has large sigmas."""
     for fit in thesis.dlt_photos(values, ("k1", "k2", "k3", "p1", "p2")):
         assert fit.redundancy == 14
         assert fit.condition > 100.0
@@ -187,7 +187,7 @@ def test_dlt_refuses(code: str, change: object) -> None:
 
 @pytest.mark.behaviour
 def test_dlt_refuses_points_close_to_a_plane() -> None:
-    """1 mm of depth on 2 m: full rank, but the projection centre is 1000 times worse than a point; 20 cm pass."""
+    """With 1 mm of depth on 2 m the projection centre is 1000 times worse than a point; with 20 cm it is accepted."""
     _, photos, _, points = scene(8)
     photo = Photo.of("", PhotoInterior(60.0), *_pose(photos[0], 8))  # distortion would be noise
     for depth, code in ((1e-3, "closerange.plane"), (0.2, "")):
@@ -441,7 +441,7 @@ def test_model_and_ground_by_absolute_orientation() -> None:
 
 @pytest.mark.oracle
 def test_absolute_orientation_equals_scipy_and_its_sigmas_hold() -> None:
-    """Unequal weights; cofactors against those of an independent Jacobian at the same place."""
+    """Weights are unequal; cofactors agree with those of an independent Jacobian at the same place."""
     rng = np.random.default_rng(19)
     model, turn = rng.normal(size=(9, 3)), Rotation.from_rotvec([0.2, -0.4, 1.0])
     sigma = rng.uniform(0.5e-3, 3e-3, (9, 3))

@@ -46,7 +46,7 @@ def test_every_table_is_there_with_a_reason(reproduction: Reproduction) -> None:
 
 @pytest.mark.truth
 def test_verdicts(reproduction: Reproduction) -> None:
-    """A changed count is a changed statement: docs/closerange.md has them, too."""
+    """If a count changes, docs/closerange.md must change too."""
     counts = reproduction.counts()
     assert {kind: counts[kind] for kind in counts if counts[kind]} == {
         "equal": 323, "rounding": 303, "unit": 20, "spread": 416, "sigma": 148, "fitted": 148, "differs": 55,
@@ -71,7 +71,7 @@ def test_what_differs_is_known(reproduction: Reproduction) -> None:
 
 @pytest.mark.truth
 def test_geodesy_recomputes_to_print(values: Values, reproduction: Reproduction) -> None:
-    """0.055 mm at most."""
+    """The largest difference is 0.055 mm."""
     rows = [row for row in reproduction.rows if row.table in "34" and row.verdict in ("equal", "unit")]
     assert len(rows) == 196
     assert max(abs(row.published - row.reproduced) for row in rows) <= 0.056e-3
@@ -96,7 +96,7 @@ def test_land_spheroid_to_four_decimals(land: Array) -> None:
 
 @pytest.mark.truth
 def test_table_3_has_another_depth_than_appendix_1(values: Values) -> None:
-    """b 0.84426 and Y0 1005.50077 for 0.8437 and 1005.5012: the other three agree."""
+    """b is 0.84426 instead of 0.8437 and Y0 is 1005.50077 instead of 1005.5012; the other three values agree."""
     fit = fit_surface(thesis.points_of(values, "3", ("x_m", "y_m", "z_m")), "spheroid", method="algebraic").parameters
     expected = {"a": 0.9418, "b": 0.84426, "x0": 999.9917, "y0": 1005.50077, "z0": 2.3622}
     assert fit == pytest.approx(expected, abs=0.5e-4)
@@ -131,7 +131,7 @@ def test_refined_coordinates_come_back(values: Values) -> None:
 
 @pytest.mark.truth
 def test_recovered_comparator_coordinates_lie_on_the_grid(values: Values) -> None:
-    """Within 0.008 um of whole micrometres; chance would leave 0.25 um on average."""
+    """They are within 0.008 um of whole micrometres; by chance the mean distance would be 0.25 um."""
     refined = thesis.points_of(values, "ek1.refined", thesis.REFINED)
     raw = thesis.comparator(values)
     for k, photo in enumerate(thesis.PHOTOS):
@@ -168,7 +168,7 @@ def test_deviations_of_the_field_points(land: Array, values: Values) -> None:
 
 @pytest.mark.truth
 def test_mapping(reproduction: Reproduction) -> None:
-    """0.05/0.03/0.06 mm rms, 0.26 mm worst."""
+    """The rms differences are 0.05/0.03/0.06 mm, the largest is 0.26 mm."""
     off = np.array([
         [1e3 * (row.published - row.reproduced) for row in reproduction.rows
          if row.table == "ek3.points" and row.cell.startswith(f"{axis}_mapped")]

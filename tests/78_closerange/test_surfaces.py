@@ -60,7 +60,7 @@ def test_feet_lie_on_the_surface_and_are_the_nearest_points() -> None:
 
 @pytest.mark.behaviour
 def test_no_foot_is_no_number() -> None:
-    """The centre of a ball has no nearest point, an empty quadric no point at all."""
+    """The centre of a ball has no nearest point, and an empty quadric has no point at all."""
     middle = np.zeros((1, 3))
     assert np.isnan(foot_points(Conditions(np.eye(3), np.zeros(3), -1.0), middle, np.ones((1, 3)))).all()
     assert np.isnan(foot_points(Conditions(np.eye(3), np.zeros(3), 1.0), middle + 1.0, np.ones((1, 3)))).all()
@@ -87,7 +87,7 @@ def test_feet_on_hyperboloids() -> None:
 def test_algebraic_fits_equal_the_independent_program(
     row: dict[str, str], values: dict[CellKey, float], land: Array
 ) -> None:
-    """Seven digits are given: half a unit of the last."""
+    """The program prints seven digits; the limit is half a unit of the last one."""
     xyz = ("x_m", "y_m", "z_m")
     points = {
         "table_3": points_of(values, "3", xyz), "table_4": points_of(values, "4", xyz), "ek1_geodetic_list": land,
@@ -182,7 +182,7 @@ def test_exact_points_give_the_exact_surface() -> None:
 @pytest.mark.consistency
 @pytest.mark.usefixtures("without_profile")
 def test_quadric_and_ellipsoid_are_one_surface() -> None:
-    """Other unknowns, nine each: the same distances."""
+    """Both have nine unknowns, which differ, and the same distances."""
     points = ellipsoid_points(60, 7, noise=2e-3)
     a, b = fit_surface(points, "ellipsoid", sigma_m=2e-3), fit_surface(points, "quadric", sigma_m=2e-3)
     assert np.abs(a.distances_m - b.distances_m).max() <= 1e-8
@@ -192,7 +192,7 @@ def test_quadric_and_ellipsoid_are_one_surface() -> None:
 
 @pytest.mark.consistency
 def test_thesis_land_spheroid_and_its_free_axis(land: Array) -> None:
-    """1.34 mm; a free axis lowers it to 0.97 mm with two unknowns more."""
+    """m0 is 1.34 mm; a free axis reduces it to 0.97 mm with two more unknowns."""
     fixed, free = fit_surface(land, "spheroid"), fit_surface(land, "spheroid", axis="free")
     assert (1e3 * fixed.rms_m, 1e3 * free.rms_m) == pytest.approx((1.34, 0.97), abs=0.005)
     assert (fixed.redundancy, free.redundancy) == (44, 42)
@@ -265,7 +265,7 @@ def test_growth_at_a_distance_is_that_of_the_limit() -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize("method", ["geometric", "algebraic"])
 def test_what_cannot_be_verified_is_refused(monkeypatch: pytest.MonkeyPatch, land: Array, method: Method) -> None:
-    """Neither convergence nor squares that stay above the limit: as after two steps of each fit far away."""
+    """A fit far away neither converges nor keeps its squares above the limit, as after two steps of each fit."""
     monkeypatch.setattr(minima, "_ROUND", 2)
     monkeypatch.setattr(minima, "_ROUNDS", 1)
     with pytest.raises(InputError, match="it could not be verified that the points determine b"):

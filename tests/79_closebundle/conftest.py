@@ -19,7 +19,7 @@ SIGMA = 0.002
 
 @dataclass
 class Scene:
-    """Truth and measurements: photos, points, image coordinates in order of photos, then points."""
+    """Truth and measurements: photos, points, and image coordinates sorted by photo, then by point."""
 
     interior: PhotoInterior
     rotations: list[Array]

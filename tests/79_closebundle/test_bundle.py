@@ -162,7 +162,7 @@ def test_equal_attitude_and_base_hold_in_the_bundle(backend: str) -> None:
 
 @pytest.mark.oracle
 def test_brown_parameters_are_recovered() -> None:
-    """A photo measured with a2 and a13: the bundle finds them, and refuses to write what no photo file holds."""
+    """The bundle finds a2 and a13 of a measured photo, and refuses to write what no photo file can contain."""
     scene = make(2, 40, 2, noise=0.0)
 
     def brown(at: Array) -> Array:
@@ -284,7 +284,7 @@ def test_open_motions_are_counted(held: int, constraints: list[Constraint], word
 
 @pytest.mark.oracle
 def test_free_motions_leave_image_residuals_alone() -> None:
-    """The named motions span what scipy finds to change no exact image coordinate."""
+    """scipy finds the same space of motions that change no exact image coordinate."""
     scene = make(8, 12, 2, noise=0.0)
     exact = [BundlePhoto(f"ph{k}", scene.interior, r, c)
              for k, (r, c) in enumerate(zip(scene.rotations, scene.centres, strict=True))]  # fmt: skip
@@ -302,7 +302,7 @@ def test_free_motions_leave_image_residuals_alone() -> None:
 
 @pytest.mark.behaviour
 def test_points_without_two_rays_are_named() -> None:
-    """All of them at once; one in a constraint is judged by the rows: a plane cuts its ray."""
+    """All such points are named; a point in a constraint is judged by the rows, because a plane may cut its ray."""
     scene = make(3, 20, 2)
     keep = ~(((scene.of == 7) & (scene.which == 1)) | (scene.of == 9))
     start, control = scene.points.copy(), {name: (scene.points[k], 0.0) for k, name in enumerate(scene.ids[:5])}

@@ -81,7 +81,7 @@ def test_t_and_f_by_numpy() -> None:
 def test_far_photos_do_not_separate_principal_distance_and_distance(
     tmp_path: Path, distance: float, warned: bool
 ) -> None:
-    """From 60 m the points fill 6 degrees and perspective says little."""
+    """From 60 m the points fill only 6 degrees, and perspective is weak."""
     done = run(*scene(tmp_path, distance))
     assert done.code == 0, done.stderr
     codes = {f["code"]: f for f in done.json["findings"]}

@@ -145,7 +145,7 @@ def test_bad_input_ends_with_2_and_one_sentence(tmp_path: Path, words: tuple[str
 
 @pytest.mark.behaviour
 def test_a_hard_constraint_that_the_images_contradict_is_named(tmp_path: Path) -> None:
-    """It can be met, but not by anything near the images: the loop does not converge."""
+    """The constraint can be met only far from the images, so that the loop does not converge."""
     written(tmp_path)
     entry = '[[constraints]]\nkind = "base"\nmembers = ["ph0", "ph1"]\nvalue_m = 300.0\n'
     (tmp_path / "base.toml").write_text(entry, "utf-8")

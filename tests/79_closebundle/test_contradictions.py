@@ -45,7 +45,10 @@ def refused(points: Array, *stated: Constraint, backend: str = "dense") -> Input
 
 @pytest.mark.behaviour
 def test_two_values_of_one_distance_contradict_each_other() -> None:
-    """They were called dependent. Equal values are; with a sigma both are observations, and their mean is found."""
+    """Different hard values contradict each other.
+
+    Equal ones are dependent, and values with a sigma give their mean.
+    """
     points = cloud()
     size = float(np.linalg.norm(points[0] - points[1]))
     one, other = Constraint("distance", ("p0", "p1"), 1.25), Constraint("distance", ("p1", "p0"), 1.5)
@@ -129,7 +132,7 @@ def test_a_constraint_that_follows_where_the_others_hold_is_dependent() -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize("backend", ["dense", "graph", "schur"])
 def test_dependence_is_named_where_steps_do_not_end(backend: str) -> None:
-    """The fourth point of a circle lies on a sphere of the other three: as a graph it read as not converging."""
+    """The fourth point of a circle lies on a sphere of the other three; the graph backend did not converge."""
     angle = np.arange(4.0) + 0.3
     ring = 0.8 * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(4)])
     points = MIDDLE + np.vstack([ring, [[0.0, 0.0, 0.8], [0.48, 0.0, 0.64]], cloud(4) - MIDDLE])
@@ -141,7 +144,7 @@ def test_dependence_is_named_where_steps_do_not_end(backend: str) -> None:
 
 @pytest.mark.behaviour
 def test_lines_at_right_angles_have_no_way_to_be_parallel() -> None:
-    """The sine of their angle has no slope there: a single constraint was said to follow from the others."""
+    """The sine of their angle has no slope there, so that a single constraint seemed to follow from the others."""
     points = cloud()
     points[:4] = MIDDLE + np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.5, 0.0, 0.5], [0.5, 0.0, -0.5]])
     with pytest.raises(InputError) as caught:

@@ -91,7 +91,7 @@ def test_the_weight_of_a_station_is_its_sigma(tmp_path: Path) -> None:
 
 @pytest.mark.oracle
 def test_an_observed_attitude_orients_a_photo(tmp_path: Path) -> None:
-    """With its centre it takes the place of a resection: no control at all."""
+    """With its centre it replaces a resection, so that no control is needed."""
     scene = make(11, 12)
     rows = [[*row, *map(repr, np.degrees(aerial_from_rotation(r)).tolist()), 0.002, 0.002, 0.003]
             for row, r in zip(observed(scene, 1e-3), scene.rotations, strict=True)]  # fmt: skip

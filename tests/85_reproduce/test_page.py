@@ -100,7 +100,7 @@ def test_kappas_of_the_tables_stand_on_their_l_curves(tmp_path: Path) -> None:
 
 @pytest.mark.behaviour
 def test_a_long_number_at_the_end_of_an_axis_is_not_cut() -> None:
-    """40000 was drawn as 4000: half of the text stood beyond the border of the picture."""
+    """40000 was drawn as 4000, because half of the text was outside the picture."""
     chart = Chart("length", Axis("m", (0.0, 40000.0)), Axis("m", (0.0, 1.0)), width=300.0, height=200.0)
     ticks = {e.text: e for e in ElementTree.fromstring(str(svg(chart))).iter("text")}
     last = ticks["40000"]

@@ -73,7 +73,7 @@ def test_a_copy_of_the_folder_reads_alike(printed: Printed, copied: Callable[[st
 
 @pytest.mark.behaviour
 def test_package_data_is_not_ignored(repository: Path) -> None:
-    """What git ignores, the wheel leaves out."""
+    """The wheel does not contain files that git ignores."""
     paths = [str(p) for p in (repository / "fg_orient" / "studies" / "published").rglob("*.csv")]
     assert len(paths) == 26 + 18 + 17
     done = subprocess.run(["git", "check-ignore", *paths], cwd=repository, capture_output=True, text=True)

@@ -161,7 +161,7 @@ def test_without_as_run_the_residual_is_gone_and_the_sign_error_is_met(printed: 
 
 @pytest.mark.behaviour
 def test_cells_are_computed_with_one_blas_thread() -> None:
-    """Else the number of cores decides the rounding noise that many cells are."""
+    """Otherwise the number of cores would change cells that are only rounding errors."""
     from threadpoolctl import threadpool_info, threadpool_limits
 
     own = {m["filepath"] for m in _libraries().info()}  # numpy, scipy; other tests load OpenCV

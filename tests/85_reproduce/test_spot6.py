@@ -167,7 +167,7 @@ def test_rules(value: float, text: str, runs: list[float], key: dict[str, str], 
 
 @pytest.mark.behaviour
 def test_a_steady_number_is_not_called_noise() -> None:
-    """Within the limits, but all orders of the points agree and print does not."""
+    """The number is within the limits, but all orders of the points agree with each other and not with the print."""
     key = CellKey("4.45", stage="rfm degree 1", quantity="kappa", method="tikhonov_od")
     for runs, words in (([7.567e-3, 7.567e-3, 7.568e-3], "steady"), ([7.567e-3, 7.5e-3, 7.9e-3], "rounding noise")):
         verdict = spot6.assess(PublishedCell(key, 7.7e-3, "7.7e-3", "7.7e-3"), {key: np.array(runs)})

@@ -110,7 +110,7 @@ def twice(folder: Path) -> None:
 
 @dataclass(frozen=True)
 class Case:
-    """One fault, the file it is found in, and words of the message."""
+    """A case has one fault, the file in which it is found, and words of the message."""
 
     fault: Callable[[Path], None]
     file: str

@@ -264,7 +264,7 @@ def test_correlations_are_those_of_the_cofactors(result: Result) -> None:
     ],
 )
 def test_every_kind_of_image_has_words(result: Result, models: tuple[str, ...], words: str) -> None:
-    """Nothing stands behind a comma or a dot that has nothing to say."""
+    """After a comma or a dot there is always text."""
     images = [{**image, "model": model} for image, model in zip(result.record["images"], models, strict=True)]
     assert orientation_words({**result.record, "images": images, "rpc_compensation": "shift_drift"}) == words
 
@@ -313,7 +313,7 @@ def test_a_map_opens_on_the_points_where_footprints_are_far_larger(result: Resul
 
 @pytest.mark.behaviour
 def test_words_stand_below_their_heads(result: Result) -> None:
-    """A column whose head is words has cells of words: both begin at the left."""
+    """If the head of a column is text, its cells are text, and both are aligned left."""
     held = 0
     for table in render(result).split("<table")[1:]:
         head, _, body = table.partition("</table>")[0].partition("</thead>")

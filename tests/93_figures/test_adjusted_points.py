@@ -269,7 +269,7 @@ def test_local_coordinates_have_no_crs(run: Run, result: Path, tmp_path: Path) -
 
 @pytest.mark.behaviour
 def test_doubt_is_heard(run: Run, result: Path, tmp_path: Path) -> None:
-    """The points are written; the first line after their purpose says it, and so does the exit code."""
+    """The points are written; the first line after their purpose and the exit code state the doubt."""
     record = json.loads((result / "result.json").read_text("utf-8"))
     (result / "result.json").write_text(json.dumps(record | {"status": "not_trustworthy"}), "utf-8")
     ended = run("dsm-points", sealed(result), "--out", tmp_path / "a.ply", "--crs", UTM)

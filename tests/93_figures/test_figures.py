@@ -175,7 +175,10 @@ def test_histograms_of_normalised_residuals(folder: Result, adjusted: Path) -> N
 
 @pytest.mark.oracle
 def test_band_of_normal_quantiles(rng: np.random.Generator) -> None:
-    """One lies within 1.96; of 25 ordered ones each lies in its band in 95 % of 4000 samples, within 4 sigmas."""
+    """The band of one value is 1.96.
+
+    Of 25 sorted values each is in its band in 95 % of 4000 samples, within 4 sigmas.
+    """
     low, middle, high = plots.normal_band(1, np.arange(1))
     assert np.allclose([middle[0], low[0], high[0]], [0.0, -1.959964, 1.959964], atol=1e-6)
     low, middle, high = plots.normal_band(25, np.arange(25))

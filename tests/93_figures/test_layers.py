@@ -88,7 +88,7 @@ def test_footprints_hold_their_points(package: Path) -> None:
 
 @pytest.mark.behaviour
 def test_files_are_those_of_an_older_standard(package: Path) -> None:
-    """Seen in QGIS 3.22: it warns of version 1.4, and of a time that does not say that it is UTC."""
+    """QGIS 3.22 warns of version 1.4, and of a time without UTC."""
     with sqlite3.connect(package) as base:
         assert base.execute("pragma user_version").fetchone() == (10200,)
         times = base.execute("select distinct cast(update_time as text) from layer_styles").fetchall()

@@ -53,7 +53,7 @@ def test_orient_twin_and_read_its_image(repository: Path, tmp_path: Path) -> Non
 
 @pytest.mark.behaviour
 def test_own_factor(repository: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It adds to the registry of equations, which other tests walk through: to a copy."""
+    """The example adds an equation to a copy of the registry, because other tests use the registry."""
     monkeypatch.setattr(_contract, "_REGISTRY", dict(_contract._REGISTRY))
     out = run(repository, "own_factor.py")
     assert float(re.search(r"complex step to (\S+)", out).group(1)) < 1e-12

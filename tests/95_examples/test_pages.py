@@ -207,7 +207,7 @@ def test_every_picture_is_small_told_in_words_and_shown() -> None:
 @pytest.mark.behaviour
 @pytest.mark.slow
 def test_pictures_are_drawn_again(tmp_path: Path) -> None:
-    """By the script that stands in the documentation, under the same names."""
+    """The script in the documentation draws them again under the same names."""
     ended = pages.run_script(REPOSITORY / "docs" / "pictures.py", tmp_path)
     assert ended.code == 0, ended.stderr
     kept = REPOSITORY / "docs" / "_static"

@@ -233,7 +233,7 @@ def test_a_new_equation_of_image_points_runs_on_all_backends(
 def test_a_wrong_kernel_of_a_new_equation_is_named(
     parallel: tuple[Path, dict[str, Any]], files: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One column too few, found by the Schur backend as by the others."""
+    """The kernel has one column too few; the Schur backend and the others find this."""
     text = files["sensor"].read_text().replace("docs_parallel", "docs_narrow").replace('"parallel"', '"narrow"')
     own = tmp_path / "docs_narrow.py"
     own.write_text(text.replace("np.diag(record[RECORD.weight] * setup[1])", "np.zeros((2, 1))"))
@@ -378,7 +378,10 @@ def test_files_that_cannot_be_loaded(name: str, text: str | None, said: str, tmp
 def test_a_reader_that_stumbles_is_named_with_its_line(
     files: dict[str, Path], tmp_path: Path, registries: pytest.MonkeyPatch
 ) -> None:
-    """Not an error of the program: the plugin, its line, the file that it read, and exit code 2."""
+    """The error names the plugin, its line and the file that it read, with exit code 2.
+
+    It is no error of the program.
+    """
     image = tmp_path / "left.parallel"
     words = ("--plugin", files["sensor"], "locate", image, "--line", 1, "--sample", 1, "--height", 0)
     missing = in_process(*words)

@@ -29,7 +29,7 @@ KEPT: Final = 300
 
 
 class TooSlow(BaseException):
-    """The time of a case is over; not an Exception, so that no reader catches it."""
+    """The time of a case is over. The class is no Exception, so that no reader catches it."""
 
 
 def _memory(name: str) -> float:
@@ -66,7 +66,7 @@ def _alarm(seconds: float) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Broken:
-    """What a reader did instead of returning or raising an FgOrientError."""
+    """The result of a reader that neither returned nor raised an FgOrientError."""
 
     kind: str
     text: str

@@ -27,10 +27,7 @@ Value = float | str
 
 @dataclass
 class Signs:
-    """What changes on purpose: patterns of case, file and column, and how.
-
-    ``turns``: the sign; ``redrawn``: anything.
-    """
+    """Patterns of case, file and column that change on purpose; ``turns``: the sign; ``redrawn``: anything."""
 
     rows: list[tuple[str, str, str, str]] = field(default_factory=list)
 
@@ -51,7 +48,7 @@ class Signs:
 
 @dataclass(frozen=True)
 class Difference:
-    """A file, or a value of it, that is another one; ``size`` relative to the largest value of its column."""
+    """A file, or a value of it, has changed; ``size`` is relative to the largest value of its column."""
 
     case: str
     file: str

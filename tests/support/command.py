@@ -25,7 +25,7 @@ from fg_orient.cli import app, main
 
 @dataclass(frozen=True)
 class Ended:
-    """How a command ended."""
+    """The end of a command: exit code and output."""
 
     code: int
     stdout: str

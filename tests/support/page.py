@@ -16,7 +16,7 @@ VOID = {"meta", "br", "img", "link", "input", "hr"}
 
 
 class Structure(HTMLParser):
-    """Collects tags, ids, attributes and text; fails on tags that do not match."""
+    """The parser collects tags, ids, attributes and text, and fails on tags that do not match."""
 
     def __init__(self) -> None:
         super().__init__(convert_charrefs=True)

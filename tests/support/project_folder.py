@@ -60,7 +60,7 @@ OBSERVATIONS = "image,id,line,sample,sigma_line_px,sigma_sample_px\n" + "".join(
 
 @dataclass
 class StandInSensor:
-    """What reading a project asks of a sensor: its size and where it looks."""
+    """The substitute has what reading a project requires of a sensor: its size and where it looks."""
 
     n_lines: int = 12000
     n_samples: int = 12000

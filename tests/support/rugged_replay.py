@@ -92,7 +92,7 @@ class Location:
 
 @dataclass
 class Replay:
-    """What a file holds."""
+    """The content of a file."""
 
     path: Path
     epoch: np.datetime64

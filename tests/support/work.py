@@ -9,7 +9,7 @@ from typing import Any
 
 
 class Calls:
-    """How many functions, of Python or compiled, this thread has called so far."""
+    """The number of functions, of Python or compiled, that this thread has called so far."""
 
     def __init__(self) -> None:
         self.count = 0
