@@ -53,7 +53,7 @@ def tracked_files(repository: Path) -> list[Path]:
     return [repository / name for name in done.stdout.splitlines() if (repository / name).is_file()]
 
 
-# Written in pieces, so that this file does not name what it looks for.
+# The names are joined from pieces, so that this file itself does not contain them.
 FORBIDDEN = {
     "a folder of a developer's machine": re.compile("/" + r"(work|root|home|Users|tmp/try)/\w"),
     "the shared folder": re.compile(r"\.\./" + "shared"),
@@ -99,7 +99,7 @@ def test_contracts_hold(copied_tree: Path) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-#: Module, the line put into it, the contract it breaks, the import that the contract's chain is reported to hold.
+#: Module, the line added to it, the contract that it breaks, and the import that the report of the contract contains.
 PLANTED = [
     (
         "factors/geometry/polynomials.py",

@@ -23,7 +23,7 @@ OF_OTHERS = {
     "fg_orient/model/installation.py", "fg_orient/model/messages/program.py",
     "fg_orient/formats/exchange/asp_gcp.py",
 }  # fmt: skip
-#: The record, and where sentences for people are made of results: reports and the command line.
+#: The record, and the modules that make sentences for people from results: reports and the command line.
 SHOWING = ("fg_orient/cli/", "fg_orient/model/messages/", "fg_orient/report/", "fg_orient/closerange/report/")
 
 

@@ -21,7 +21,7 @@ ALWAYS = {"file", "place", "value", "option"}
 FORMAT = string.Formatter()
 OPTION = re.compile(r"<([a-z_]+)>")
 FILE_SUFFIXES = {"csv", "toml", "json", "jsonl", "html", "npz", "txt", "py", "xml", "tif"}
-#: An entry that stands where it is raised.
+#: An entry that is defined where it is raised.
 INLINE = re.compile(r"([a-z0-9_]+\.[a-z0-9_]+) \((?:note|warning|doubt|failure)\): .")
 CODE = re.compile(r"^[a-z0-9_]+\.[a-z0-9_]+$|^internal$")
 

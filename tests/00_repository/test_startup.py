@@ -13,20 +13,20 @@ import pytest
 from tests.support.command import in_process
 
 HEAVY = ("gtsam", "numba", "scipy", "pandas", "pyarrow", "matplotlib", "rasterio", "pyproj", "erfa", "lxml", "pydantic")
-#: Modules that no command below needs: a plot or a raster is not asked for.
+#: Modules that no command below needs, because none makes a plot or reads a raster.
 OPTIONAL = (
     "pandas", "pyarrow", "matplotlib", "rasterio", "shapely", "pyogrio", "dask", "scipy.stats", "scipy.interpolate",
 )  # fmt: skip
 #: Parts of scipy that take as long to load as an adjustment to compute, for tasks that most blocks do not have.
 SCIPY = ("scipy.optimize", "scipy.spatial")
-#: Name -> words of the command, and modules that it must do without.
+#: For each name: words of the command, and modules that it must not load.
 FORBIDDEN = {
     "--help": (
         ["--help"],
         (*HEAVY, "numpy", "jinja2", "threadpoolctl"),
     ),
     "adjust --help": (
-        ["adjust", "--help"],  # pydantic is there: typer reads the words of a command with it
+        ["adjust", "--help"],  # pydantic is loaded, because typer reads the words of a command with it
         ("gtsam", "numba", "scipy", "numpy", "pyproj", "lxml", "fg_orient.cli.closerange", "fg_orient.cli.rpc"),
     ),
     "--version": (

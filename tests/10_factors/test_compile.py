@@ -25,7 +25,7 @@ from tests.support.equation_examples import look_angle_collinearity
 
 pytestmark = pytest.mark.behaviour
 
-#: A package whose kernel calls over two modules, each imported in another way; ``{0}`` is what a test changes.
+#: A package whose kernel calls functions of two modules, each imported in another way; a test changes ``{0}``.
 PACKAGE = {
     "__init__.py": "",
     "top.py": """

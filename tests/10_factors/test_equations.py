@@ -49,7 +49,7 @@ def test_jacobian_equals_complex_step(equation: Equation, references: dict[str, 
             row = np.abs(reference).max(axis=1, keepdims=True)
             worst = max(worst, float((np.abs(jacobian - reference) / np.where(row > 0, row, 1.0)).max()))
     assert worst <= 1e-11
-    assert worst <= 1e-13  # what the analytic form really reaches; a loss of two digits is a fault
+    assert worst <= 1e-13  # the analytic form reaches this; a loss of two digits would be an error
 
 
 @pytest.mark.oracle

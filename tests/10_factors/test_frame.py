@@ -47,7 +47,7 @@ def test_residual_equals_the_printed_formulas() -> None:
         e = frame_collinearity(rng)
         (observed, weight), start = e.record[:4].reshape(2, 2), e.record[frame.RECORD.rotation].reshape(3, 3)
         interior = e.record[frame.RECORD.centre.start :]
-        d = np.zeros(frame.N_UNKNOWNS + 3)  # some draws have an unknown that no pixel feels
+        d = np.zeros(frame.N_UNKNOWNS + 3)  # in some draws no pixel depends on an unknown
         d[e.setup[0].astype(int)] = e.setup[1] * e.unknowns[0]
         centre, (f, cx, cy, k1, k2, k3, p1, p2, aspect) = interior[:3] + d[3:6], interior[3:12] + d[6:15]
         q = Rotation.from_rotvec(d[:3]).apply(start @ (e.unknowns[1] - centre))

@@ -79,7 +79,7 @@ def test_sign_flips_are_aligned_before_interpolation() -> None:
     expected = Rotation.from_quat(between).as_matrix()
     assert np.abs(a - expected).max() < 1e-15
     assert np.abs(b - expected).max() < 1e-15
-    assert np.abs(raw - expected).max() > 0.1  # without it the interpolation goes through anything
+    assert np.abs(raw - expected).max() > 0.1  # without it any curve could pass through the samples
 
 
 @pytest.mark.oracle
@@ -283,7 +283,7 @@ def test_few_rows_give_the_bits_of_many(rng: np.random.Generator) -> None:
         assert np.array_equal(few[7], pushbroom.residual(records[7], setup, x, ground[7]))
     p = 7.2e6 * light.unit(rng.normal(size=(40, 3)))
     u = light.unit(1e5 * rng.normal(size=(40, 3)) - p)
-    u[3], p[4] = -u[3], np.nan  # a ray that looks up, a position that is not there
+    u[3], p[4] = -u[3], np.nan  # a ray that points up, and a position that is nan
     met = require_equal(ellipsoid.intersect, (p, u, rng.normal(scale=100.0, size=40)), 5)
     assert np.isnan(met[3:5]).all() and np.isfinite(np.delete(met, [3, 4], axis=0)).all()
     require_equal(ellipsoid.geodetic_array, (met,), 5)

@@ -295,7 +295,7 @@ def test_discrepancy_at_the_very_end_of_its_range() -> None:
         system = LinearSystem.from_design(rng.normal(size=(8, 3)), observed)
         try:
             found = tikhonov(system, "discrepancy", Given(noise_norm=float(np.linalg.norm(observed))))
-        except Breakdown as error:  # rounding put the end just out of reach
+        except Breakdown as error:  # by rounding the end could just not be reached
             assert "residuals" in str(error)
         else:
             assert np.linalg.norm(found.x) <= 1e-6 * np.linalg.norm(solve("svd", system).x)

@@ -20,7 +20,7 @@ from tests.support.command import in_process
 
 OWN = '[points]\nfile = "points.csv"\ncrs = "EPSG:4979"\n\n[observations]\nfile = "observations.csv"\n'
 FILES = {"metashape-xml": "m.xml", "asp-gcp": "m.gcp", "odm": "gcp_list.txt", "micmac": "m.txt", "geojson": "m.geojson"}
-#: What these formats do not say.
+#: These formats do not state the following.
 LACKS = {
     "metashape-xml": ('crs = "EPSG:4979"\naccept_unverified = true\n', "sigma_px = [0.3, 0.3]\n"),
     "asp-gcp": ('sigma_axes = "enu"\naccept_unverified = true\n', 'sigma_axes = "enu"\n'),

@@ -60,7 +60,7 @@ def test_the_table_of_losses_covers_all_formats_of_points() -> None:
 @pytest.mark.parametrize("name", sorted(LOST))
 def test_everything_lost_is_named(name: str, everything: Survey, tmp_path: Path) -> None:
     format_ = formats()[name]
-    # formats of WGS84 need the geoid's grid to get there: what is lost of heights is not their question
+    # formats in WGS84 need the grid of the geoid; the loss of heights is not tested here
     moved = replace(everything, crs=UTM)
     survey = placed(moved, format_named("csv"), format_.crs, "") if format_.crs else everything
     out = tmp_path / f"a{format_.suffixes[0]}"

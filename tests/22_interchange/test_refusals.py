@@ -94,7 +94,7 @@ def test_the_file_states_one_crs_and_the_user_another(tmp_path: Path) -> None:
     text = "EPSG:32636\n4e5 4.58e6 9 1 2 a.tif p\n"
     with pytest.raises(InputError, match="not the one given"):
         read(tmp_path, "odm", text, crs="EPSG:32635")
-    # the same with a vertical CRS says more, not something else
+    # a vertical CRS adds information and does not contradict
     assert read(tmp_path, "odm", text, crs="EPSG:32636+5773")[0].crs == "EPSG:32636+5773"
 
 

@@ -12,7 +12,7 @@ from fg_orient.formats.registry import Format, Holds, Settings, formats
 from fg_orient.model.errors import InputError
 from tests.support.survey import assert_same, random_survey
 
-#: What the reader has to be told, because the format does not say it.
+#: The reader gets these options, because the format does not state them.
 FORMATS = {
     "csv": ("EPSG:32636", "EPSG:4979", "EPSG:5254"),
     "asp-gcp": ("EPSG:4979",),

@@ -100,7 +100,7 @@ def test_the_published_pair_is_read_as_arrays_and_agrees_with_its_rpc(real_data:
     folder = real_data / "micmac-spot7-rpc"
     with counted() as calls:
         survey = MICMAC.read((folder,), Settings())  # type: ignore[misc]
-    assert calls.count < 5 * 115_109  # of functions: no more than the lines are split and kept by
+    assert calls.count < 5 * 115_109  # calls of functions: only those that split and store the lines
     assert survey.images == ("SPOT_1A", "SPOT_1B")
     o = survey.observed
     n = len(o) // 2

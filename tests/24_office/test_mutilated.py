@@ -44,7 +44,7 @@ def mark(row: int, column: int, value: str) -> Callable[[Path], None]:
     return change
 
 
-#: Changes of the rows of the points: what the line has to say.
+#: Changes of the rows of the points, and words that the error must contain.
 ROWS: dict[str, tuple[Callable[[Grid], Grid], str]] = {
     "a word for a coordinate": (cell(5, 1, "?"), "line 6, column Doğu"),
     "a blank coordinate": (cell(5, 2, ""), "line 6, column Kuzey"),

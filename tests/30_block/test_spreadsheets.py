@@ -18,7 +18,7 @@ from fg_orient.formats.table_write import cell_text, own_cell, save_table
 from fg_orient.formats.tables import MAX_LINE, require_table
 
 SOFFICE = shutil.which("soffice")
-#: Texts that run as formulas, texts that look like our escape of them, and texts that are neither.
+#: Texts that a spreadsheet runs as formulas, texts that look like their escaped form, and other texts.
 FORMULAS = ["=1+1", "=cmd|'/c calc'!A0", "+1+1", "-1+1", "@SUM(1)", '=HYPERLINK("http://x","y")', "-A1", "+A1"]
 OTHERS = ["'=1+1", "''=1", "'", "'-5", "O'Neil", "-1.5", "+2e3", "01", "a=b", "#1", 'a"b', "a,b"]
 

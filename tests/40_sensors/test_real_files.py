@@ -154,7 +154,7 @@ def test_eop_polynomials_and_their_residuals(real_data: Path) -> None:
     assert largest[3:6].max() < 1e-4
     centre = metadata_eop(s, np.array([(s.n_lines - 1) / 2]))[0]
     assert np.abs(per_tau[:3, 0] - centre[:3]).max() < 0.10
-    # the eight-hertz attitude is not a parabola: its residual is honest, not zero
+    # the attitude of 8 Hz is not a parabola, so that its residual is not zero
     assert 1e-8 < largest[6:].max() < 1e-4
 
 

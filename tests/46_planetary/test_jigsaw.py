@@ -49,7 +49,7 @@ def compare(solution: Solution, expected: twin.Bundle) -> None:
     names = [by_serial[image.sensor.serial] for image in solution.block.images]
     for row in range(len(o)):
         sample, line = residuals[solution.block.points.ids[o.point[row]], names[o.image[row]]]
-        # samples of the scan run against x
+        # samples of the scan increase against x
         assert np.abs(twin.SCALE * solution.residuals_px[row] - [line, -sample]).max() < 1e-6
 
 

@@ -279,7 +279,7 @@ def test_sigmas_where_gtsam_gives_none(twin: Block) -> None:
     expected = np.linalg.pinv(design) @ np.linalg.pinv(design).T
     found = dense.cofactors.joint((0, 1), tuple(int(j) for j in np.flatnonzero(dense.problem.active)))
     assert np.allclose(found, expected, rtol=1e-7, atol=0.0)
-    assert np.sqrt(np.diag(found)).max() > 100.0  # m: the answer is useless, and says so
+    assert np.sqrt(np.diag(found)).max() > 100.0  # m: the result is useless, and its sigma shows this
     assert any("not reliable" in text for text in dense.warnings)
 
 

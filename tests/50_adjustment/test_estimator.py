@@ -240,7 +240,7 @@ def test_excluded_check_points_are_intersected_afterwards(twin: Block) -> None:
     used, excluded = (fg.adjust(twin, eop_set=15, check_points=c) for c in ("use", "exclude"))
     assert len(excluded.accuracy.check) == len(used.accuracy.check) == 10
     a, b = used.accuracy.check.predicted_sigma_enu_m, excluded.accuracy.check.predicted_sigma_enu_m
-    assert np.all(b > 0.9 * a)  # fewer observations cannot predict much better
+    assert np.all(b > 0.9 * a)  # with fewer observations the prediction cannot be much better
     assert np.all(b < 2.0 * a)
     d = np.linalg.norm(used.accuracy.check.enu_m - excluded.accuracy.check.enu_m, axis=1)
     assert 0.0 < d.max() < 3.0

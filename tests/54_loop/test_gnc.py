@@ -90,7 +90,7 @@ def test_without_gross_errors_it_stays_least_squares(loss: str) -> None:
     found = adjusted(block, loss=loss, inlier_probability=1.0 - 1e-15)
     plain = Dense.of(compile_problem(block))
     assert list(dict.fromkeys(r.mu for r in found.log)) == [PLAIN, EXACT] or loss == "geman_mcclure"
-    limit = 1e-8 if loss == "tls" else 0.3  # Geman-McClure weighs all residuals, if little
+    limit = 1e-8 if loss == "tls" else 0.3  # Geman-McClure gives every residual a weight above zero
     assert np.abs(found.state.image - plain.state.image).max() <= limit
 
 

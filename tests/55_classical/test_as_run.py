@@ -137,7 +137,7 @@ def test_control_points_are_intersected_from_the_metadata_positions() -> None:
             errors.append(run.block.points.known.ecef_m[j] - met)
         assert np.abs(bundle.dP).max() > 0.01
         assert np.allclose(bundle.accuracy.gcp_m, errors, rtol=0.0, atol=1e-7)
-    _stage.cache_clear()  # two of them were bent
+    _stage.cache_clear()  # two cached stages were changed above
 
 
 @pytest.mark.consistency

@@ -78,7 +78,7 @@ def test_values_and_derivatives_are_those_of_the_formulas(block: Block, switches
     lin = at.linearise(ALL, nothing(block))
     eop, look, o = oracle.all_eop(block), look_of(block), block.observations
     value = oracle.conditions(eop, look, ground[o.point], as_run)
-    assert np.abs(value).max() > 1e-5  # there is something to compare
+    assert np.abs(value).max() > 1e-5  # the compared values are not zero
     assert np.abs(lin.value - value).max() < ROUNDING
     d_eop, d_ground, d_look = oracle.derivatives(eop, look, ground[o.point], as_run)
     assert deviation(lin.ground, d_ground) < 1e-12
@@ -112,7 +112,7 @@ def test_quotients_of_the_look_angles_add_the_misclosure(block: Block) -> None:
     added = value[:, :, None] * (np.stack(third, axis=1) / f[:, 2:])[:, None, :]
     d_eop = oracle.derivatives(eop, look, g, True)[0]
     lin = at.linearise(ALL, nothing(block))
-    assert deviation(added, np.zeros_like(added) + d_eop) > 1e-6  # there is a difference to find
+    assert deviation(added, np.zeros_like(added) + d_eop) > 1e-6  # the difference is not zero
     assert np.abs(lin.eop[:, :, ::3] - d_eop - added).max() < 1e-12 * np.abs(d_eop).max()
     closed = at.with_look(oracle.back_projected(eop, g, True)).linearise(ALL, nothing(block))
     assert deviation(closed.eop[:, :, ::3], d_eop) < 1e-11

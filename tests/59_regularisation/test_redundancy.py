@@ -65,7 +65,7 @@ def test_sigma0_has_no_rows_of_the_penalty(block: Block, backend: str) -> None:
     n = 2 * len(plain.observations) + 3 * int(plain.observed.sum())
     assert len(residual) == n and solution.chi2 == pytest.approx(float(residual @ residual), rel=1e-9)
     x = solution.problem.image_vector(solution.state)
-    assert 30.0 * float(x @ x) > 1e-3 * solution.chi2  # the penalty would be seen
+    assert 30.0 * float(x @ x) > 1e-3 * solution.chi2  # the test would find the penalty
     assert solution.sigma0 == pytest.approx(np.sqrt(float(residual @ residual) / solution.redundancy), rel=1e-9)
 
 

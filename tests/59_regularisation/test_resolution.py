@@ -95,7 +95,7 @@ def test_record_lists_each_unknown(block: Block) -> None:
     assert [(u["image"], u["unknown"]) for u in record["unknowns"]] == [
         (image.id, name) for image, p in zip(block.images, solution.problem.parameters, strict=True) for name in p.names
     ]
-    # yaw and velocity across track are one direction: only their sum is data
+    # yaw and velocity across track are one direction: the data determine only their sum
     by_name = {u["unknown"]: u for u in record["unknowns"] if u["image"] == "left"}
     assert by_name["roll_0"]["determined_by"] == "observations"
     assert by_name["vx_0"]["determined_by"] == "metadata"

@@ -127,6 +127,6 @@ def test_no_folder_of_this_machine_in_the_provenance(tmp_path: Path) -> None:
     command = ("fg-orient", "adjust", str(tmp_path / "a.toml"), f"--out={tmp_path}/x", "--eop-set=3", "-q")
     found = provenance(zonguldak_block()[0], tmp_path, command)
     assert found["command"] == ["fg-orient", "adjust", "a.toml", "--out=x", "--eop-set=3", "-q"]
-    assert stamp(command)["command"] == found["command"]  # of close range, rectification and reproductions
+    assert stamp(command)["command"] == found["command"]  # codes of close range, rectification and reproductions
     assert relative(str(tmp_path / "sub" / "f"), tmp_path) == "sub/f"
     assert relative("/elsewhere/f", tmp_path) == "f"

@@ -106,7 +106,7 @@ def test_cache_that_may_not_be_read(cache: Path, monkeypatch: pytest.MonkeyPatch
     ("place", "mode"),
     [
         ("", 0o777),
-        ("", 0o1777),  # others cannot change what is there, but add what is not
+        ("", 0o1777),  # others cannot change existing files, but can add files
         ("..", 0o777),
         ("factors_1", 0o777),
         ("factors_1/a.nbi", 0o666),

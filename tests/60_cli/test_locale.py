@@ -36,7 +36,7 @@ code = [in_process(*words).code for words in (
 said = in_process("validate", out / "twin/project.toml").stdout
 print(json.dumps([taken, locale.localeconv()["decimal_point"], code, said]))
 """
-#: What belongs to the occasion in the files: times and folders.
+#: Content of the files that differs between runs: times and folders.
 OCCASION = ("seconds", "memory", "us_per_observation_iteration", "provenance")
 
 

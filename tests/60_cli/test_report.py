@@ -16,7 +16,7 @@ from fg_orient.report.words import number, scientific, verdict
 from tests.support.page import structure
 from tests.support.results import sealed
 
-#: Script elements of the page's own: its data and its script.
+#: The script elements of the page itself are its data and its script.
 SCRIPTS = 2
 SECTIONS = ["verdict", "problems", "summary", "map", "figures", "accuracy", "residuals", "reliability", "orientation",
             "observability", "iterations", "provenance"]  # fmt: skip

@@ -114,7 +114,7 @@ def test_iterations_are_logged_as_they_come(adjusted: tuple[Path, Any]) -> None:
     lines = [json.loads(line) for line in (out / "iterations.jsonl").read_text("utf-8").splitlines()]
     assert [line["iteration"] for line in lines] == list(range(1, ended.json["iterations"] + 1))
     assert lines[-1]["chi2_after"] == pytest.approx(ended.json["chi2"], rel=1e-9)
-    assert lines[-1]["ratio"] is None  # the predicted decrease is rounding there
+    assert lines[-1]["ratio"] is None  # there the predicted decrease is a rounding error
 
 
 @pytest.mark.behaviour

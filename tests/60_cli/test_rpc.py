@@ -222,7 +222,7 @@ def test_convert(
     assert ended.code == 0, ended.stderr
     out = ended.json["out"]
     assert (out["first_pixel"], out["format"].startswith(form)) == (first, True)
-    # the text has all digits; only the first pixel's 1 costs a rounding of the offset
+    # the text has all digits; only adding 1 for the first pixel rounds the offset
     assert max(out["round_trip_line_px"], out["round_trip_sample_px"]) <= 4e-12
     assert ("error estimates" in out["not_kept"]) == form.startswith("DIMAP")
     assert np.array_equal(read_rpc(tmp_path / name).coefficients, model.coefficients)
@@ -316,7 +316,7 @@ def test_refine_equals_weighted_least_squares(
     assert (after["n"], record["control"]["after"]["n"]) == (15, 25)
     assert after["rms_line_px"] == pytest.approx(np.sqrt(np.mean(v[n:, 0] ** 2)), rel=1e-8)
     left_out = []
-    for i in range(n):  # by leaving out in truth
+    for i in range(n):  # by adjustments without the point
         rest = np.arange(n) != i
         root = np.sqrt(weight[:n][rest, 1])
         other = np.linalg.lstsq(a[:n][rest] * root[:, None], l[:n][rest, 1] * root, rcond=None)[0]

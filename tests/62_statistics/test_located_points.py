@@ -143,7 +143,8 @@ def test_images_with_rpc() -> None:
     assert left.ground_m == pytest.approx(ground(np.zeros(4)), abs=1e-6)
     np.testing.assert_allclose(left.covariance_m2, slope @ c @ slope.T, rtol=1e-3, atol=1e-4)
     point = solution.intersect(pixels_of(solution, 3))
-    assert np.linalg.norm(point.ground_m - solution.ground_m[3]) < 2.0 * point.se90_m  # there control has its say, too
+    # there the control has an influence, too
+    assert np.linalg.norm(point.ground_m - solution.ground_m[3]) < 2.0 * point.se90_m
     assert point.se90_m > max(point.ce90_m, point.le90_m)
 
 

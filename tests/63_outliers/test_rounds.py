@@ -63,11 +63,11 @@ def test_all_in_one_round_are_those_of_one_by_one(largest_px: float, monkeypatch
     assert ends[0].keys() == ends[1].keys()
     assert {"image", "position", "height"} == {f.test.part for f in together.left_out}
     assert len(single.left_out) >= 14 and len(single.rounds) >= 14
-    assert len(together.found) == len(single.found)  # nothing goes that has to come back
+    assert len(together.found) == len(single.found)  # no observation is rejected that must be restored
     assert len(together.rounds) <= 4
     point = block.points.ids[o.point[both[0]]]
     compared = [(one.fit, ends[1][name].fit) for name, one in ends[0].items() if one.test.point != point]
-    assert sum(fit is not None for fit, _ in compared) >= 10  # of rivals that are all out nothing is left to test them
+    assert sum(fit is not None for fit, _ in compared) >= 10  # if all rivals are rejected, no observation can test them
     for fit, other in compared:
         assert (fit and fit.dimension) == (other and other.dimension)
         assert fit is None or other is None or other.statistic == pytest.approx(fit.statistic, rel=1e-6)
@@ -100,4 +100,5 @@ def test_what_is_put_back_together_is_tested_as_after_each_adjustment() -> None:
         with_others = again.consistency(end.cofactors, end.chi2, end.redundancy, "t")
         assert turn.dimension == with_others.dimension
         assert turn.statistic == pytest.approx(with_others.statistic, rel=2e-3)
-    assert alone[-1].statistic != pytest.approx(turns[-1].statistic, rel=2e-2)  # those before it matter
+    # the observations before it have an influence
+    assert alone[-1].statistic != pytest.approx(turns[-1].statistic, rel=2e-2)

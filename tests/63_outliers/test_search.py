@@ -178,7 +178,7 @@ def test_prediction_is_the_test_with_the_observation_inside(role: Role) -> None:
     assert len(only.with_it) == (role is Role.CHECK)
     if role is Role.CHECK:
         assert fit.dimension == 1
-        assert np.isnan(solution.ground_m[block.observations.point[row]]).all()  # nothing determines it any more
+        assert np.isnan(solution.ground_m[block.observations.point[row]]).all()  # no observation determines it any more
         assert only.test.inseparable == only.with_it
 
 

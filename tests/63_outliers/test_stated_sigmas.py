@@ -120,7 +120,7 @@ def test_a_gross_error_is_not_taken_for_wrong_sigmas() -> None:
     assert any(f.code == "verdict.gross_error" for f in solution.findings)
     assert "verdict.sigmas" not in codes(solution)
     plain = {s.group: s.larger for s in stated_sigmas(solution.residual_cofactors)}
-    assert min(plain.values()) < 1e-4  # without the exception the doubt would be there
+    assert min(plain.values()) < 1e-4  # without the exception there would be a doubt
     assert MATTERS > 1.0
 
 

@@ -159,7 +159,7 @@ def test_least_absolute_values_have_no_covariance_and_turn_nothing_down() -> Non
     robust = summary(solution)["robust"]
     assert robust["points_without_ray"] == robust["points_on_one_ray"] == robust["images_below_half"] == []
     free = fg.adjust(twin(), loss="lad", max_iterations=200, priors=False, eop_set=10)
-    assert "too weakly" not in free.reason  # what is unavailable is no matter of the control points
+    assert "too weakly" not in free.reason  # the control points are not the reason why it is unavailable
 
 
 @pytest.mark.behaviour

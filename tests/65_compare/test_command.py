@@ -34,7 +34,7 @@ TABLES = {
     "compare.csv", "sets.csv", "spectra.csv", "directions.csv", "l_curves.csv", "error_vectors.csv", "result.json",
     "report.html",
 }  # fmt: skip
-#: Keys that design and documentation promise.
+#: Keys that the documentation promises.
 ROW_KEYS = {
     "eop_set", "solver", "backend", "control_rmse_m", "check_rmse_m", "cond_raw", "cond_scaled", "rank", "reached",
 }  # fmt: skip

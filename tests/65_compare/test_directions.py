@@ -62,7 +62,8 @@ def test_page_and_table_name_them(written: tuple[Path, Any], comparison: Compari
     }
     yaw = next(row for row in shown if row[0].startswith("velocity across track acts as yaw (constant)"))
     assert yaw[1:] == ("nothing", "left, right", "17")
-    assert [row[1] for row in shown] == sorted((row[1] for row in shown), reverse=True)  # nothing before its prior
+    # "nothing" stands before "its prior"
+    assert [row[1] for row in shown] == sorted((row[1] for row in shown), reverse=True)
     table = rows_of(written[0] / "directions.csv")
     assert [tuple(r.values()) for r in table] == [
         (str(d.eop_set), d.image, d.words, d.held_by) for d in comparison.directions

@@ -163,8 +163,8 @@ def test_holm_is_the_step_down_rule() -> None:
     p = np.array([0.04, 0.001, 0.02, 0.9])
     assert holm(p) == pytest.approx([0.08, 0.004, 0.06, 0.9])
     rejected = {int(k) for k in np.flatnonzero(holm(p) <= 0.05)}
-    assert rejected == {1}  # 0.02 > 0.05 / 3 stops
-    assert int(np.sum(p <= 0.05)) == 3  # without care for their number
+    assert rejected == {1}  # Holm's procedure stops at 0.02 > 0.05 / 3
+    assert int(np.sum(p <= 0.05)) == 3  # without a correction for the number of tests
 
 
 def false_alarms(seeds: range) -> tuple[int, int]:
@@ -316,7 +316,8 @@ def test_predictions_with_a_wrong_weight_are_others(twin: Block) -> None:
     folds = tuple(fold for fold in folds_of(block) if fold[0] != block.observations.point[0])[:2]
     spoiled = cross_validate(one_sigma_doubled(block), folds, **PLAIN)
     np.testing.assert_allclose(spoiled.image_px, deleted_residuals(one_sigma_doubled(block), folds), atol=2e-4)
-    assert np.abs(spoiled.image_px - deleted_residuals(block, folds)).max() > 4e-4  # twice what they agree to
+    # twice the accuracy of their agreement
+    assert np.abs(spoiled.image_px - deleted_residuals(block, folds)).max() > 4e-4
 
 
 @pytest.mark.oracle

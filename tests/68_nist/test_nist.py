@@ -14,10 +14,11 @@ from tests.support.nist import MODELS, Certified, digits, read_set
 
 pytestmark = pytest.mark.truth
 
-#: Digits that the certified values must be met to, as the issue asks.
+#: The certified values must be reached to this number of digits.
 DIGITS = 6.0
-#: Gauss-Newton does not reach the certified values from these starts: equations without a solution, an error that
-#: rises, a cycle; MGH09 ends at another stationary point (sum of squares 4.2e-4).
+#: From these starts Gauss-Newton does not reach the certified values, because equations have
+#: no solution, the error increases, or steps repeat in a cycle. MGH09 ends at another
+#: stationary point (sum of squares 4.2e-4).
 BEYOND_GAUSS_NEWTON = {
     ("BoxBOD", 1), ("Eckerle4", 1), ("Gauss3", 2), ("Hahn1", 1), ("MGH09", 1), ("MGH09", 2), ("MGH10", 1),
     ("MGH17", 1), ("Misra1b", 2), ("Misra1c", 1), ("Nelson", 1), ("Nelson", 2), ("Rat42", 1), ("Rat43", 1),

@@ -35,7 +35,7 @@ def misses(twin: Twin, image: str, tmp: Path, *, adjusted: bool, dem: RasterDem 
     model = SensorModel(sensor, correction, CRS, surface.range_m[1])
     out, found = tmp / "ortho.tif", []
     for x, y in twin.targets[::every]:
-        # corners off the target by an amount that differs from target to target
+        # the corners differ from the target by a different amount for each target
         left, bottom = (RESOLUTION_M * math.floor((v - HALF_M) / RESOLUTION_M) for v in (x, y))
         record = orthorectify(
             twin.folder / f"{image}.tif", model, surface, out, crs=CRS, resolution=RESOLUTION_M,

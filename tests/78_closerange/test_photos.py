@@ -311,7 +311,8 @@ def test_far_control_in_a_plane_tells_its_second_pose() -> None:
 def test_resection_refuses_points_on_a_line() -> None:
     camera, photos, _, points = scene(12, 6)
     line = points[0] + np.linspace(0.0, 1.0, 6)[:, None] * (points[1] - points[0])
-    for noise in (0.0, 0.003):  # without noise no start or no accuracy, with it no convergence: the cause is one
+    # without noise the start or the accuracy fails, with noise the convergence; the cause is the same
+    for noise in (0.0, 0.003):
         image = photos[0].project(line) + np.random.default_rng(1).normal(scale=noise, size=(6, 2))
         with pytest.raises(InputError) as caught:
             resect(camera, line, image, sigma=0.003)

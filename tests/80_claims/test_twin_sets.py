@@ -53,7 +53,7 @@ def assert_accurate(runs: Runs, eop_set: int) -> None:
     for seed, run in mine.items():
         assert run.ecef_m.max() <= 5.0, (eop_set, seed)
         assert run.iterations <= 5, (eop_set, seed)
-        # a set that lacks the terms of the true errors may take them up by a term that its prior does not allow
+        # a set without the terms of the true errors may represent them by a term beyond its prior
         assert run.status is Status.CONVERGED or "from the metadata" in run.reason, (eop_set, seed, run.reason)
 
 

@@ -25,11 +25,12 @@ NOT_MET = {
 }
 
 
-#: Failures in 30 seeds that a part which holds in 90 % of them exceeds once in a thousand times. Which elimination
-#: meets a meaningless pivot differs between the kernels of OpenBLAS: V of set 5 failed in 0 to 4 of the same 30 seeds.
+#: A part that is met in 90 % of the seeds has more failures in 30 seeds than this number once
+#: in a thousand times. Which elimination meets a meaningless pivot differs between the
+#: kernels of OpenBLAS: V of set 5 failed in 0 to 4 of the same 30 seeds.
 MOST_FAILURES = int(stats.binom.ppf(0.999, 30, 0.1))
 
-#: Parts that may fail in a single seed; all others hold in every one.
+#: Parts that may fail in a single seed; all other parts are met in every seed.
 MAY_FAIL = NOT_MET | {
     "C12": {"four of five above 100 m", "their check points within 0.5 m"},
     "C14": {"OD: control points"},

@@ -9,7 +9,7 @@ import pytest
 
 pytestmark = pytest.mark.repository
 
-#: Calls by their last name that run what data contain.
+#: Calls, by their last name, that execute content of data.
 RUNNING = {"eval", "exec", "compile", "system", "popen", "unsafe_load", "Unpickler"}
 #: Modules whose loads run code.
 MODULES = {"pickle", "marshal", "shelve", "yaml", "dill", "joblib", "cloudpickle"}

@@ -196,7 +196,7 @@ def folder_in_place_of_a_file(folder):
     folder.points.mkdir()
 
 
-#: What is spoilt in several lines: code, and parts of place, value, message and remedy.
+#: Faults of several lines: code, and parts of place, value, message and remedy.
 SPOILT = [
     (swap_all, "points.swapped", {"message": "6 of 6", "remedy": "exchange"}),
     (swap_easting_and_northing, "points.swapped", {"message": "easting_m and northing_m"}),

@@ -63,7 +63,7 @@ def test_every_point_is_found_and_hovered(page: Page, folder: Path) -> None:
         found = page.value(TIP)
         assert found.split("\n")[0].split(" ", 1)[1] == name
         assert ("adjusted − measured: East" in found) and ("left: line" in found)
-        if k % 10 == 0:  # the point is in the middle now: let go of it and touch it
+        if k % 10 == 0:  # the point is in the middle now: deselect it and touch it
             page.value(f"{MAP}.dispatchEvent(new KeyboardEvent('keydown', {{key: 'Escape'}}))")
             assert page.value(TIP) == ""
             page.mouse("mouseMoved", x + 3, y + 2)

@@ -109,7 +109,7 @@ def camera_file(folder: Path) -> None:
         (folder / f"{name}.toml").write_text(text, "utf-8")
 
 
-#: What is written for a page beside the prepared files, or in their place.
+#: Files that are written for a page in addition to the prepared files, or instead of them.
 OWN_FILES: dict[str, tuple[Callable[[Path], None], ...]] = {
     "README.md": (
         page_files.map_points,
@@ -133,7 +133,7 @@ OWN_FILES: dict[str, tuple[Callable[[Path], None], ...]] = {
     **{f"docs/formats/{name}.md": write for name, write in FORMAT_FILES.items()},
 }
 
-#: What is written before a command: a file of this name has meant another table so far.
+#: Files that are written before a command, because their name had another table before.
 BEFORE: dict[tuple[str, str], Callable[[Path], None]] = {("README.md", "rpc refine"): page_files.rpc_points}
 
 #: Pages that begin with their own files and nothing else.

@@ -445,7 +445,7 @@ def test_a_file_is_loaded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     ("code", "place", "said"),
     [
         ("x = 1\nraise ValueError('two\\nlines')\n", "line 2", "ValueError: two lines"),
-        ("import sys\nsys.exit(0)\n", "line 2", "SystemExit: 0"),  # it ended the command as if that had done its work
+        ("import sys\nsys.exit(0)\n", "line 2", "SystemExit: 0"),  # it ended the command with exit code 0
     ],
 )
 def test_a_plugin_that_ends_is_named(tmp_path: Path, code: str, place: str, said: str) -> None:

@@ -19,9 +19,9 @@ from typing import Final
 from tests.fuzz.harness import Session
 from tests.fuzz.readers import READERS
 
-#: Seconds without a finished case after which a process is ended: code in C does not see the alarm.
+#: A process without a finished case for these seconds is ended, because code in C does not notice the alarm.
 STUCK: Final = 150.0
-#: Cases of a reader whatever its share of the time, and the exit code of one that refuses the files it begins with.
+#: Least number of cases of a reader, and the exit code of a reader that refuses its first files.
 FEWEST: Final = 20
 REFUSED: Final = 5
 

@@ -20,9 +20,9 @@ from pathlib import Path
 from typing import Any
 
 VARIABLE = "FG_ORIENT_CHROMIUM"
-#: Becomes the browser, with the ends of the pipes where it looks for them.
+#: The process becomes the browser; the ends of the pipes have the numbers that it expects.
 _EXEC = "import os, sys; a, b, *c = sys.argv[1:]; os.dup2(int(a), 3); os.dup2(int(b), 4); os.execv(c[0], c)"
-#: Seconds until a browser that does not answer is given up.
+#: A browser that does not answer is ended after these seconds.
 PATIENCE = 600.0
 
 

@@ -17,7 +17,7 @@ from fg_orient.cli.app import COMMANDS
 
 SCHEMAS = Path(__file__).resolve().parents[2] / "fg_orient" / "cli" / "schemas"
 GROUPS = ("rpc", "camera", "rectify", "closerange", "simulate")
-#: Names that a programmer gave; objects with other keys are maps, as from ids to values.
+#: Names given by a programmer; objects with other keys are maps, for instance from ids to values.
 NAME = re.compile(r"[a-z_][a-z0-9_]*")
 #: Objects with more keys are maps if no key is in all of them.
 FEW = 3

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import pytest
 
 KINDS = ("truth", "oracle", "consistency", "behaviour", "repository")
-#: Kinds that find an error which all paths of this project share.
+#: These kinds find an error that is common to all code of this project.
 OUTSIDE = ("truth", "oracle")
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
-#: What one file prints is wrong: name of the set, parameter, certified value.
+#: One file has a wrong value: name of the set, parameter, certified value.
 MISPRINT = ("Roszman1", 0, 0.20196866396)
 
 

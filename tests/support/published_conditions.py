@@ -118,7 +118,7 @@ def file_eop(block: Block, image: int) -> tuple[np.ndarray, np.ndarray]:
     line = block.observations.line[rows]
     states = block.images[image].sensor.states(line)
     values = np.hstack([states.position_m, states.velocity_m_s, states.angles_rad])
-    offset = values.mean(axis=0)  # metres of orbit radius would cost the fit digits
+    offset = values.mean(axis=0)  # in metres the orbit radius would reduce the digits of the fit
     centred = (line - line.mean()) / np.ptp(line)
     return rows, offset + np.polynomial.polynomial.polyvander(centred, 2) @ np.linalg.lstsq(
         np.polynomial.polynomial.polyvander(centred, 2), values - offset, rcond=None

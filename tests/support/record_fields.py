@@ -53,7 +53,7 @@ FREE_CALLS = {
     "range",
     "split",
 }
-#: Functions and methods that give what they are given, in another form.
+#: Functions and methods that return their argument in another form.
 SAME = {"copy", "ravel", "astype", "ascontiguousarray", "asarray", "array", "concatenate", "append", "hstack", "tile",
         "where", "reshape", "abs", "sum", "sqrt", "real", "imag", "T", "take"}  # fmt: skip
 
@@ -141,7 +141,7 @@ class Program:
         self._take_contract()
         self.walks = [_Walk(self, function) for function in functions]
         self._trace()
-        for walk in self.walks:  # nobody calls what has no kind now
+        for walk in self.walks:  # a function without a kind is not called
             walk.function.is_traced = True
         self._trace()
 
