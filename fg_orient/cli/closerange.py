@@ -77,12 +77,14 @@ def relative(
     options: Mapping[str, Any],
     out: Annotated[Path | None, option("Points of the model.", "CSV")] = None,
     photos_out: Annotated[Path | None, option("Both photos, oriented in the model.", "TOML")] = None,
+    report: Report = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Orient two photos to each other without control points."""
     from fg_orient.closerange.orient_job import run_relative
 
-    record = run_relative(points, photos, ImageOptions(**options), out=out, photos=photos_out, overwrite=overwrite)
+    output = _output(report=report, overwrite=overwrite)
+    record = run_relative(points, photos, ImageOptions(**options), out=out, photos=photos_out, output=output)
     answer(record, _show_orientation, record, "base", "")
 
 
@@ -93,12 +95,14 @@ def absolute(
     control: Annotated[Path, argument("CONTROL", "CSV: id,x_m,y_m,z_m; sigma_x_m,sigma_y_m,sigma_z_m if wanted.")],
     options: Mapping[str, Any],
     out: Annotated[Path | None, option("All points of the model on the ground.", "CSV")] = None,
+    report: Report = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Fit a model to three control points or more: rotation, scale and shift."""
     from fg_orient.closerange.orient_job import run_absolute
 
-    record = run_absolute(model, control, **options, out=out, overwrite=overwrite)
+    output = _output(report=report, overwrite=overwrite)
+    record = run_absolute(model, control, **options, out=out, output=output)
     answer(record, _show_orientation, record, "shift", " m")
 
 
@@ -121,6 +125,8 @@ def _show_orientation(record: dict[str, Any], name: str, unit: str) -> None:
     _relative_note(record)
     for written in filter(None, (record["out"], record["photos_out"])):
         say(f"written: {written}")
+    if record["page"]:
+        say(f"report: {record['page']}")
 
 
 @app.command("bundle")

@@ -11,9 +11,10 @@ import numpy as np
 from factors.arrays import Index
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.closerange import files
-from fg_orient.closerange.job import Record, exterior_record, no_redundancy, of_name
+from fg_orient.closerange.job import NONE, Output, Record, exterior_record, no_redundancy, of_name
 from fg_orient.closerange.minima import BENT
 from fg_orient.closerange.options import ImageOptions
+from fg_orient.closerange.orient_report import write_page
 from fg_orient.closerange.orientation import absolute_orientation, relative_orientation
 from fg_orient.closerange.photo import Photo, photo_text
 from fg_orient.formats.atomic import outputs, require_free_files, write_text
@@ -30,7 +31,7 @@ def run_relative(
     *,
     out: Path | None = None,
     photos: Path | None = None,
-    overwrite: bool = False,
+    output: Output = NONE,
 ) -> Record:
     """Return the relative orientation of the two photos of a table of image points.
 
@@ -43,7 +44,8 @@ def run_relative(
     options : ImageOptions
     out, photos : Path, optional
         Table of the model points, and photo file with both orientations, to write.
-    overwrite : bool
+    output : Output
+        Report to write, and whether files may be replaced.
 
     Raises
     ------
@@ -51,6 +53,8 @@ def run_relative(
         See :func:`fg_orient.closerange.orientation.relative_orientation`. Also: there are
         not exactly two photos, or standard deviations differ.
     """
+    overwrite = output.overwrite
+    output.require_possible()
     require_free_files(out, overwrite=overwrite)
     require_free_files(photos, overwrite=overwrite, option="photos_out")
     table, cameras = files.read_image_points(path, options.sigma), files.interiors(read_photos(camera))
@@ -86,7 +90,7 @@ def run_relative(
         **as_record([*no_redundancy(fit.m0), *fit.second_orientation(), *_bent(fit.bend)]),
     }
     texts = [photo_text(pose, own, r) for pose, own, r in zip(poses, interior, (np.eye(3), fit.rotation), strict=True)]
-    return _written(record, out, photos, "schema = 1\n\n" + "\n".join(texts), overwrite=overwrite)
+    return _written(record, out, photos, "schema = 1\n\n" + "\n".join(texts), inputs=[path, camera], output=output)
 
 
 def _in_both(which: Index, of: Index, n_points: int) -> list[Index]:
@@ -97,7 +101,7 @@ def _in_both(which: Index, of: Index, n_points: int) -> list[Index]:
 
 
 def run_absolute(
-    path: Path, control: Path, *, sigma_m: float | None = None, out: Path | None = None, overwrite: bool = False
+    path: Path, control: Path, *, sigma_m: float | None = None, out: Path | None = None, output: Output = NONE
 ) -> Record:
     """Fit the points of a model to control points, and transform all its points.
 
@@ -111,14 +115,16 @@ def run_absolute(
         Default standard deviation of control coordinates.
     out : Path, optional
         Table of the transformed points to write.
-    overwrite : bool
+    output : Output
+        Report to write, and whether files may be replaced.
 
     Raises
     ------
     InputError, NoSolutionError
         See :func:`fg_orient.closerange.orientation.absolute_orientation`.
     """
-    require_free_files(out, overwrite=overwrite)
+    output.require_possible()
+    require_free_files(out, overwrite=output.overwrite)
     ids, model = files.read_model_points(path)
     ground = files.read_ground_points(control, sigma_m)
     row = {name: k for k, name in enumerate(ids)}
@@ -143,7 +149,7 @@ def run_absolute(
         "points": rows_of({"id": ids, "{}_m": fit.apply(model)}),
         **as_record([*no_redundancy(fit.m0), *_bent(fit.bend)]),
     }
-    return _written(record, out, overwrite=overwrite)
+    return _written(record, out, inputs=[path, control], output=output)
 
 
 def _bent(bend: float) -> Sequence[Finding]:
@@ -161,9 +167,16 @@ def _bent(bend: float) -> Sequence[Finding]:
 
 
 def _written(
-    record: dict[str, Any], out: Path | None, photos: Path | None = None, text: str = "", *, overwrite: bool
+    record: dict[str, Any],
+    out: Path | None,
+    photos: Path | None = None,
+    text: str = "",
+    *,
+    inputs: list[Path],
+    output: Output,
 ) -> Record:
-    """Return the plain record, after its points and the photo file with ``text`` are written."""
+    """Return the plain record, after its points, the photo file with ``text`` and the report are written."""
+    overwrite = output.overwrite
     record = plain(
         {**record, "out": None if out is None else str(out), "photos_out": None if photos is None else str(photos)}
     )
@@ -173,4 +186,4 @@ def _written(
         if out is not None:
             names = tuple(record["points"][0])
             save_table(out, table_of_rows(names, (tuple(point.values()) for point in record["points"])).columns)
-    return record
+    return record | {"page": write_page(record, inputs, output)}

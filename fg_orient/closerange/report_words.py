@@ -75,12 +75,16 @@ def m0_words(record: dict[str, Any]) -> tuple[str, str]:
     if record.get("variance_components"):
         return "good", "The standard deviations were estimated from the residuals: m0 is no test of the model."
     if record["weights"] == "relative":
-        unit = "metres" if record["kind"] == "surface" else "the unit of the image coordinates"
+        unit = "metres" if record["kind"] in ("surface", "absolute") else "the unit of the image coordinates"
         return "good", f"m0, the standard deviation of one observation, is {significant(m0)}, in {unit}."
     low, high = (math.sqrt(v / f) for v in chi_square_interval(f, LEVEL))
     between, size = f"chance leaves it between {number(low, 2)} and {number(high, 2)}", significant(m0, 3)
     if m0 > high:
-        axis = "" if record["kind"] == "surface" else ", or y of the image coordinates points the other way (y_axis)"
+        axis = (
+            ""
+            if record["kind"] in ("surface", "absolute")
+            else ", or y of the image coordinates points the other way (y_axis)"
+        )
         text = f"The residuals are {size} times as large as the given standard deviations (m0; {between})"
         return "warn", f"{text}: these are too small, or the model lacks something, or there are gross errors{axis}."
     if m0 < low:

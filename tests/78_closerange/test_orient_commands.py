@@ -77,6 +77,29 @@ def test_words_of_both_commands(folder: tuple[Path, Array, list[Array]]) -> None
 
 
 @pytest.mark.behaviour
+def test_pages_of_both_commands(folder: tuple[Path, Array, list[Array]]) -> None:
+    """One self-contained page each: the numbers of the record, all residuals, the inputs; warnings are in it, too."""
+    path, _, _ = folder
+    page, model = path / "page.html", path / "model.csv"
+    first = ("closerange", "relative", path / "image.csv", path / "cameras.toml", "--sigma", SIGMA, "--out", model)
+    done = run(*first, "--report", page, "--json")
+    assert done.code == 0 and done.json["page"] == str(page), done.stderr
+    text = page.read_text("utf-8")
+    assert f"<b>{done.json['redundancy']}</b>" in text and "Relative orientation" in text and "http:" not in text
+    assert all(f'<td class="id">{point["id"]}</td>' in text for point in done.json["points"])
+    assert "image.csv" in text and "cameras.toml" in text and f"{done.json['exterior']['centre_m'][1]:.6f}"[-6:] in text
+    second = ("closerange", "absolute", model, path / "control.csv", "--report", page)
+    done = run(*second)
+    assert done.code == 2 and "--overwrite" in done.stderr and page.read_text("utf-8") == text
+    done = run(*second, "--overwrite")
+    assert done.code == 0 and f"report: {page}" in done.stdout
+    text = page.read_text("utf-8")
+    assert "Absolute orientation" in text and "control.csv" in text and "standard deviation of one observation" in text
+    done = run("closerange", "absolute", model, path / "control.csv", "--report", path / "none" / "page.html")
+    assert done.code == 2 and "no such folder" in done.stderr
+
+
+@pytest.mark.behaviour
 def test_refusals(folder: tuple[Path, Array, list[Array]]) -> None:
     path, _, _ = folder
     lines = (path / "image.csv").read_text("utf-8").splitlines()
