@@ -8,10 +8,12 @@ from typing import Any, Final
 import numpy as np
 
 from factors.arrays import Array
+from factors.geometry import ellipsoid
 from fg_orient.formats.json_files import JsonFile
 from fg_orient.formats.registry import read_bytes
 from fg_orient.model.errors import InputError
-from fg_orient.sensors.focal_plane import Distortion
+from fg_orient.sensors.base import Sensor
+from fg_orient.sensors.focal_plane import Detector, Distortion
 from fg_orient.sensors.metadata import DirectionTable, LineTiming, SegmentTiming
 
 FRAME_MODEL: Final = "USGS_ASTRO_FRAME_SENSOR_MODEL"
@@ -55,6 +57,42 @@ def distortion_fields(distortion: Distortion) -> dict[str, Any]:
     kind = {name: number for number, name in DISTORTIONS.items()}.get(distortion.model, 0)
     c = distortion.coefficients or (0.0, 0.0, 0.0)
     return {"m_distortionType": kind, "m_opticalDistCoeffs": list(c[:-1] if kind == RADTAN else c)}
+
+
+def semi_axes(sensor: Sensor) -> tuple[float, float]:
+    """Return the major and minor semi-axis of the body of an image, m."""
+    return (ellipsoid.A_M, ellipsoid.B_M) if sensor.body is None else (sensor.body.radii_m[0], sensor.body.radii_m[2])
+
+
+def common_fields(
+    model: str, sensor: Sensor, size: tuple[int, int], detector: Detector, focal: float, distortion: Distortion,
+    centre_m: Array, reach_m: float,
+) -> dict[str, Any]:  # fmt: skip
+    """Return the fields that states of both models have.
+
+    Parameters
+    ----------
+    model : str
+    sensor : Sensor
+    size : (2,) tuple of int
+        Lines and samples.
+    detector, focal, distortion : Detector, float, Distortion
+        Camera of the state; both models have other fields for the origin of the detector.
+    centre_m : (3,) array
+        Ground point in the middle, body-fixed.
+    reach_m : float
+        Largest height, and depth, above the radii.
+    """
+    major, minor = semi_axes(sensor)
+    return {
+        "m_modelName": model, "m_imageIdentifier": Path(sensor.file).stem, "m_nLines": size[0], "m_nSamples": size[1],
+        "m_majorAxis": major, "m_minorAxis": minor, "m_minElevation": -reach_m, "m_maxElevation": reach_m,
+        "m_referencePointXyz": centre_m.tolist(), "m_focalLength": focal, "m_iTransL": list(detector.lines),
+        "m_iTransS": list(detector.samples), "m_detectorLineSumming": detector.summing[0],
+        "m_detectorSampleSumming": detector.summing[1], "m_startingDetectorLine": detector.start[0],
+        "m_startingDetectorSample": detector.start[1], **distortion_fields(distortion),
+        "m_sunPosition": [0.0, 0.0, 0.0],
+    }  # fmt: skip
 
 
 def open_state(path: Path, model: str) -> JsonFile:

@@ -17,12 +17,13 @@ from typing import Any, Final
 import numpy as np
 
 from factors.arrays import Array
-from factors.geometry import ellipsoid, interpolation
+from factors.geometry import interpolation
 from factors.geometry.interpolation import MAX_SAMPLES, sign_aligned
 from fg_orient.formats.atomic import write_text
-from fg_orient.formats.csm import LINE_SCAN_MODEL, distortion_fields
+from fg_orient.formats.csm import LINE_SCAN_MODEL, common_fields, semi_axes
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.correction import Correction
+from fg_orient.sensors.focal_plane import Detector
 from fg_orient.sensors.line_detector import COMPARED, LineDetector, fit_detector
 from fg_orient.sensors.metadata import QuaternionList, QuaternionPolynomial, SegmentTiming
 from fg_orient.sensors.pushbroom import PushbroomSensor
@@ -40,6 +41,8 @@ MARGIN: Final = MAX_SAMPLES // 2
 #: Rotation from the body axes to axes with x right, y backward, z down.
 TURNED: Final = np.diag([1.0, -1.0, -1.0])
 _PARAMETERS: Final = 16
+#: Largest height and depth above the ellipsoid that a state states, m.
+REACH_M: Final = 10_000.0
 
 
 def write_state(
@@ -173,13 +176,8 @@ def _error_px(
     got = interpolation.centred(times, np.hstack([states[0], states[2]]), middle)
     turned = got[:, 3:] / np.linalg.norm(got[:, 3:], axis=1, keepdims=True)
     angle = 2.0 * np.minimum(np.linalg.norm(turned - q, axis=1), np.linalg.norm(turned + q, axis=1))
-    height = np.linalg.norm(p, axis=1) - _axes(sensor)[0]
+    height = np.linalg.norm(p, axis=1) - semi_axes(sensor)[0]
     return float((angle + np.linalg.norm(got[:, :3] - p, axis=1) / height).max() * detector.focal_px)
-
-
-def _axes(sensor: PushbroomSensor) -> tuple[float, float]:
-    """Return the semi-axes of the body, m."""
-    return (ellipsoid.A_M, ellipsoid.B_M) if sensor.body is None else (sensor.body.radii_m[0], sensor.body.radii_m[2])
 
 
 def _lines(sensor: PushbroomSensor, zero_s: float) -> dict[str, list[float]]:
@@ -204,31 +202,28 @@ def _fields(
 ) -> dict[str, Any]:  # fmt: skip
     """Return all fields of a state as written to the JSON file."""
     image, _ = _span(sensor)
-    major, minor = _axes(sensor)
     first, n_samples = columns[0], columns[1] - columns[0]
     centre = sensor.locate(0.5 * (sensor.first_line + sensor.last_line), first + 0.5 * (n_samples - 1), height_m=0.0)[0]
     middle = p[len(p) // 2]
     distance = float(np.linalg.norm(middle - centre))
     start, step = float(times[0]), float((times[-1] - times[0]) / (len(times) - 1))
-    zeros = [0.0, 0.0, 0.0]
+    seen = Detector(
+        (0.0, detector.origin_sample + 0.5), (-detector.offset_px, -detector.slope, 1.0), (0.0, detector.sign, 0.0),
+        start=(0.0, float(first)),
+    )  # fmt: skip
+    size = sensor.n_lines, n_samples
     return {
-        "m_modelName": LINE_SCAN_MODEL, "m_imageIdentifier": Path(sensor.file).stem,
+        **common_fields(LINE_SCAN_MODEL, sensor, size, seen, detector.focal_px, detector.distortion, centre, REACH_M),
         "m_sensorName": sensor.metadata.instrument,
         "m_sensorIdentifier": sensor.metadata.instrument, "m_platformIdentifier": sensor.metadata.mission,
-        "m_nLines": sensor.n_lines, "m_nSamples": n_samples, "m_platformFlag": 1, "m_ikCode": 0,
-        **_lines(sensor, zero_s), "m_startingEphemerisTime": 0.0, "m_centerEphemerisTime": 0.0,
-        "m_detectorSampleSumming": 1.0, "m_detectorLineSumming": 1.0, "m_startingDetectorSample": float(first),
-        "m_startingDetectorLine": 0.0, "m_zDirection": 1.0, "m_focalLength": detector.focal_px,
-        "m_detectorSampleOrigin": detector.origin_sample + 0.5, "m_detectorLineOrigin": 0.0,
-        "m_iTransS": [0.0, detector.sign, 0.0], "m_iTransL": [-detector.offset_px, -detector.slope, 1.0],
-        **distortion_fields(detector.distortion),
-        "m_majorAxis": major, "m_minorAxis": minor, "m_minElevation": -10_000.0,
-        "m_maxElevation": 10_000.0, "m_referencePointXyz": centre.tolist(), "m_gsd": distance / detector.focal_px,
+        "m_platformFlag": 1, "m_ikCode": 0, **_lines(sensor, zero_s), "m_startingEphemerisTime": 0.0,
+        "m_centerEphemerisTime": 0.0, "m_zDirection": 1.0, "m_detectorSampleOrigin": seen.centre[1],
+        "m_detectorLineOrigin": seen.centre[0], "m_gsd": distance / detector.focal_px,
         "m_flyingHeight": float(np.linalg.norm(middle) - np.linalg.norm(centre)),
         "m_halfSwath": 0.5 * n_samples * distance / detector.focal_px,
         "m_halfTime": float(0.5 * (image[1] - image[0])), "m_t0Ephem": start, "m_dtEphem": step, "m_t0Quat": start,
         "m_dtQuat": step, "m_numPositions": p.size, "m_numQuaternions": q.size, "m_positions": p.ravel().tolist(),
         "m_velocities": v.ravel().tolist(), "m_quaternions": q.ravel().tolist(),
         "m_currentParameterValue": [0.0] * _PARAMETERS, "m_parameterType": [2] * _PARAMETERS,
-        "m_covariance": [0.0] * _PARAMETERS**2, "m_sunPosition": zeros, "m_sunVelocity": zeros,
+        "m_covariance": [0.0] * _PARAMETERS**2, "m_sunVelocity": [0.0, 0.0, 0.0],
     }  # fmt: skip

@@ -22,9 +22,8 @@ from typing import Any, Final
 import numpy as np
 
 from factors.arrays import Array
-from factors.geometry import ellipsoid
 from fg_orient.formats.atomic import write_text
-from fg_orient.formats.csm import DISTORTIONS, FRAME_MODEL, UNIT, distortion_fields, distortion_of, open_state
+from fg_orient.formats.csm import DISTORTIONS, FRAME_MODEL, UNIT, common_fields, distortion_of, open_state
 from fg_orient.formats.json_files import JsonFile
 from fg_orient.formats.registry import Format
 from fg_orient.geodesy.bodies import Body, is_earth, spheroid
@@ -34,6 +33,8 @@ from fg_orient.sensors.framing import FramingCamera, FramingSensor, Taken, angle
 
 #: A distortion is fitted and compared at this number of pixels per side of the image.
 SIDE: Final = 41
+#: Largest height and depth above the radii that a state states, m.
+REACH_M: Final = 1_000.0
 #: Rotates camera axes that look along the negative third axis to axes that look along the positive third axis.
 _HALF_TURN: Final = np.diag([-1.0, 1.0, -1.0])
 
@@ -222,29 +223,22 @@ def _fields(sensor: FramingSensor, camera: FramingCamera) -> dict[str, Any]:
     from scipy.spatial.transform import Rotation  # loaded for these files only
 
     detector, centre = camera.detector, camera.centre_m
-    major, _, minor = (ellipsoid.A_M, ellipsoid.A_M, ellipsoid.B_M) if sensor.body is None else sensor.body.radii_m
     quaternion = Rotation.from_matrix(camera.rotation.T).as_quat().tolist()
     affine = np.array([detector.samples, detector.lines])
     back = np.linalg.inv(affine[:, 1:])  # detector samples and lines to millimetres
     shift = (-back @ affine[:, 0]).tolist()
+    size, own = (sensor.n_lines, sensor.n_samples), camera.distortion
     return {
-        "m_modelName": FRAME_MODEL, "m_imageIdentifier": Path(sensor.file).stem,
+        **common_fields(FRAME_MODEL, sensor, size, detector, camera.focal_mm, own, sensor.centre_m, REACH_M),
         "m_spacecraftName": sensor.taken.platform,
         "m_instrumentID": sensor.taken.instrument, "m_targetName": "EARTH" if sensor.body is None else sensor.body.name,
-        "m_nLines": sensor.n_lines, "m_nSamples": sensor.n_samples, "m_majorAxis": major, "m_minorAxis": minor,
         "m_currentParameterValue": [*centre.tolist(), *quaternion], "m_currentParameterCovariance": [0.0] * 49,
-        "m_noAdjustments": [0.0] * 7, "m_focalLength": camera.focal_mm, "m_focalLengthEpsilon": 0.0,
-        "m_boresight": [0.0, 0.0, 1.0], "m_iTransL": list(detector.lines), "m_iTransS": list(detector.samples),
+        "m_noAdjustments": [0.0] * 7, "m_focalLengthEpsilon": 0.0, "m_boresight": [0.0, 0.0, 1.0],
         "m_transX": [shift[0], *back[0].tolist()], "m_transY": [shift[1], *back[1].tolist()],
-        "m_ccdCenter": list(detector.centre), "m_detectorLineSumming": detector.summing[0],
-        "m_detectorSampleSumming": detector.summing[1], "m_startingDetectorLine": detector.start[0],
-        "m_startingDetectorSample": detector.start[1], **distortion_fields(camera.distortion),
-        "m_linePp": 0.0, "m_samplePp": 0.0,
+        "m_ccdCenter": list(detector.centre), "m_linePp": 0.0, "m_samplePp": 0.0,
         "m_pixelPitch": float(np.linalg.norm(back[:, 0])), "m_ifov": 0.0, "m_lineJitter": 0.0, "m_sampleJitter": 0.0,
         "m_originalHalfLines": sensor.n_lines / 2.0, "m_originalHalfSamples": sensor.n_samples / 2.0,
-        "m_minElevation": -1000.0, "m_maxElevation": 1000.0, "m_ephemerisTime": 0.0,
-        "m_spacecraftVelocity": [0.0, 0.0, 0.0], "m_sunPosition": [0.0, 0.0, 0.0],
-        "m_referencePointXyz": sensor.centre_m.tolist(), "m_collectionIdentifier": "",
+        "m_ephemerisTime": 0.0, "m_spacecraftVelocity": [0.0, 0.0, 0.0], "m_collectionIdentifier": "",
     }  # fmt: skip
 
 
