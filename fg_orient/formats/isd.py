@@ -17,6 +17,9 @@ from fg_orient.sensors.metadata import Ephemeris, QuaternionList
 
 #: If there is only one state, its time may differ from the centre time by at most this, s.
 NEAR_S: Final = 0.1
+#: Largest plausible coordinate and velocity in inertial axes, km and km/s.
+FAR_KM: Final = 1e10
+FAST_KM_S: Final = 1e4
 #: Distortions of an ISD: names of USGSCSM and of ``focal_plane``.
 _DISTORTIONS: Final = ("radial", "transverse", "radtan")
 
@@ -25,6 +28,11 @@ def orbit_of(isd: JsonFile, time: float) -> Ephemeris:
     """Read positions (m) and velocities in inertial axes; times count from ``time``, which must lie among them."""
     times, km = _states(isd, "instrument_position", time, "positions", 3)
     velocity = isd.numbers("instrument_position.velocities", len(times), 3) if len(times) > 1 else np.zeros((1, 3))
+    for name, values, most in (("positions", km, FAR_KM), ("velocities", velocity, FAST_KM_S)):
+        largest = float(np.abs(values).max())
+        if largest > most:
+            raise InputError.of("isd.size", file=isd.path, place=f"instrument_position.{name}", value=f"{largest:g}",
+                                most=most)  # fmt: skip
     return Ephemeris(times - time, 1e3 * km, 1e3 * velocity, frame="EME2000", scheme="shortest")
 
 

@@ -176,6 +176,8 @@ DAMAGES: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "one state": (lambda v: v["instrument_position"].update(
         ephemeris_times=[3.5e8 + 0.25], positions=[[1.0, 2.0, 3.0]], velocities=[[1.0, 2.0, 3.0]]), "isd.states"),
     "no velocities": (lambda v: v["instrument_position"].pop("velocities"), "json.missing"),
+    "velocity": (lambda v: v["instrument_position"]["velocities"][2].__setitem__(1, 1e308), "isd.size"),
+    "position in m": (lambda v: v["instrument_position"]["positions"][2].__setitem__(1, 4e12), "isd.size"),
     "quaternion": (lambda v: v["instrument_pointing"]["quaternions"][3].__setitem__(0, 2.0), "earth.quaternion"),
     "times": (lambda v: v["instrument_pointing"]["ephemeris_times"].reverse(), "isd.times"),
     "centre": (_set("center_ephemeris_time", 1.0), "isd.times"),

@@ -129,6 +129,15 @@ def _planetary(folder: Path) -> None:
     write_state(folder / "state.json", read_isd(folder / f"{names[0]}.isd"))
 
 
+def _mars(folder: Path) -> None:
+    """Write image support data of a line-scan image of Mars."""
+    import json
+
+    from tests.support.isd_lines import simulated
+
+    (folder / "lines.json").write_text(json.dumps(simulated(lines=200, samples=50)), encoding="utf-8")
+
+
 def _points() -> list[Reader]:
     return [
         _exchange("asp-gcp", ["points.gcp"], [_page("asp-gcp")], "EPSG:4979"),
@@ -342,6 +351,7 @@ def _metadata() -> list[Reader]:
         _sensor_file("dimap-spot6", _dimap6, "", "DIM_SPOT6.XML"),
         _sensor_file("pushbroom", _pushbroom, "", "sensor.toml"), _sensor_file("frame", _frame, "", "frame.toml"),
         _sensor_file("isd", _planetary, "M-0000", "M-0000.isd"),
+        _sensor_file("isd-lines", _mars, "", "lines.json"),
         _sensor_file("csm-frame", _planetary, "state", "state.json"),
         _sensor_file("digitalglobe", _isd, "", "scene.XML"), _sensor_file("aster", _aster, "", "band.xml"),
         _sensor_file("lattice", _lattice, "", "lattice.toml"),

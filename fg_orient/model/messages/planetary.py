@@ -56,6 +56,8 @@ isd.coefficients: distortion {model} needs {expected} finite coefficients
     -> correct the list of coefficients
 isd.times: times must increase, and the centre time {time:.6f} must lie among them
     -> correct the times, or take all states of the image into the file
+isd.size: coordinates must be below {most:g} in absolute value, in km and km/s
+    -> check the unit
 isd.states: a line-scan image needs two or more states
     -> write the file again with the states of all lines
 isd.body_span: the rotation of the body does not cover the lines of the image, {first:.6f} .. {last:.6f} s
