@@ -27,7 +27,7 @@ def reports(*words: str) -> list[dict[str, Any]]:
     """Run the harness in a process of its own, which no test has given threads."""
     if reason():
         pytest.skip(reason())
-    done = subprocess.run([sys.executable, "-m", "tests.faults", *words], capture_output=True, text=True, timeout=600)
+    done = subprocess.run([sys.executable, "-m", "tests.faults", *words], capture_output=True, text=True, timeout=3600)
     assert done.stdout, done.stderr[-3000:]
     found: list[dict[str, Any]] = json.loads(done.stdout)
     return found

@@ -31,7 +31,7 @@ ERRORS = {"ENOSPC": errno.ENOSPC, "EIO": errno.EIO, "EROFS": errno.EROFS, "KILL"
 #: Integers before the calls: number of calls, calls that are kept, "waits", "may go on".
 COUNT, KEPT, WAITS, GO, CALLS = 0, 4, 8, 12, 16
 #: Seconds after which a run hangs.
-HANGS_S = 120.0
+HANGS_S = 600.0
 
 
 def unavailable() -> str:
