@@ -23,6 +23,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.model.machine import reserve_blas
+
 if TYPE_CHECKING:
     from threadpoolctl import ThreadpoolController
 
@@ -157,6 +159,7 @@ def _libraries() -> ThreadpoolController:
 def blas_threads(count: int) -> Iterator[None]:
     """Set the number of threads of numpy's and scipy's BLAS inside the block."""
     with _libraries().limit(limits=count, user_api="blas"):
+        reserve_blas()
         yield
 
 

@@ -330,7 +330,7 @@ def offline_pyproj() -> Any:
 
 
 #: Exceptions that pyproj raises, in addition to its own, for texts that do not describe a CRS.
-UNUSABLE: Final = (ValueError, TypeError, KeyError, AttributeError)
+UNUSABLE: Final = (ValueError, TypeError, KeyError, AttributeError, RecursionError)
 
 
 @cache

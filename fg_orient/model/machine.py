@@ -16,11 +16,12 @@ import ctypes
 import errno
 import gc
 import math
+import mmap
 import os
 import platform
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
@@ -79,6 +80,39 @@ def _has_address_limit() -> bool:
     import resource
 
     return resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY
+
+
+#: Address space that OpenBLAS takes for the work of a thread, bytes: 32 MiB and two pages (strace, 0.3.30).
+BLAS_BYTES: Final = 40_000_000
+#: Rows of a product that OpenBLAS does not compute without it.
+_BLAS_ROWS: Final = 160
+
+
+@cache
+def reserve_blas() -> None:
+    """Let numpy's and scipy's OpenBLAS take their work space now, in a process whose address space is limited.
+
+    OpenBLAS keeps this space. If it needs it and there is none, it asks the system again and again, without end
+    (``blas_memory_alloc``): a run with 600 MB hung in the Cholesky factorisation of the normal equations.
+
+    Raises
+    ------
+    MemoryError
+        There is none.
+    """
+    if not _has_address_limit():
+        return
+    import numpy as np
+    from scipy.linalg import blas
+
+    square = np.zeros((_BLAS_ROWS, _BLAS_ROWS), order="F")
+    products: tuple[Callable[[], object], ...] = (lambda: square @ square, lambda: blas.dgemm(1.0, square, square))
+    for product in products:
+        try:
+            mmap.mmap(-1, BLAS_BYTES).close()
+        except OSError as error:
+            raise MemoryError("no address space for linear algebra") from error
+        product()
 
 
 def _of_system() -> Iterator[int]:

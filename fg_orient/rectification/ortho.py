@@ -233,7 +233,7 @@ def _pixel_size(x: Array, y: Array, size: tuple[int, int]) -> float:
 # --- windows ----------------------------------------------------------------------------------------
 
 #: Maximum numbers of DEM cells and of image pixels for a window of the map.
-WINDOW_CELLS: Final = 3_000_000
+WINDOW_CELLS: Final = 2_000_000
 #: Kernel and its slope a, by name.
 RESAMPLING: Final = {
     "nearest": (NEAREST, 0.0), "bilinear": (BILINEAR, 0.0), "cubic": (CUBIC, -0.5), "cubic-sharp": (CUBIC, -1.0),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from fg_orient.model import machine
 from fg_orient.model.machine import is_out_of_memory
 from fg_orient.orientation import run as runs
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
@@ -49,16 +51,30 @@ def test_a_command_without_memory_is_one_line(project: Path, monkeypatch: pytest
     assert len(ended.stderr.splitlines()) == 1 and not (project.parent / "result").exists()
 
 
+def test_linear_algebra_without_work_space_is_too_little_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: Any) -> None:
+        raise OSError(errno.ENOMEM, "Cannot allocate memory")
+
+    monkeypatch.setattr(machine, "_has_address_limit", lambda: True)
+    machine.reserve_blas.__wrapped__()
+    monkeypatch.setattr(machine.mmap, "mmap", full)
+    with pytest.raises(MemoryError, match="linear algebra"):
+        machine.reserve_blas.__wrapped__()
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(
     not sys.platform.startswith("linux"), reason="the system limits the addresses of a process on Linux"
 )
 def test_any_limit_of_memory_is_one_line_or_a_result(project: Path, tmp_path: Path) -> None:
-    """The limits range from the memory that Python needs to the memory that the command needs."""
+    """The limits range from the memory that Python needs to the memory that the command needs.
+
+    With 500 to 640 MB, OpenBLAS did not get its work space during the adjustment, and asked for it without end.
+    """
     import resource
 
     codes = []
-    for megabytes in (120, 200, 300, 400, 4000):
+    for megabytes in (120, 200, 300, 400, *range(500, 641, 20), 4000):
         size = megabytes << 20
         words = [sys.executable, "-c", PROGRAM, "adjust", str(project), "--out", str(tmp_path / f"out{megabytes}")]
         done = subprocess.run(
