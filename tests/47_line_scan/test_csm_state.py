@@ -241,8 +241,11 @@ def test_convert_writes_bands(tmp_path: Path) -> None:
     """Each state has its columns: pixels of the image by the second evaluator."""
     source, out = write_isd(tmp_path), tmp_path / "state.json"
     sensor = read_sensor(source)
-    done = in_process("convert", source, "--to", "csm-state", "--bands", "3", "--out", out)
+    done = in_process("convert", source, "--to", "csm-state", "--bands", "3", "--out", out, "--json")
     assert done.code == 0, done.stderr
+    assert [band["columns"][1] for band in done.json["bands"]][-1] == sensor.n_samples
+    assert max(band["largest_px"] for band in done.json["bands"]) == done.json["largest_px"]
+    done = in_process("convert", source, "--to", "csm-state", "--bands", "3", "--out", out, "--overwrite")
     ends = [round(k * sensor.n_samples / 3) for k in range(4)]
     for k, columns in enumerate(itertools.pairwise(ends)):
         path = tmp_path / f"state_{k + 1}.json"
