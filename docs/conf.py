@@ -83,7 +83,7 @@ _IMPORTED = """
 def _paths(patterns):
     """Files and folders of the source tree.
 
-    A pattern that finds none is an error, its module has moved.
+    A pattern that finds nothing is an error: the module has probably moved.
     """
     found = {pattern: set(_ROOT.glob(pattern)) for pattern in patterns}
     if missing := [pattern for pattern, paths in found.items() if not paths]:

@@ -29,8 +29,9 @@ class Flags(compiler.Flags):  # type: ignore[misc]
         return self
 
 
-#: Signatures of operations on numbers; the key contains the identities (``id``) of operation and types. The
-#: objects are stored too, so that Python cannot use their identities for other objects.
+#: Signatures of operations on numbers; the key contains the identities (``id``) of
+#: operation and types. The objects are stored too, so that Python cannot use their
+#: identities for other objects.
 _SIGNATURES: Final[dict[tuple[int, ...], tuple[Any, ...]]] = {}
 
 
@@ -61,8 +62,9 @@ def signatures_kept(context: Any) -> Iterator[None]:
         del context.resolve_function_type
 
 
-#: Compiler steps for constructs that this package does not use: closures, ``with``, expressions of whole arrays, loops
-#: over tuples of several types. Each step visits the whole function, and most steps count the uses of all variables.
+#: Compiler steps for constructs that this package does not use: closures, ``with``,
+#: expressions of whole arrays, loops over tuples of several types. Each step visits the
+#: whole function, and most steps count the uses of all variables.
 _NOT_NEEDED: Final = frozenset({
     typed_passes.InlineOverloads, typed_passes.NopythonRewrites, untyped_passes.FindLiterallyCalls,
     untyped_passes.InlineClosureLikes, untyped_passes.InlineInlinables, untyped_passes.LiteralUnroll,
@@ -86,16 +88,22 @@ _CONSTANTS: Final = "_ZN08NumbaEnv"
 
 
 class Result(compiler.CompileResult):  # type: ignore[misc]
-    """Compiled kernel; its file contains only its own code and constants, not those of its parts."""
+    """Compiled kernel.
+
+    Its file contains only its own code and constants, not those of its parts.
+    """
 
     __slots__ = ()
 
     def _find_referenced_environments(self) -> list[Any]:
-        return []  # its own environment is stored separately
+        return []  # none: its own environment is stored separately
 
 
 class PartLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
-    """Code that is only linked into kernels; it is not optimised or converted to machine code by itself."""
+    """Code that is only linked into kernels.
+
+    It is not optimised or converted to machine code by itself.
+    """
 
     def _optimize_functions(self, module: Any) -> None:
         module.data_layout = self._codegen._data_layout
@@ -106,8 +114,8 @@ class PartLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
     def own_module(self) -> Any:
         """Return code to link.
 
-        The code of constants is copied, because each kernel needs its own; a shared one would be empty in a
-        later kernel.
+        The code of constants is copied, because each kernel needs its own; a shared one
+        would be empty in a later kernel.
         """
         if self._shared_module is None:
             module = super()._get_module_for_linking()
@@ -151,9 +159,9 @@ class KernelLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
     vectorised: bool = False
 
     def _optimize_final_module(self) -> None:
-        # A loop over observations that calls a whole equation becomes vector instructions only if everything is inlined
-        # and simplified first. Other kernels gain nothing by this, and a first run would take a tenth longer
-        # (measured).
+        # A loop over observations that calls a whole equation becomes vector instructions
+        # only if everything is inlined and simplified first. Other kernels gain nothing
+        # by this, and a first run would take a tenth longer (measured).
         first: dict[str, Any] = {"opt": 1, "loop_vectorize": False, "slp_vectorize": False}
         for options in (first, {}) if self.vectorised else ({},):
             passes, builder = self._codegen._module_pass_manager(**options)
@@ -164,7 +172,10 @@ class KernelLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
         super().finalize()
 
     def serialize_using_object_code(self) -> Any:
-        """Return the machine code; its intermediate code has only empty functions, because parts are never loaded."""
+        """Return the machine code.
+
+        Its intermediate code has only empty functions, because parts are never loaded.
+        """
         names = [function.name for function in self.get_defined_functions()]
         text = "".join(f'define void @"{name}"() {{ ret void }}\n' for name in names)
         return self.name, "object", (self._get_compiled_object(), binding.parse_assembly(text).as_bitcode())

@@ -2,14 +2,16 @@
 
     l = f1/f2,  s = f3/f4         (Terlemezoğlu 2019, eqs. 2.55-2.57; NIMA 2000, STDI-0002 RPC00B)
 
-Here l, s are the normalised line and sample, and f are cubic polynomials of the normalised longitude x, latitude y and
-height z, with 20 terms in RPC00B order. Coefficients are converted between orders by exponent triple (longitude,
-latitude, height), never by index. RPC00A is the order of older NITF files; T 2.54 is the published order (with X =
-longitude, Y = latitude). ``c`` (4, 20) contains the coefficients of line numerator, line denominator, sample numerator
-and sample denominator; both denominators have the constant 1. The model has a pole where a denominator changes its
-sign. If the numerator has nearly the same zeros, as in some vendors' files, values are correct on both sides of the
-pole but not near it. The functions return these values unchanged; ``fg_orient.sensors.rpc`` looks for sign changes
-inside the image.
+Here l, s are the normalised line and sample, and f are cubic polynomials of the
+normalised longitude x, latitude y and height z, with 20 terms in RPC00B order.
+Coefficients are converted between orders by exponent triple (longitude, latitude,
+height), never by index. RPC00A is the order of older NITF files; T 2.54 is the published
+order (with X = longitude, Y = latitude). ``c`` (4, 20) contains the coefficients of line
+numerator, line denominator, sample numerator and sample denominator; both denominators
+have the constant 1. The model has a pole where a denominator changes its sign. If the
+numerator has nearly the same zeros, as in some vendors' files, values are correct on both
+sides of the pole but not near it. The functions return these values unchanged;
+``fg_orient.sensors.rpc`` looks for sign changes inside the image.
 """
 
 from __future__ import annotations
@@ -32,8 +34,8 @@ def _triples(words: str) -> tuple[tuple[int, int, int], ...]:
     return tuple((int(w[0]), int(w[1]), int(w[2])) for w in words.split())
 
 
-#: Orders in which files and papers list the terms: for each name the exponents of (longitude, latitude, height) of the
-#: terms.
+#: Orders in which files and papers list the terms: for each name the exponents of
+#: (longitude, latitude, height) of the terms.
 EXPONENTS: Final[dict[str, tuple[tuple[int, int, int], ...]]] = {
     "RPC00B": _triples("000 100 010 001 110 101 011 200 020 002 111 300 120 102 210 030 012 201 021 003"),
     "RPC00A": _triples("000 100 010 001 110 101 011 111 200 020 002 300 210 201 120 030 021 102 012 003"),
@@ -84,7 +86,7 @@ def ground_derivatives(c: Any, x: float, y: float, z: float, l: float, s: float)
 
 
 def values(c: Array, ground: Array) -> Array:
-    """Return the normalised line and sample of N normalised ground points: (4, 20), (N, 3) -> (N, 2)."""
+    """Return normalised lines and samples (N, 2) from coefficients (4, 20) and normalised ground points (N, 3)."""
     return np.stack(plain(value)(c, *ground.T), axis=1)
 
 

@@ -2,8 +2,8 @@
 
     r = W (t_0 + t + e^m s_0 R x - X),   R = exp([w]x) R_0
 
-x is the point in the model, X the point on the ground; the unknowns (7,) are w (rad), m, t (unit of the ground
-coordinates).
+x is the point in the model, X the point on the ground; the unknowns (7,) are w (rad), m,
+t (unit of the ground coordinates).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from factors.conditions.control import POINT, whitened
 from factors.geometry.rotations import cross
 from factors.records import Record
 
-#: Record: control point X (W row-major, X); x, R_0 row-major, s_0, t_0.
+#: Record of an equation: W (row-major) and X of the control point; model point x; R_0 (row-major), s_0 and t_0.
 RECORD: Final = Record(**POINT.fields, model=3, rotation=9, scale=1, shift=3)
 
 

@@ -168,7 +168,7 @@ def need_of(block: Block, *, elsewhere: bool = False, open_share: float = 1.0) -
     working = _working(backend, block, n, u, max(sizes), wide)
     if open_share < 1.0 or (backend == "schur" and elsewhere):
         working -= (1.0 - (0.0 if elsewhere else open_share)) * n * SCHUR
-    elif backend != "dense" and n <= COPIED:  # small blocks have a second copy of their records
+    elif backend != "dense" and n <= COPIED:  # for small blocks, the records are copied
         working += n * records
     limited = 0 if wide is not None and wide.selects else u  # see ``quality.covariance.gives_statistics``
     pairs = len(block.images) * (len(block.images) + 1) / 2 if wide is None else wide.blocks

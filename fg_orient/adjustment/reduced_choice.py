@@ -226,7 +226,7 @@ def elimination_degrees(pattern: Pattern) -> Index:
     for n in range(images):
         k = int(np.argmin(degree))
         out[n] = degree[k]
-        if degree[k] == images - n - 1:  # all other images are linked with each other, or will be
+        if degree[k] == images - n - 1:  # all remaining images are linked, or will be
             out[n:] = np.arange(images - n)[::-1]
             break
         own, degree[k] = bits[k], gone

@@ -124,7 +124,7 @@ def photo_vectors(name: str, rows: list[dict[str, Any]], down: bool) -> Chart:
 
 
 def distortions(record: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return curves of the cameras: ``photos``, ``determined``, ``drawing``, and ``edge``, the values at the rim."""
+    """Return the distortion curves of the cameras; ``edge`` contains their values at the largest radius."""
     out = []
     for one in record.get("distortion", [])[:MAX_PHOTOS]:
         names = ", ".join(one["photos"][:4]) + (", ..." if len(one["photos"]) > 4 else "")

@@ -4,7 +4,7 @@ The usual causes of such points are exchanged columns and a wrong CRS. Both move
 far outside every footprint. Therefore a coarse test is sufficient: a point is refused if
 its distance from every image centre is larger than 1.5 diagonals of the image. Direct
 orientation has errors of some hundred metres, and relief shifts a footprint by a few
-kilometres. The test accepts both.
+kilometres. The test accepts such differences.
 """
 
 from __future__ import annotations

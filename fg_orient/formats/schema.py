@@ -41,7 +41,7 @@ def _with_codes(crs: str) -> str:
 
     An unknown name is not changed, and the reader refuses it.
     """
-    from fg_orient.geodesy.crs import with_codes  # not above: it loads PROJ
+    from fg_orient.geodesy.crs import with_codes  # imported here, because it loads PROJ
 
     try:
         return with_codes(crs)

@@ -228,7 +228,7 @@ class PointModel:
         self.mean_height_m = float(transformation.source.offset[2]) if self.needs_heights else 0.0
 
     def pixels(self, x: Array, y: Array, height_m: Array) -> Array:
-        """See ``MapModel``; the inverse of image-to-map by Newton's method."""
+        """See ``MapModel``; a transformation from image to map is inverted by Newton's method."""
         if self.needs_heights:
             return self._t.apply(np.stack([x, y, height_m], axis=1))
         plane, t = np.stack([x, y], axis=1), self._t
@@ -237,7 +237,7 @@ class PointModel:
         return solved(t.apply, plane, t.source.offset, t.source.scale)[:, ::-1]
 
     def outline(self, size: tuple[int, int], heights_m: tuple[float, float]) -> tuple[Array, Array]:
-        """See ``MapModel``; image-to-map is applied, other transformations are inverted by Newton's method.
+        """See ``MapModel``; a transformation from map to image is inverted by Newton's method.
 
         Raises
         ------

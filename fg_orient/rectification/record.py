@@ -292,7 +292,7 @@ def _report(record: dict[str, Any]) -> str:
 
 
 def _verdict(record: dict[str, Any]) -> dict[str, str]:
-    """Return the assessment of the fit: ``kind`` (good, warn), ``title`` and ``text``."""
+    """Return the assessment of the fit: ``kind`` is "good" or "warn"; ``title`` and ``text`` explain it."""
     unit = "" if record["weighted"] else f" {record['unit']}"
     text = (
         f"{record['n_control']} control points, {record['n_unknowns']} unknowns, redundancy {record['redundancy']}. "

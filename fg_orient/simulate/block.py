@@ -1,10 +1,11 @@
 """Synthetic block of SPOT-5-like scenes of any size, for cost and accuracy studies.
 
-Ground centres lie on a grid of rows x columns around the centre of the Zonguldak block. Each scene has its
-own pass. The scenes look to the left and to the right in turn, like the fields of a checkerboard. So the rays
-of neighbouring scenes (60 km wide, by default 28 km apart) intersect at 24 degrees. Ground points are uniform
-over the block; a point is kept if it is in two scenes or more. A ground point has about 2.7 (2 x 2 scenes) to
-4 (10 x 10) image points. All computations use the ellipsoid, not a plane.
+Ground centres lie on a grid of rows x columns around the centre of the Zonguldak block.
+Each scene has its own pass. The scenes look to the left and to the right in turn, like
+the fields of a checkerboard. So the rays of neighbouring scenes (60 km wide, by default
+28 km apart) intersect at 24 degrees. Ground points are uniform over the block; a point is
+kept if it is in two scenes or more. A ground point has about 2.7 (2 x 2 scenes) to 4 (10
+x 10) image points. All computations use the ellipsoid, not a plane.
 """
 
 from __future__ import annotations
@@ -106,7 +107,10 @@ def _scenes(options: BlockOptions, centres: Array, report_progress: Progress) ->
 def _points(
     options: BlockOptions, scenes: tuple[Scene, ...], rng: np.random.Generator, report_progress: Progress
 ) -> tuple[Array, Mask]:
-    """Draw points in two images or more: longitude, latitude (degrees), height (m), (n, 3); visibility (m, n)."""
+    """Draw points in two images or more: longitude, latitude (degrees), height (m), (n, 3).
+
+    Visibility (m, n).
+    """
     sensors = [as_read(scene.metadata()) for scene in scenes]
     cameras = [QuickProjection(sensor, Correction(), options.max_height_m) for sensor in sensors]
     half = BORDER_M + options.spacing_m * (np.array([options.columns, options.rows]) - 1) / 2.0
@@ -123,7 +127,10 @@ def _points(
 
 
 def _visible(cameras: list[QuickProjection], ecef_m: Array, height_m: Array) -> Mask:
-    """Return the points (N) well inside each image: (m, N). Near the limit the exact projection decides."""
+    """Return which of N points are well inside each of m images (m, N).
+
+    Near the limit, the exact projection decides.
+    """
     last = np.array([N_LINES, N_SAMPLES]) - 1.0
     out = np.zeros((len(cameras), len(ecef_m)), bool)
     for k, camera in enumerate(cameras):

@@ -1,8 +1,9 @@
 """Writer of a simulated block in the real file formats, with its truth.
 
-Metadata of each image (DIMAP 1.1, RPC, frame files), tables ``points`` and ``observations``, ``project.toml``; in
-``truth/`` the error-free ``points``, ``eop`` (true minus metadata), ``jitter`` if simulated, and ``options.json``,
-which the adjustment never reads. The folder is written completely or not at all.
+Metadata of each image (DIMAP 1.1, RPC, frame files), tables ``points`` and
+``observations``, ``project.toml``; in ``truth/`` the error-free ``points``, ``eop`` (true
+minus metadata), ``jitter`` if simulated, and ``options.json``, which the adjustment never
+reads. The folder is written completely or not at all.
 """
 
 from __future__ import annotations
@@ -37,8 +38,8 @@ Chosen = TypeVar("Chosen", bound="DataclassInstance")
 
 PROJECT_FILE = "project.toml"
 CAMERA_FILE: Final = "camera.toml"
-#: Contents of a folder of a simulation. Only such a folder may be replaced: a real project has no
-#: ``truth/options.json``.
+#: Contents of a folder of a simulation. Only such a folder may be replaced: a real
+#: project has no ``truth/options.json``.
 CONTENTS: Final = Contents(
     "truth/options.json",
     (
@@ -71,8 +72,8 @@ class Scenario(Generic[Chosen]):
     usual : dataclass
         Default options.
     draw : callable
-        Function that returns the simulation of options; its second argument is called with (done, of, text), or is
-        None.
+        Function that returns the simulation of options; its second argument is called
+        with (done, of, text), or is None.
     """
 
     command: str
@@ -118,8 +119,8 @@ class Scenario(Generic[Chosen]):
         options : dataclass, optional
             They are also in the headers and in ``truth/options.json``.
         overwrite : bool
-            Replace a folder that an earlier simulation wrote (``truth/options.json``) and that contains
-            nothing else.
+            Replace a folder that an earlier simulation wrote (``truth/options.json``) and
+            that contains nothing else.
         progress : callable, optional
             Function that is called with (done, of, text); each part of the work counts from 0.
         more : callable, optional
@@ -185,7 +186,10 @@ def _write_block(
 
 
 def _write_images(folder: Path, simulation: Simulation, progress: Progress | None) -> list[tuple[str, str]]:
-    """Write the metadata file of each image, and the camera of the frames; return ids and names of the files."""
+    """Write the metadata file of each image, and the camera of the frames.
+
+    Return ids and names of the files.
+    """
     from fg_orient.formats.metadata.frame import write_camera, write_frame_file
     from fg_orient.formats.rpc import write_rpc
     from fg_orient.sensors.frame import FrameSensor
@@ -220,9 +224,10 @@ def _write_truth(folder: Path, simulation: Simulation, values: dict[str, Any], f
 
 
 def _orientation(image: str, correction: Any) -> list[tuple[object, ...]]:
-    """Return true minus metadata of one image.
+    """Return the true corrections of one image: true orientation minus metadata.
 
-    Pushbroom image: all 27 coefficients, then the look polynomial (per s^degree), if any. Other images: :data:`OTHERS`.
+    Pushbroom image: all 27 coefficients, then the look polynomial (per s^degree), if any.
+    Other images: :data:`OTHERS`.
     """
     if not isinstance(correction, Correction):
         named = zip(OTHERS[len(correction)].items(), correction.tolist(), strict=False)

@@ -52,8 +52,8 @@ def checked_cholesky(
 ) -> CheckedElimination:
     """Solve N x = b by Cholesky with a check-sum column, T-Table 3.1, T(3.45)-(3.50).
 
-    The columns b and s are appended to N: C^T C = N, y = C^-T b, s_red = C^-T s. Each row
-    is checked by s_red,i = sum_j c_ij + y_i. Then C x = y is solved.
+    The columns b and s are appended to N: C^T C = N, y = C^-T b, s_red = C^-T s. A row
+    i is correct if s_red,i = sum_j c_ij + y_i. Then C x = y is solved.
 
     Parameters
     ----------

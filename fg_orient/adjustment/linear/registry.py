@@ -1,10 +1,10 @@
-"""Registry of linear solvers: one function per solver, with a unique name.
+"""Register linear solvers; each is one function with a unique name.
 
 A solver is ``function(system: LinearSystem, as_run: bool) -> LinearSolution``. If it
 fails, it raises :class:`fg_orient.adjustment.linear.system.Breakdown`; it never returns
 nan or inf. ``as_run`` selects the behaviour of the authors' program (real parts of
 complex square roots); most solvers ignore it. A file that calls :func:`register_solver`
-adds a solver; docs/extending.md.
+adds a solver; see docs/extending.md.
 """
 
 from __future__ import annotations

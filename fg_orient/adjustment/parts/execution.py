@@ -143,7 +143,7 @@ def _local(workers: int) -> Iterator[Cluster]:
 def _started(distributed: Any, workers: int, scratch: Path) -> Any:
     """Start the processes of a cluster. If one of them ends while it starts, start all of them again.
 
-    NoSolutionError: the start failed ``STARTS`` times.
+    NoSolutionError is raised if the start failed ``STARTS`` times.
     """
     one = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
     for tried in range(1, STARTS + 1):

@@ -1,8 +1,7 @@
-"""Worker processes of this machine that end are replaced, up to a number of times.
+"""Replace worker processes of this machine that end, up to a maximum number of times.
 
-dask starts a process again that ends while it works, without a limit, and gives up one
-that ends while it starts. Tasks would then wait for ever: for a process that ends again
-and again, or for one that does not come back.
+If a process ends while it works, dask starts it again, without a limit. If it ends while
+it starts, dask does not start it again. In both cases, tasks could wait for ever.
 """
 
 from __future__ import annotations

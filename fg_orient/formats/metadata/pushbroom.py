@@ -43,7 +43,7 @@ Three = tuple[Number, Number, Number]
 Coefficients = Annotated[tuple[Number, ...], Field(min_length=1, max_length=12)]
 Count = Annotated[int, Field(strict=True, ge=2, le=10_000_000)]
 
-#: Range of possible distances of a platform from the Earth's centre (m); below: range of possible speeds (m/s).
+#: Range of possible distances of a platform from the Earth's centre, m; range of its possible speeds, m/s.
 RADIUS_M: Final = (6.40e6, 5.0e7)
 SPEED_M_S: Final = (1.0, 1.2e4)
 #: Maximum tangent of a viewing direction.

@@ -19,7 +19,7 @@ class ImagePart:
     table : Table
     id : int
     image : int
-        Column with the names of images. -1: ``groups`` names the images.
+        Column with the names of images; -1 if ``groups`` names the images.
     pairs : list of (int, int)
         Pairs of columns with line and sample.
     groups : list of str

@@ -182,8 +182,8 @@ def expected_at(solution: Solution, check: PointDifferences) -> tuple[Array | No
     """Return the expected products of the errors at selected check points (3k, 3k), and those of the bias.
 
     The unit is m^2, and the axes are East, North, Up. The first matrix includes the
-    variances of the measured coordinates. The solution is regularised. None: they are
-    unknown.
+    variances of the measured coordinates. The solution is regularised. A matrix is None
+    if it is unknown.
     """
     if check.joint is None or not len(check):
         return None, None

@@ -1,1 +1,4 @@
-"""Published values: CSV tables with their sources, and a reader. No module that computes may import this package."""
+"""Published values as CSV tables with their sources, and a reader.
+
+Modules that compute must not import this package.
+"""
