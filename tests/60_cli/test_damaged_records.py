@@ -1,4 +1,4 @@
-"""Result folders of ``closerange`` and ``rectify fit`` that were damaged: commands refuse them, with the reason."""
+"""Commands refuse damaged result folders of ``closerange`` and ``rectify fit`` with the reason."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ DAMAGED: dict[str, tuple[Damage, str]] = {
 
 @pytest.fixture(scope="module", params=OUTPUTS)
 def made(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, run: Any) -> tuple[Output, Path]:
-    """Give an output, and a folder with its input ``source`` and the results ``result`` and ``other``."""
+    """Return an output, and a folder with its input ``source`` and the results ``result`` and ``other``."""
     out, folder = OUTPUTS[request.param], tmp_path_factory.mktemp(request.param)
     (folder / "source").mkdir()
     out.make(folder / "source")
@@ -147,19 +147,19 @@ def made(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
 
 
 def _shorter(text: str) -> str:
-    """Text of a table without its first row."""
+    """Return the text of a table without its first row."""
     head, _, *rows = text.splitlines()
     return "\n".join([head, *rows, ""])
 
 
 def content(folder: Path) -> dict[str, bytes]:
-    """Give every file of a folder."""
+    """Return every file of a folder."""
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 @pytest.fixture
 def copied(made: tuple[Output, Path], tmp_path: Path) -> tuple[Output, Path]:
-    """Give the output and a folder with copies that a test may change."""
+    """Return the output and a folder with copies that a test may change."""
     output, folder = made
     shutil.copytree(folder, tmp_path / "all")
     (tmp_path / "all" / "out").mkdir()

@@ -1,4 +1,4 @@
-"""A pair with jitter in pitch of its first image, its solution without jitter, and the linear model there."""
+"""Fixtures are a pair with jitter in pitch of its first image, its solution without jitter, and the linear model."""
 
 from __future__ import annotations
 

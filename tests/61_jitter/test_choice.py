@@ -1,4 +1,4 @@
-"""Choice of jitter: levels, planted jitter, records, tables, refusals, gross errors, and the stored proof."""
+"""The choice of jitter is tested: levels, planted jitter, records, refusals, gross errors, and the stored proof."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def solution(made: tuple[Block, Truth]) -> Solution:
 
 @pytest.mark.oracle
 def test_probabilities_are_uniform_without_further_jitter(system: JitterSystem) -> None:
-    """Observations drawn from the model with one curve: p of a further one is uniform (Kolmogorov, 0.1 %)."""
+    """Observations are drawn from the model with one curve; p of a further curve is uniform (Kolmogorov, 0.1 %)."""
     rng, current = np.random.default_rng(8), (Strength(1, 8, 0.8),)
     design, _ = system.bordered(current)
     priors = system.design.shape[1]  # the last rows of A
@@ -44,7 +44,7 @@ def test_probabilities_are_uniform_without_further_jitter(system: JitterSystem) 
 
 @pytest.mark.oracle
 def test_planted_jitter_is_found_where_it_is(made: tuple[Block, Truth], solution: Solution) -> None:
-    """Pitch of the left image, three cycles: verdicts, amplitude, band, and the orientation of the solution."""
+    """Pitch of the left image has three cycles; the test checks verdicts, amplitude, band and orientation."""
     assert solution.jitter is not None
     block, truth = made
     (curve,) = solution.jitter.curves
@@ -84,7 +84,7 @@ def test_record_sentences_and_replacement(made: tuple[Block, Truth], solution: S
 
 @pytest.mark.behaviour
 def test_few_points_cannot_tell(made: tuple[Block, Truth]) -> None:
-    """With three control points roll is not resolved; pitch is, by the tie points."""
+    """Three control points do not resolve roll; the tie points resolve pitch."""
     block = made[0]
     gone = np.zeros(len(block.points.ids), bool)
     gone[block.points.where(fg.Role.CONTROL)[3:]] = True
@@ -99,7 +99,7 @@ def test_few_points_cannot_tell(made: tuple[Block, Truth]) -> None:
 
 @pytest.mark.behaviour
 def test_gross_errors_are_not_jitter(made: tuple[Block, Truth]) -> None:
-    """A gross error of 20 px is left out, and the same jitter is found as without it."""
+    """A gross error of 20 px is rejected, and the same jitter is found as without it."""
     block = made[0]
     line = block.observations.line.copy()
     line[5] += 20.0
@@ -202,7 +202,7 @@ def test_upper_bound_is_that_of_scipy() -> None:
 @pytest.mark.slow
 @pytest.mark.oracle
 def test_pairs_with_and_without_jitter() -> None:
-    """40 pairs of each kind, not those of the stored proof: its bounds plus three standard errors."""
+    """40 pairs of each kind, which are not in the stored proof, meet its bounds plus three standard errors."""
     seeds = range(5000, 5040)
     found = pairs.figures([pairs.run(k, False) for k in seeds], [pairs.run(k, True) for k in seeds])
     assert found["false_finds"] <= stats.binom.ppf(0.999, 40, 0.02)
@@ -215,7 +215,7 @@ def test_pairs_with_and_without_jitter() -> None:
 
 @pytest.mark.consistency
 def test_a_stored_run_is_repeated() -> None:
-    """A pair of the proof gives the stored record; random numbers of the test do not depend on the machine."""
+    """A pair of the proof gives the stored record, because random numbers do not depend on the machine."""
     stored = json.loads(pairs.RESULTS.read_text("utf-8"))["with"][1]
     again = pairs.run(1, True)
     assert [(a["angle"], a["verdict"]) for a in again["angles"]] == [

@@ -1,4 +1,4 @@
-"""Prior, rows, likelihood and estimate of the linear model of jitter against independent computations."""
+"""Prior, rows, likelihood and estimate of the linear model of jitter agree with independent computations."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ CHOSEN = (Strength(1, 8, 1.1), Strength(2, 12, 0.4))
 @pytest.mark.oracle
 @pytest.mark.parametrize("n", [2, 9, 32])
 def test_the_prior_is_that_of_independent_coefficients(n: int) -> None:
-    """Curves without quadratics, and the quadratics, by scipy's splines and a fit of polynomials."""
+    """Curves without quadratics, and the quadratics, are computed by scipy's splines and a fit of polynomials."""
     knots = -1.0 + 2.0 / n * np.arange(-3, n + 4)
     tau = np.linspace(-1.0, 1.0, 40 * n + 1)
     values = BSpline(knots, np.eye(n + 3), 3)(tau)
@@ -48,7 +48,7 @@ def test_the_prior_is_that_of_independent_coefficients(n: int) -> None:
 def dense(
     block: Block, plain: Solution, chosen: tuple[Strength, ...], system: JitterSystem
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
-    """Whitened rows of image and control points by numpy, from the equations with curves as unknowns.
+    """Return the whitened rows of image and control points by numpy, from the equations with curves as unknowns.
 
     Returns the design of the ground points, the design of the orientation and curves in prior sigmas, the residuals,
     the means of the latter, and the first column of the curves of the left image.
@@ -116,7 +116,7 @@ def test_likelihood_and_curve_are_those_of_all_rows(
 def test_adjustments_with_these_curves_give_the_curve(
     made: tuple[Block, Truth], system: JitterSystem, backend: str
 ) -> None:
-    """The equations are linear in jitter of pixels: they agree to the square of 1e-5 rad, 1e-4 px."""
+    """The equations are linear in jitter of some pixels; they agree to the square of 1e-5 rad, 1e-4 px."""
     names = []
     for strength in CHOSEN:
         angle = system.angles[strength.angle]
@@ -138,7 +138,7 @@ def test_adjustments_with_these_curves_give_the_curve(
 def test_absorbed_shares_are_those_of_projections(
     made: tuple[Block, Truth], plain: Solution, system: JitterSystem, angle: int
 ) -> None:
-    """Projections of the columns of curves by numpy: onto the ground points, then onto the orientation and priors."""
+    """numpy projects the columns of curves onto the ground points, then onto the orientation and priors."""
     fixed, random, _, _, begin = dense(made[0], plain, (Strength(angle, 8, 1.0),), system)
     ends = [begin, begin + 8] if angle < 2 else [2 * begin, 2 * begin + 8]
     curves, orientation = random[:, ends[0] : ends[1]], np.delete(random, np.s_[ends[0] : ends[1]], axis=1)
@@ -158,5 +158,5 @@ def test_absorbed_shares_are_those_of_projections(
 
 
 def names_of(plain: Solution, angle: int) -> tuple[str, ...]:
-    """Unknowns of the image of an angle."""
+    """Return the unknowns of the image of an angle."""
     return plain.problem.parameters[angle // 2].names
