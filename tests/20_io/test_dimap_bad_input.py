@@ -241,7 +241,10 @@ junk = st.one_of(
 
 @pytest.mark.parametrize("name", ["dim1", "dim2", "dim6"])
 def test_any_changed_value_is_refused_in_one_line_or_read(name: str, request: pytest.FixtureRequest) -> None:
-    """One value replaced or one line dropped anywhere: metadata or an InputError, never another exception."""
+    """One value is replaced or one line removed.
+
+    The reader returns metadata or raises an InputError, never another exception.
+    """
     path: Path = request.getfixturevalue(name)
     text = path.read_text("utf-8")
     leaves = [m.span(1) for m in re.finditer(r">([^<>\n]+)</", text)]

@@ -130,7 +130,7 @@ def test_columns_that_nobody_can_guess(tmp_path: Path, header: bool, columns: st
 
 
 def test_words_for_pixels_that_are_exchanged(tmp_path: Path) -> None:
-    """The images show that lines are under the header of samples."""
+    """The images show that the column named samples contains lines."""
     there = place("tr")
     write_images(tmp_path / "in", there)
     rows: Grid = [["No", "East", "North", "Ellipsoidal height"]]

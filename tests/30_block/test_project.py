@@ -198,7 +198,7 @@ def test_remarks_on_a_small_block(folder):
 
 @pytest.mark.behaviour
 def test_remark_on_control_along_a_line(folder):
-    """Four points along a diagonal, the last 300 m beside it."""
+    """Four points are along a diagonal, and the last one is 300 m beside it."""
     text = folder.points.read_text()
     for old, new in (("31.60,41.20", "31.60,41.20"), ("32.05,41.22", "31.70,41.28"), ("31.62,41.45", "31.80,41.36"),
                      ("32.00,41.44", "31.90,41.443")):  # fmt: skip

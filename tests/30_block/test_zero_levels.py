@@ -217,7 +217,7 @@ def test_a_project_with_its_own_geoid_file(folder: ProjectFolder) -> None:
 
 @pytest.mark.oracle
 def test_undulations_are_above_wgs84_for_an_older_datum(folder: ProjectFolder) -> None:
-    """UTM on ED50: the ellipsoid of the datum is 70 m away, the height above WGS84 is H + N all the same."""
+    """In UTM on ED50 the ellipsoid of the datum is 70 m away, but the height above WGS84 is still H + N."""
     grid = write_grid(folder.folder / "n.gtx")
     to_old = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:23036", always_xy=True)
     plane = np.stack(to_old.transform(*PLACES[:, :2].T), axis=1)

@@ -64,7 +64,7 @@ def open_end(metadata: PushbroomMetadata, seconds: float) -> PushbroomMetadata:
 
 @pytest.mark.behaviour
 def test_lines_without_attitude_are_refused_one_by_one(metadata: PushbroomMetadata) -> None:
-    """0.15 s are 199.5 lines of 0.7521 ms: the centres of 200 lines lie beyond the list."""
+    """0.15 s are 199.5 lines of 0.7521 ms, so that the centres of 200 lines are beyond the list."""
     period = metadata.timing.line_period_s
     assert PushbroomSensor(open_end(metadata, 1e-9)).notes == metadata.notes
     sensor = PushbroomSensor(open_end(metadata, 0.15))

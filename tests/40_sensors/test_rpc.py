@@ -189,7 +189,7 @@ def test_ground_points_outside_the_validity_are_flagged_and_refused(sensor: RpcS
 
 @pytest.mark.behaviour
 def test_a_pixel_without_ground_is_refused() -> None:
-    """l = x^2 + z: the pixel lies below its lowest value at great heights."""
+    """With l = x^2 + z the pixel is below the lowest value at great heights."""
     c = np.zeros((4, 20))
     c[1::2, 0], c[0, 7], c[0, 3], c[2, 2] = 1.0, 1.0, 1.0, 1.0
     model = RpcModel(np.array([10.0, 10.0, 30.0, 40.0, 0.0]), np.array([10.0, 10.0, 0.1, 0.1, 100.0]), c)

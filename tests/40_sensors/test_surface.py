@@ -104,7 +104,7 @@ def test_first_hit_equals_a_fine_march(sensor: PushbroomSensor, tmp_path: Path, 
 
 @pytest.mark.oracle
 def test_holes_matter_only_before_the_first_hit(sensor: PushbroomSensor, tmp_path: Path) -> None:
-    """A hole in front of the hit is refused, the same hole behind the ridge is not."""
+    """A hole before the hit is refused; the same hole behind the ridge is not."""
     crs, heights = "EPSG:32636", terrain("ridge")
     corner = below_centre(sensor, crs)
     p, u = sensor.rays(np.full(200, 6000.0), np.linspace(5200.0, 6800.0, 200))

@@ -235,7 +235,7 @@ def test_a_dem_holds_the_heights_of_tie_points() -> None:
 
 @pytest.mark.oracle
 def test_the_adjustment_with_a_dem_is_the_minimum() -> None:
-    """Image points, priors and heights above the hills themselves, written out with the sensors: no step is left."""
+    """The cost of image points, priors and heights is written out with the sensors; no step is left at the end."""
     block, _ = tie_block(n=6)
     found = adjust_with_dem(block, Hills(), 2.0)
     problem, o, state = found.solution.problem, block.observations, found.solution.state

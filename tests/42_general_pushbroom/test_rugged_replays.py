@@ -59,7 +59,7 @@ def from_rays(sensor: GeneralPushbroom, ground: np.ndarray) -> np.ndarray:
 @pytest.mark.truth
 @pytest.mark.parametrize(("name", "count"), DIRECT.items())
 def test_direct_locations(real_data: Path, name: str, count: int) -> None:
-    """Measured: rays to 0.14 mm, hits to 1.7 mm."""
+    """The measured differences are 0.14 mm for rays and 1.7 mm for hits."""
     found, seen = replay(real_data, name), 0
     for located in by_line(found):
         sensor, ground = line_sensor(found, located), points(located)

@@ -162,7 +162,7 @@ def test_the_adjustment_is_that_of_the_dimap_sensors(block: Block, tmp_path: Pat
 
 @pytest.mark.consistency
 def test_a_block_with_light_is_adjusted(block: Block, tmp_path: Path) -> None:
-    """Pixels projected with every effect: no residuals, no corrections left; without the effects there are some."""
+    """Pixels are projected with every effect. Residuals and corrections are zero; without the effects they are not."""
     images = tuple(Image(i.id, read_sensor(describe(i.sensor, tmp_path / i.id, extra=ALL_LIGHT))) for i in block.images)
     known = block.points.known.ecef_m
     o = block.observations

@@ -43,7 +43,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.behaviour
 def test_three_kinds_of_sensors_and_their_pixels() -> None:
-    """5 m, 0.7 m and 0.2 m on the ground at the middle of the window, within what obliquity and relief do."""
+    """Pixels have 5 m, 0.7 m and 0.2 m on the ground at the middle of the window, apart from obliquity and relief."""
     block, _ = small()
     kinds = [type(image.sensor) for image in block.images]
     assert kinds == [PushbroomSensor] * 2 + [RpcSensor] * 2 + [FrameSensor] * 4
@@ -191,7 +191,7 @@ def test_components_find_wrong_weights() -> None:
 @pytest.mark.oracle
 @pytest.mark.slow
 def test_global_test_and_components_of_200_seeds() -> None:
-    """p-values are uniform, mean factors of the sigmas within 10 % of 1; with one wrong weight neither holds."""
+    """p-values are uniform, and mean factors of the sigmas are within 10 % of 1; with one wrong weight both fail."""
     outcomes = [run(seed) for seed in ALL]
     factors = np.array([o.factors for o in outcomes])
     scatter, sds = factors.std(axis=0, ddof=1), np.array([o.sds for o in outcomes])

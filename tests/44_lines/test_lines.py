@@ -19,9 +19,9 @@ from .conftest import Array, of_spline, scene
 @pytest.mark.oracle
 @pytest.mark.slow
 def test_check_points_reach_the_bound() -> None:
-    """Ten lines, no control point: errors within 1.3 of the Cramer-Rao bound, and of its covariance as a whole.
+    """With ten lines and no control point, errors are within 1.3 of the Cramer-Rao bound.
 
-    Normalised misclosures of the image points on lines have mean square 1.
+    Normalised misclosures of the image points on lines have the mean square 1.
     """
     seeds, squares, limits, total, of_w, n_w = range(30), 0.0, 0.0, 0.0, 0.0, 0.0
     for seed in seeds:
@@ -51,7 +51,10 @@ def test_backends_agree() -> None:
 @pytest.mark.truth
 @pytest.mark.parametrize("kind", ["line", "spline"])
 def test_exact_images_of_features_give_exact_check_points(kind: str) -> None:
-    """Without priors and errors; metadata tens of metres away. Feet of splines move along their curvature."""
+    """There are no priors and no errors, and the metadata are wrong by tens of metres.
+
+    Feet of splines move along their curvature.
+    """
     one = scene(2, kind=kind, noise_px=0.0, across_m=0.0, eop_set=1, priors=False, n_features=20)
     solution = fg.adjust(one.block, backend="dense")
     assert np.abs(solution.ground_m[:20] - one.check).max() < 1e-3

@@ -38,7 +38,7 @@ def test_errors_at_points_left_out_are_those_of_refits(make: Make) -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("search", SEARCHES)
 def test_the_best_of_all_subsets_is_found(make: Make, search: Search) -> None:
-    """Twelve coefficients: 4096 subsets, of which a search may try 1500; five seeds."""
+    """Twelve coefficients have 4096 subsets, of which a search may try 1500; the test uses five seeds."""
     reduced = Reduced.of(make(30, noise_px=20.0, seed=4), RfmForm(2, "one"))
     size = reduced.design.shape[1]
     every = [left_out_squares(reduced, np.flatnonzero(bits)) for bits in product((False, True), repeat=size)]

@@ -44,7 +44,7 @@ def grid(sensor: FramingSensor) -> tuple[Any, Any]:
 @pytest.mark.oracle
 @pytest.mark.parametrize("model", list(MODELS))
 def test_written_state_by_an_independent_evaluator(tmp_path: Path, model: str) -> None:
-    """The camera looks along its third axis backwards: the state has other axes and a mirrored distortion."""
+    """The camera looks backwards along its third axis; the state has other axes and a mirrored distortion."""
     name = write_block(tmp_path, n_points=5)[0]
     sensor = with_distortion(read_isd(tmp_path / f"{name}.isd"), MODELS[model])
     assert sensor.camera.focal_mm < 0.0

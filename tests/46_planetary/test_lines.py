@@ -45,7 +45,7 @@ def pixels(sensor: GeneralPushbroom, n: int = 5) -> np.ndarray:
     {"focal2pixel_lines": [0.0, 140.0, 0.0], "focal2pixel_samples": [0.0, 0.0, -140.0]},
 ])  # fmt: skip
 def test_features_of_an_isd(tmp_path: Path, fields: dict[str, Any]) -> None:
-    """Pixels to the ellipsoid by the second evaluator, back by the sensor: 1e-6 px is 0.6 micrometres."""
+    """Pixels are located by the second evaluator and projected by the sensor; 1e-6 px is 0.6 micrometres."""
     own = dict(fields)
     isd = twin.simulated(0.2, backwards=own.pop("backwards", False)) | own
     sensor = fg.read_sensor(write(tmp_path, isd))

@@ -114,7 +114,7 @@ def test_features_of_a_state(state_file: Path, fields: dict[str, Any]) -> None:
 
 @pytest.mark.oracle
 def test_fewer_samples_near_the_ends(rng: np.random.Generator) -> None:
-    """Polynomials of order 8, and of 6, 4, 2 at the ends, as the second evaluator has them."""
+    """As in the second evaluator, polynomials have the order 8, and 6, 4, 2 at the ends."""
     times, values = 0.3 + 0.02 * np.arange(12), rng.normal(size=(12, 3))
     at = np.concatenate([np.linspace(0.295, 0.525, 50), times])
     expected = np.array([csm.interpolated(values, 0.3, 0.02, t) for t in at])

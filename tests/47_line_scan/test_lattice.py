@@ -46,7 +46,7 @@ def test_invented_pushbroom(tmp_path: Path, write: Callable[[Path], Path]) -> No
 @pytest.mark.real_data
 @pytest.mark.parametrize("name", BANDS)
 def test_aster_equals_independent_code(real_data: Path, name: str) -> None:
-    """Directions of the file have six digits, 0.05 px, and are fitted by one camera: 0.005 px."""
+    """Directions of the file have six digits, 0.05 px. One camera fits them to 0.005 px."""
     path = real_data / "aster" / name
     sensor = read_sensor(path)
     line, sample = inside(sensor.n_lines, sensor.n_samples)

@@ -315,7 +315,7 @@ def test_covariance_of_a_fit_by_monte_carlo() -> None:
     pytest.param("metashape", "colmap-radial", marks=pytest.mark.slow),
 ])  # fmt: skip
 def test_derivatives_of_fits_by_differences(source: str, target: str) -> None:
-    """Standard deviations of one value at a time are differences of two further fits."""
+    """The standard deviations from one value are compared with differences of two further fits."""
     for k, (name, value) in enumerate(VALUES[source].items()):
         step = 1e-4 * abs(value)
         covariance = np.zeros((len(VALUES[source]),) * 2)

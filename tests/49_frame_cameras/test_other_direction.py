@@ -40,7 +40,7 @@ def test_the_true_direction_is_named(true: str, k1: float, priors: bool) -> None
 @pytest.mark.truth
 @pytest.mark.parametrize("true", DIRECTIONS)
 def test_no_false_alarm_on_clean_data(true: str) -> None:
-    """Ten blocks in their own direction, whose sigmas are stated three times too small."""
+    """Ten blocks are computed in their own direction; their sigmas are stated three times too small."""
     for seed in range(5):
         for k1 in (-0.05, 0.0):
             solution = fg.adjust(calibration_block((k1, 0, 0, 0, 0), true, true, seed=seed, sigma_px=NOISE_PX / 3.0))

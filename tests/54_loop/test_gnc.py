@@ -32,7 +32,10 @@ def adjusted(block: fg.Block, **options: object) -> Estimate:
 @pytest.mark.oracle
 @pytest.mark.parametrize("loss", SCHEDULES)
 def test_a_quarter_of_gross_errors_is_found(loss: str) -> None:
-    """One ray in four, 5 to 60 px off; all are found, the result is the clean run's within three sigmas."""
+    """One ray in four is wrong by 5 to 60 px.
+
+    All are found, and the result agrees with the clean run within three sigmas.
+    """
     block, bad = spoiled_block((5.0, 60.0))
     rays = np.bincount(block.observations.point)[block.observations.point]
     assert 0.2 <= len(bad) / np.count_nonzero(rays >= 4) <= 0.3

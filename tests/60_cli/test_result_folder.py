@@ -141,7 +141,7 @@ def test_provenance_names_inputs_without_folders(adjusted: tuple[Path, Any], twi
 
 @pytest.mark.behaviour
 def test_moving_check_coordinates_changes_no_estimate(run: Any, twin: Path, adjusted: tuple[Path, Any]) -> None:
-    """1 km to the North: 0.009 degrees of latitude."""
+    """The check points are moved 1 km to the North: 0.009 degrees of latitude."""
     path = twin.parent / "points.csv"
     lines = path.read_text("utf-8").splitlines()
     for k, line in enumerate(lines):

@@ -173,7 +173,10 @@ def test_an_origin_of_pixels_is_named_where_nothing_takes_it_up() -> None:
 
 @pytest.mark.truth
 def test_a_known_datum_is_named(block: Block) -> None:
-    """ED50 in Turkey: -84.1, -101.8, -129.7 m ECEF and a small rotation (EPSG:1784), 31 m East and 105 m North here."""
+    """In Turkey ED50 differs by -84.1, -101.8, -129.7 m ECEF and a small rotation (EPSG:1784).
+
+    Here this is 31 m East and 105 m North.
+    """
     ed50 = "EPSG:4230"
 
     def read_as_wgs84(ecef: Array) -> Array:

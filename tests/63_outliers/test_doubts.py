@@ -73,7 +73,10 @@ def test_false_alarms_stay_within_the_budget(kind: str, runs: int) -> None:
 
 @pytest.mark.behaviour
 def test_a_wrong_control_point_is_named_first(tmp_path: Path) -> None:
-    """A control point 1e-4 degrees off: exit 4; it stands in the first line, the last line, result.json and report."""
+    """A control point is wrong by 1e-4 degrees.
+
+    The exit code is 4, and first line, last line, result.json and report name the point.
+    """
     folder = tmp_path / "twin"
     simulate_zonguldak(folder, ZonguldakOptions())
     table = (folder / "points.csv").read_text().split("\n")
@@ -166,7 +169,7 @@ def test_a_required_accuracy() -> None:
 
 @pytest.mark.oracle
 def test_an_error_that_the_sigmas_allow_is_not_a_doubt() -> None:
-    """Errors of a hundredth of the sigmas: the test of the block sees 0.5 m, which the stated 3 m allow."""
+    """Errors are a hundredth of the sigmas. The test of the block would find 0.5 m, but the stated 3 m allow it."""
     block, _ = with_shifted_control(planted_large().draw(np.random.default_rng(4), 0.01, 0.01, 0.01), 3, 0.5)
     solution = fg.adjust(block)
     tests = solution.outlier_tests()

@@ -74,7 +74,7 @@ def test_rate_of_alarms_is_the_level(seed: int, runs: int) -> None:
 
 
 def test_wrong_sigmas_show_in_the_rates() -> None:
-    """All errors 1.3 times the sigmas: Baarda's rate leaves its interval, those of Pope and t do not; see the next."""
+    """If all errors are 1.3 times the sigmas, Baarda's rate leaves its interval, but those of Pope and t do not."""
     twin, runs = linear_twin(), 1000
     rates = alarm_rates(twin, twin.residuals(twin.noise(63, runs)), scale=1.3)
     low, high = interval(0.05, runs)
@@ -84,7 +84,7 @@ def test_wrong_sigmas_show_in_the_rates() -> None:
 
 
 def test_wrong_ratios_of_sigmas_show_in_the_rates() -> None:
-    """Errors of 2 sigmas in one image: the tests of its image points leave their intervals, t and Pope, too."""
+    """If the errors in one image are 2 sigmas, the tests of its image points leave their intervals, also t and Pope."""
     twin, runs = linear_twin(), 1000
     noise = twin.noise(63, runs)
     o, (found, k) = twin.solution.problem.observations, preselected(twin)["image"]

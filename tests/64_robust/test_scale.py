@@ -57,7 +57,7 @@ def test_residuals_taken_as_errors_are_found_out() -> None:
 
 @pytest.mark.oracle
 def test_wrong_sigmas_are_seen() -> None:
-    """Sigmas a third as large: both scales are three times as large."""
+    """If the sigmas are a third as large, both scales are three times as large."""
     right, wrong = (fg.adjust(with_sigmas(grid(), f)) for f in (1.0, 1.0 / 3.0))
     scales = [robust_scale(s.problem, s.state) for s in (right, wrong)]
     assert np.divide(*scales[::-1]) == pytest.approx([3.0, 3.0], rel=0.1)
@@ -77,7 +77,10 @@ def test_few_control_points_and_vanishing_residuals() -> None:
 
 @pytest.mark.oracle
 def test_gross_errors_hardly_move_it() -> None:
-    """30 % of the rays of control points, 10 to 100 sigmas: the scale at the end is below 1.6, sigma0 above 10."""
+    """30 % of the rays of control points are wrong by 10 to 100 sigmas.
+
+    The scale at the end is below 1.6, sigma0 above 10.
+    """
     block, bad = spoiled(twin(), 0.3, 3)
     end = adjusted(block, loss="tukey", robust_scale="mad")
     assert end.converged

@@ -121,7 +121,7 @@ def test_maximum_of_an_independent_restricted_likelihood() -> None:
 
 @pytest.mark.oracle
 def test_after_the_rounds_each_group_has_the_squares_that_its_redundancy_says(solution: fg.Solution) -> None:
-    """From the residuals in pixels and the sigmas of the block found, without the code of the components."""
+    """The squares are computed from pixel residuals and the found sigmas, without the code of the components."""
     o, components = solution.problem.observations, solution.components
     assert components is not None
     assert solution.block.options.variance_components == GROUPS

@@ -235,7 +235,10 @@ def test_processes_give_the_same(project: Path, matched: Matched) -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("snr", [20.0, 50.0, 100.0])
 def test_bars_by_signal_to_noise(tmp_path: Path, snr: float) -> None:
-    """Hills of 8 m and walls, MTF 0.15 at the Nyquist frequency; the limit of the RMS is for 50 and 100."""
+    """The scene has hills of 8 m and walls, and an MTF of 0.15 at the Nyquist frequency.
+
+    The RMS has a limit for SNR 50 and 100.
+    """
     views = (View("a", (0.25, -0.05), 400), View("b", (-0.25, 0.1), 400, 4.0, (2.5, -1.5), 1.3, 40.0))
     scene = Scene(155.0, 3)
     record = match_project(write_pair(tmp_path, scene, views, snr))

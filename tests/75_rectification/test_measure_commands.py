@@ -50,7 +50,7 @@ def test_areas_of_geographic_outlines_equal_pyproj(tmp_path: Path) -> None:
 
 @pytest.mark.oracle
 def test_projection_and_its_inverse(tmp_path: Path) -> None:
-    """Against an EPSG code, and scale factors by differences of coordinates on the ellipsoid."""
+    """The result agrees with an EPSG code; scale factors agree with differences of coordinates on the ellipsoid."""
     path, plane = tmp_path / "points.csv", tmp_path / "plane.csv"
     path.write_text("id,lon_deg,lat_deg\nP1,31.5,41.25\nP2,33.0,41.0\n", "utf-8")
     done = run("rectify", "projection", path, "--to", "utm:36", "--out", plane, "--json")

@@ -109,7 +109,10 @@ def test_the_second_orientation_of_a_plane_is_told(seed: int) -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize("n", some_slow([12, 6]))
 def test_photos_of_one_place_are_called_so(n: int) -> None:
-    """With a sigma and without; 2 cm of base at 5 m is none of noise, though it does not determine 12 points' pair."""
+    """The test is made with and without a sigma.
+
+    A base of 2 cm at 5 m is no noise, but does not determine the pair of 12 points.
+    """
     rng = np.random.default_rng(n)
     points = rng.uniform(-1.0, 1.0, (n, 3))
     _, _, images = pair(rng, points, turned=False, base_m=0.0)

@@ -218,7 +218,7 @@ def test_sensor_in_a_project_file(parallel: tuple[Path, dict[str, Any]], files: 
 def test_a_new_equation_of_image_points_runs_on_all_backends(
     parallel: tuple[Path, dict[str, Any]], files: dict[str, Path]
 ) -> None:
-    """The page's kernel, registered and nothing else: the Schur backend compiles its own loop over it."""
+    """The kernel of the page is only registered; the Schur backend compiles its own loop over it."""
     load_plugin(files["sensor"])
     block = fg.read_project(parallel[0] / "project.toml")
     schur, *others = (fg.adjust(block, backend=backend) for backend in ("schur", "graph", "dense"))
