@@ -223,7 +223,7 @@ ATTACKS = {
 @pytest.mark.parametrize("attack", ATTACKS)
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
 def test_doctype_and_entities_are_refused(dim1: Path, refused: Refused, attack: str, encoding: str) -> None:
-    """In UTF-8 before the parser sees it, in other encodings after it, without any entity resolved."""
+    """In UTF-8 they are refused before parsing, in other encodings after it; no entity is resolved."""
     change(dim1, r"<LINE_PERIOD>.*?<", "<LINE_PERIOD>&e;<" if "ENTITY e" in ATTACKS[attack] else "<LINE_PERIOD>1<")
     head, body = dim1.read_text().replace('encoding="UTF-8"', f'encoding="{encoding}"').split("\n", 1)
     dim1.write_bytes(f"{head}\n{ATTACKS[attack]}\n{body}".encode(encoding))

@@ -75,7 +75,10 @@ def test_the_first_absolute_angle_may_lie_inside_the_list(dim1: Path) -> None:
 
 @pytest.mark.behaviour
 def test_holding_is_noted_with_its_length_and_the_closing_error(dim1: Path) -> None:
-    """List 7.25 .. 7.40; image 7.317 .. 7.346; absolute angles at 7.15 and 7.50: both ends are held."""
+    """The list covers 7.25 ..
+
+    7.40, the image 7.317 .. 7.346, absolute angles are at 7.15 and 7.50. Both ends are held.
+    """
     absolute = [sample("Angles", 7.15, 0.0, 0.0, 0.0), sample("Angles", 7.5, 1.35e-6, 7e-7, -1.05e-6)]
     speeds = [sample("Angular_Speeds", t, 1e-6, 2e-6, -3e-6) for t in (7.25, 7.40)]
     metadata = read_dimap(spot4(dim1, absolute, speeds))

@@ -116,7 +116,7 @@ def test_line_periods_follow_the_unit_attribute(real_data: Path, name: str, peri
 
 @pytest.mark.truth
 def test_spot5_frame_points_are_met_to_the_print(real_data: Path) -> None:
-    """Five points, printed with 1e-6 degree = 0.1 m; measured 0.005 to 0.053 m."""
+    """Five points are printed with 1e-6 degree = 0.1 m; the measured differences are 0.005 to 0.053 m."""
     assert frame_distances_m(read_dimap(real_data / COSI / "SPOT5.DIM"), 0.0).max() <= 0.15
 
 
@@ -125,9 +125,9 @@ def test_spot5_frame_points_are_met_to_the_print(real_data: Path) -> None:
     ("SPOT1.DIM", 9.0), ("SPOT2.DIM", 5.0), ("SP2_METADATA.DIM", 3.0), ("SPOT4.DIM", 26.0),
 ])  # fmt: skip
 def test_spot124_frame_points(real_data: Path, name: str, limit_m: float) -> None:
-    """Corners within the limits of the issue, and the centre, too, with detectors on a straight line.
+    """Corners and centre are within the limits with detectors on a straight line.
 
-    With the attitudes set to zero all five points agree to 3 m: the producer left them out.
+    With the attitudes set to zero all five points agree to 3 m, because the producer left the attitudes out.
     """
     m = read_dimap(real_data / COSI / name)
     distances = frame_distances_m(m, 0.0)

@@ -74,7 +74,7 @@ def test_text_formats_round_trip_to_the_last_digit(tmp_path: Path, model: RpcMod
      ("DIMAP 3.0 PNEO_SENSOR", 0), (rpc_dimap.V1_NAME, 1)],
 )  # fmt: skip
 def test_dimap_round_trip_in_every_version(tmp_path: Path, model: RpcModel, form: str, first: int) -> None:
-    """Both models and the validity; whole offsets survive the change of origin exactly."""
+    """Both models and the validity are read back; whole offsets are exact after the change of origin."""
     direct = synthetic_model(5).coefficients
     stated = RpcValidity((0.0, 19000.0), (0.0, 23000.0), (31.7, 31.9), (41.3, 41.5), (0.0, 1000.0))
     given = replace(model, format=form, direct=direct, stated_validity=stated)
@@ -235,7 +235,7 @@ def test_list_of_numbers_needs_the_origin(tmp_path: Path, model: RpcModel) -> No
 
 @pytest.mark.behaviour
 def test_pixel_origins_are_those_of_the_table() -> None:
-    """First pixel's centre: docs/rpc.md says how each was decided."""
+    """docs/rpc.md states how the centre of the first pixel was found for each format."""
     assert FIRST_PIXEL == 0.0
     assert rpc_dimap.FIRST_PIXEL == {"PHR": (1, 1), "S6": (0, 1), "S7": (0, 1), "PNEO": (0, 0)}
 
@@ -435,7 +435,7 @@ def test_each_format_is_told_from_all_others(tmp_path: Path, model: RpcModel) ->
 
 @pytest.mark.behaviour
 def test_damaged_files_are_read_or_refused_in_one_line(tmp_path: Path, model: RpcModel) -> None:
-    """Bytes changed, cut, doubled and added at random: nothing but an InputError may come out."""
+    """Bytes are changed, cut, doubled and added at random; only an InputError may be raised."""
     rng = np.random.default_rng(7)
     given = replace(model, direct=model.coefficients)
     for name, form in (

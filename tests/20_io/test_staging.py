@@ -122,7 +122,7 @@ def test_files_that_only_look_alike_stay(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("exchange", [True, False])
 def test_a_folder_is_replaced_or_as_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, exchange: bool) -> None:
-    """Also on file systems that cannot exchange two folders, and when the second renaming fails."""
+    """The test includes file systems that cannot exchange two folders, and a second renaming that fails."""
     if not exchange:
         monkeypatch.setattr(staging, "_renamed", lambda *_: False)
     for text in ("one", "two"):
@@ -149,7 +149,10 @@ def test_a_folder_is_replaced_or_as_before(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_writers_at_once_leave_one_whole_output(tmp_path: Path) -> None:
-    """Without permission to overwrite one of them succeeds; with it all do, and the folder is that of one of them."""
+    """Without permission to overwrite one writer succeeds.
+
+    With it all succeed, and the folder is that of one of them.
+    """
     codes: list[str] = []
 
     def write(text: str, overwrite: bool, barrier: threading.Barrier) -> None:

@@ -80,7 +80,7 @@ def model_numbers(data: BalData) -> list[np.ndarray]:
 @pytest.mark.oracle
 @pytest.mark.parametrize("name", ["bundle.txt", "bundle.txt.gz", "bundle.txt.bz2"])
 def test_bal_is_written_and_read_again(name: str, tmp_path: Path) -> None:
-    """The numbers stand in the file as published: counts, image points, nine of each camera, points."""
+    """The file has the published order: counts, image points, nine numbers of each camera, points."""
     data, lost = bal_data_of(frame_model(("none", "k1", "radial")))
     assert lost == ("names of images, points and cameras; sizes of images; principal points",)
     write_bal(tmp_path / name, data)

@@ -75,7 +75,7 @@ def arrays(path: Path) -> tuple[Array, ...]:
 @pytest.mark.oracle
 @pytest.mark.real_data
 def test_the_published_problem_has_the_costs_that_scipy_finds(real_data: Path) -> None:
-    """Half the sum of squares at the start and at the minimum over all poses and points, the camera held."""
+    """The cost is half the sum of squares. It is compared at the start and at the minimum over all poses and points."""
     path = real_data / "libmv-ba" / "problem_01.bin"
     (f, *principal), start, t, ground, image, point, xy = arrays(path)
     n, m, k = len(t), len(ground), len(xy)

@@ -61,7 +61,7 @@ def read(folder: Path, *, calib: bool = True) -> FrameModel:
 
 @pytest.mark.oracle
 def test_pixels_are_those_of_the_formula(tmp_path: Path) -> None:
-    """A common camera matrix with an aspect; own numbers of each camera; own numbers with distortion."""
+    """Cameras have a common matrix with an aspect, own numbers, or own numbers with distortion."""
     plain = read(written(tmp_path))
     assert np.abs(plain.residuals_px()).max() < 1e-9 and len(plain.cameras) == 1
     assert np.array_equal(plain.points_m, POINTS) and plain.image.tolist() == [1, 0] * 3

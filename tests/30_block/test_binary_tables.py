@@ -100,7 +100,7 @@ def text(values: list[str], kind: str) -> Any:
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "uncompressed"])
 @pytest.mark.parametrize("kind", ["string", "large", "dictionary", "view"])
 def test_types_of_other_programs(tmp_path: Path, suffix: str, compression: str, kind: str) -> None:
-    """Ids as text of any kind or whole numbers; pixels as single precision, decimal, whole numbers and text."""
+    """Ids are texts of any kind or whole numbers; pixels are single precision, decimal, whole numbers or text."""
     table = {
         "id": pa.array([7, 8, 7], pa.int32()), "image": text(["left", " left ", "right"], kind),
         "line": pa.array([0.1, 2.5, 3.0], pa.float32()), "sample": pa.array([4, 5, 6], pa.uint16()),
@@ -254,7 +254,7 @@ def test_without_pyarrow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 @pytest.mark.behaviour
 @pytest.mark.parametrize("suffix", [".parquet", ".arrow"])
 def test_a_table_is_read_by_row_groups(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """All cells of all groups, of which one is in the memory of pyarrow at once."""
+    """All cells of all groups are read, of which only one is in the memory of pyarrow at a time."""
     monkeypatch.setattr(arrow, "ROW_GROUP", 4)
     path, faults, sizes = tmp_path / f"t{suffix}", Faults("t"), []
     columns = {"id": [f"p{k % 3 + k // 6}" for k in range(10)], "x_m": np.arange(10.0), "n_rays": [*range(9), None]}
@@ -291,7 +291,7 @@ def projects(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 @pytest.mark.consistency
 def test_a_block_and_its_results_are_those_of_csv(projects: dict[str, Path], tmp_path: Path) -> None:
-    """Blocks bit by bit; tables of the result folders, which are read again, and the page."""
+    """Blocks agree bit by bit, and the tables of the result folders, which are read again, and the page agree."""
     blocks = {form: fg.read_project(path) for form, path in projects.items()}
     first = blocks["csv"]
     for block in blocks.values():

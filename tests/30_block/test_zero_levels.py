@@ -97,7 +97,7 @@ def points() -> tuple[Array, Array]:
 @pytest.mark.oracle
 @pytest.mark.parametrize("end", ["gtx", "tif", "byn", "isg"])
 def test_interpolation_is_that_of_proj(tmp_path: Path, points: tuple[Array, Array], end: str) -> None:
-    """PROJ reads the same numbers from GTX, float32: half a unit of 2^-18 m at 35 m."""
+    """PROJ reads the same numbers from GTX in float32: half a unit is 2^-18 m at 35 m."""
     wanted = by_proj(write_grid(tmp_path / "proj.gtx"), *points)
     found = GeoidFile(write_grid(tmp_path / f"own.{end}")).undulation_m(*points)
     assert np.abs(found - wanted).max() < 4e-6
@@ -165,7 +165,10 @@ def test_points_without_a_value(tmp_path: Path) -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize("end", ["gtx", "tif", "byn", "isg"])
 def test_mutilated_files_are_refused_in_one_line(tmp_path: Path, end: str) -> None:
-    """Cut, overwritten or empty files: an error of one line, or the values of cells that are intact."""
+    """Files are cut, overwritten or empty.
+
+    The reader raises an error of one line, or returns values of intact cells.
+    """
     whole, rng = write_grid(tmp_path / f"whole.{end}").read_bytes(), np.random.default_rng(3)
     refused = 0
     for k in range(30):

@@ -54,7 +54,7 @@ def plane(lon: np.ndarray) -> np.ndarray:
 
 @pytest.mark.oracle
 def test_heights_of_far_points_equal_the_formula(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Points in two squares at opposite ends of a large raster, in one call; other squares are not read."""
+    """One call has points in two squares at opposite ends of a large raster; other squares are not read."""
     path = write(tmp_path / "dem.tif", slice(0, 512), slice(0, 512))
     with rasterio.open(path, "r+") as sink:
         line = (100 + (np.arange(SIZE - 512, SIZE) // 40)).astype("int16")
@@ -75,7 +75,7 @@ def test_heights_of_far_points_equal_the_formula(tmp_path: Path, rng: np.random.
 def test_values_do_not_depend_on_blocks_or_on_the_cache(
     tmp_path: Path, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, blocks: dict[str, Any]
 ) -> None:
-    """Bit by bit as the whole array, when only four squares are kept and points are read in groups."""
+    """With only four squares kept and points in groups, values are equal bit by bit to those of the whole array."""
     heights = rng.uniform(0.0, 900.0, (700, 1100)).astype("float32")
     heights[300:310, 400:420] = np.nan
     with rasterio.open(
@@ -150,7 +150,7 @@ def test_values_of_a_file_with_scale_offset_and_holes_of_all_kinds(tmp_path: Pat
 @pytest.mark.behaviour
 @pytest.mark.parametrize(("value", "cell", "told"), [(0.0, 1e-3, True), (0.0, 1e-2, False), (850.0, 1e-3, False)])
 def test_cliffs_of_one_value_are_named(tmp_path: Path, value: float, cell: float, told: bool) -> None:
-    """Zero among heights of 900 m: steps of 900 m over 100 m of ground are named, over 1 km not."""
+    """Zero among heights of 900 m makes steps of 900 m. Over 100 m of ground they are named, over 1 km not."""
     rng = np.random.default_rng(3)
     heights = rng.uniform(880.0, 920.0, (40, 40)).astype("float32")
     heights[10:14, 20:26] = value

@@ -77,7 +77,7 @@ def test_round_trip_over_the_whole_scene(real_data: Path, name: str, height_m: f
 
 @pytest.mark.truth
 def test_spot5_equals_two_independent_programs(real_data: Path) -> None:
-    """Rugged within 1 cm, geoCosiCorr3D within 5 cm, on the ellipsoid (docs/equations.md 2)."""
+    """On the ellipsoid Rugged agrees within 1 cm, geoCosiCorr3D within 5 cm (docs/equations.md 2)."""
     s = sensor(real_data / "geocosicorr3d", "SPOT5.DIM")
     for name, limit, keys in (
         ("rugged_SPOT5_h0.csv", 0.01, ("line_1based", "col_1based", "lon_deg", "lat_deg")),
@@ -122,7 +122,7 @@ def rpc_project(
 
 @pytest.mark.truth
 def test_pleiades_equals_the_vendor_rpc(real_data: Path) -> None:
-    """Rigorous projection of image 1 against the RPC of the same file at all 86 points: 0.01 px."""
+    """The rigorous projection of image 1 agrees with the RPC of the same file at all 86 points to 0.01 px."""
     folder = real_data / "geoetrim-pleiades"
     s = sensor(folder, PLEIADES[0])
     rows = read_rows(folder / "points_img1.csv")

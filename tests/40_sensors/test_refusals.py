@@ -178,7 +178,10 @@ def test_pixels_outside_and_surfaces_that_cannot_be_seen(metadata: PushbroomMeta
 
 @pytest.mark.behaviour
 def test_points_outside_or_behind(metadata: PushbroomMetadata) -> None:
-    """Outside: the linear continuation, flagged by ``is_inside``; on the far side of the Earth: nan."""
+    """Outside the image the projection continues linearly.
+
+    ``is_inside`` flags such points; on the far side of the Earth it is nan.
+    """
     sensor = PushbroomSensor(metadata)
     inside = sensor.locate([0.0, 6000.0], [0.0, 6000.0], height_m=0.0)
     beyond = inside[0] + (inside[0] - inside[1]) * 0.01  # a hundredth of the half diagonal further out

@@ -48,7 +48,7 @@ def seen(sensor: RpcSensor, lon: np.ndarray, lat: np.ndarray, height_m: Any, ter
 
 
 class Slope:
-    """A tilted plane as a DEM: 300 m in the middle, 2 % to the north-east."""
+    """The DEM is a tilted plane: 300 m in the middle, 2 % to the north-east."""
 
     path = "slope"
     range_m = (100.0, 500.0)
@@ -122,7 +122,7 @@ def test_location_across_the_date_line() -> None:
 
 @pytest.mark.oracle
 def test_located_on_a_dem(sensor: RpcSensor) -> None:
-    """The pixel is kept to 1e-7, the DEM is met to 0.2 mm, though the lines of sight are bent by a metre."""
+    """The pixel is kept to 1e-7 and the DEM is met to 0.2 mm, although lines of sight are bent by a metre."""
     line, sample = grid(sensor, 7)
     dem = Slope()
     ground = sensor.locate(line, sample, dem=dem)

@@ -179,7 +179,10 @@ def test_rpcm_projects_alike(real_data: Path) -> None:
 
 @pytest.mark.truth
 def test_shareloc_locates_alike(real_data: Path) -> None:
-    """RPC to 2e-6 m (11 printed digits), its physical grid to 2 cm; shareloc counts from the corner, 0.5 px."""
+    """The RPC agrees to 2e-6 m (11 printed digits).
+
+    The physical grid agrees to 2 cm; shareloc counts from the corner, 0.5 px.
+    """
     model = read_rpc(real_data / "shareloc" / "PHRDIMAP_P1BP--2018122638935449CP.XML")
     rows = read_rows(real_data / "reference-outputs" / "shareloc_P1BP--2018122638935449CP.csv")
     keys = ("row", "col", "h_m", "rpc_lon", "rpc_lat", "grid_lon", "grid_lat")

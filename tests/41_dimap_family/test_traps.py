@@ -39,7 +39,7 @@ def twin() -> PushbroomMetadata:
 @pytest.mark.truth
 @pytest.mark.real_data
 def test_the_central_line_is_that_of_the_file(real_data: Path) -> None:
-    """SCENE_CENTER_LINE 6001 of 12000: NROWS / 2 would be one line, 5 m, off."""
+    """SCENE_CENTER_LINE is 6001 of 12000; NROWS / 2 would be wrong by one line, 5 m."""
     m = read_dimap(real_data / "geocosicorr3d/SPOT5.DIM")
     assert (m.timing.reference_line, m.n_lines) == (6000.0, 12000)
     half = replace(m, timing=replace(m.timing, reference_line=m.n_lines / 2 - 1))
@@ -69,7 +69,7 @@ def test_other_signs_of_the_attitude_are_far_off(real_data: Path, signs: tuple[i
 @pytest.mark.behaviour
 @pytest.mark.real_data
 def test_hrs_lines_without_attitude_are_refused(real_data: Path) -> None:
-    """The 22 first and the 235 last lines; none of the others."""
+    """The first 22 and the last 235 lines are refused, and no others."""
     sensor = read_sensor(real_data / HRS)
     assert (sensor.first_line, sensor.last_line, sensor.n_lines) == (22.0, 95932.0, 96168)
     refused = 0
@@ -183,7 +183,7 @@ def test_three_units_of_line_periods(real_data: Path, name: str, period_s: float
     "micmac-pneo-pair/RPC_PNEO3_202309051055014_PAN_SEN_PWOI_000129104_1_1_F_1.XML",
 ])  # fmt: skip
 def test_a_rigorous_model_that_is_not_there(real_data: Path, name: str) -> None:
-    """SPOT 7 and Pléiades Neo: their RPC work, asking for the rigorous model names them."""
+    """RPC of SPOT 7 and Pléiades Neo work; a request for the rigorous model names the products."""
     assert np.isfinite(read_sensor(real_data / name, model="rpc").centre_m).all()
     with pytest.raises(InputError, match=r"contains an RPC and not a rigorous model .*option model rpc"):
         read_sensor(real_data / name, model="rigorous")

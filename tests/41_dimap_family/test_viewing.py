@@ -49,7 +49,10 @@ def camera(east_m: float, tilt_deg: float, name: str = "a") -> Image:
 
 @pytest.mark.truth
 def test_a_vertical_photo() -> None:
-    """Scale 1 : 4 000 000 / pixel: 0.25 m sampling, 1 km wide, no incidence at the centre."""
+    """At the scale 1 : 4 000 000 / pixel the sampling is 0.25 m and the width 1 km.
+
+    The incidence at the centre is zero.
+    """
     record = image_record(View(camera(0.0, 0.0)))
     # the ground bends by 8 cm below a plane of 1 km
     assert record["gsd_line_m"] == pytest.approx(0.25, abs=1e-6)
@@ -63,7 +66,10 @@ def test_a_vertical_photo() -> None:
 
 @pytest.mark.truth
 def test_two_photos_in_one_vertical_plane() -> None:
-    """Base 800 m, height 2000 m: B/H = 0.4, convergence 2 atan(0.2); the ellipsoid bends by 0.004 degrees."""
+    """A base of 800 m and a height of 2000 m give B/H = 0.4.
+
+    The convergence is 2 atan(0.2); the ellipsoid bends by 0.004 degrees.
+    """
     tilt = float(np.degrees(np.arctan(400.0 / 2000.0)))
     left, right = View(camera(-400.0, tilt, "a")), View(camera(400.0, -tilt, "b"))
     record = pair_record(left, right)

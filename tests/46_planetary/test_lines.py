@@ -138,7 +138,10 @@ file = "observations.csv"
 
 @pytest.mark.oracle
 def test_a_block_of_mars(tmp_path: Path, rng: np.random.Generator) -> None:
-    """An error of 50 m of each orbit is removed: 3 m at the tie points (0.3 px are 2 m), sigma0 1."""
+    """The adjustment removes an error of 50 m of each orbit.
+
+    3 m remain at the tie points (0.3 px are 2 m), and sigma0 is 1.
+    """
     ground = block(tmp_path, rng)
     solution = fg.adjust(fg.read_project(tmp_path / "project.toml"))
     ties = [k for k, name in enumerate(solution.block.points.ids) if name.startswith("tie")]

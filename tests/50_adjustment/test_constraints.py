@@ -294,7 +294,7 @@ def test_contradictions_and_dependent_constraints_are_named(
     made: Callable[[tuple[str, ...], float], list[tuple[str, tuple[str, ...], float | None]]], code: str,
     names: list[str],
 ) -> None:  # fmt: skip
-    """One line that names constraints, before anything is adjusted."""
+    """One line names the constraints before anything is adjusted."""
     block, ground = observed("plane")
     block = replace(block, points=replace(block.points, ids=tuple(map(str, range(len(block.points.ids))))))
     size = float(np.linalg.norm(ground[0] - ground[1]))

@@ -69,7 +69,10 @@ def test_statistic_is_what_the_removal_of_the_observation_gains(backend: str) ->
 
 @pytest.mark.oracle
 def test_error_of_coordinates_is_what_moves_the_point_back() -> None:
-    """Take the estimated height error off the coordinates: chi2 falls by T, and the test is silent."""
+    """The estimated height error is subtracted from the coordinates.
+
+    Then chi2 decreases by T, and the test finds nothing.
+    """
     block = all_control()
     solution = fg.adjust(block)
     height = next(t for t in solution.outlier_tests() if t.part == "height")
@@ -96,7 +99,7 @@ def test_redundancy_numbers_add_up() -> None:
 
 @pytest.mark.oracle
 def test_planted_errors_are_found_named_and_measured() -> None:
-    """An image point 6 px off, a height 15 m, a position 3 m: one by one, nothing else, the block stays whole."""
+    """An image point is wrong by 6 px, a height by 15 m, a position by 3 m. Each is found alone, and nothing else."""
     block = all_control(seed=2)
     ids = block.points.ids
     wrong = with_error(block, ids[7], "right", (0.0, 6.0))

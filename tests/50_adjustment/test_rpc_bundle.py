@@ -114,7 +114,7 @@ def test_images_of_different_kinds_keep_their_own_unknowns() -> None:
 
 @pytest.mark.oracle
 def test_optimisers_agree() -> None:
-    """Gauss-Newton, Levenberg-Marquardt, Dogleg and GTSAM's own on a mixed block."""
+    """Gauss-Newton, Levenberg-Marquardt, Dogleg and GTSAM's own optimisers agree on a mixed block."""
     block = mixed()
     base = fg.adjust(block)
     for optimizer in ("levenberg-marquardt", "dogleg"):

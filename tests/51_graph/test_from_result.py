@@ -140,7 +140,7 @@ def test_a_result_folder_gives_the_same_as_the_solution(tmp_path: Path) -> None:
 
 @pytest.mark.oracle
 def test_unknowns_that_images_share_are_counted_once() -> None:
-    """Against the whole block by numpy."""
+    """The result is compared with the whole block by numpy."""
     options = replace(block().options, look_polynomial=1, look_shared=True)
     whole = replace(block(), options=options)
     first, second = campaigns(whole)

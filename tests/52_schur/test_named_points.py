@@ -76,7 +76,7 @@ def test_equals_full_matrices(optimizer: str, kind: str) -> None:
 @pytest.mark.parametrize("more", [{"loss": "huber"}, *(pytest.param(one, marks=pytest.mark.slow) for one in (
     {"loss": "tukey"}, {"loss": "tls", "gnc": True}, {"loss": "lad"}))])  # fmt: skip
 def test_equals_full_matrices_under_a_loss(more: dict[str, object]) -> None:
-    """With two gross errors, one of them in a ray of a named point."""
+    """There are two gross errors, one of them in a ray of a named point."""
     block = figure()
     o, line = block.observations, block.observations.line.copy()
     for point in (2, 25):

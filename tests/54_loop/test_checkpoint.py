@@ -77,7 +77,7 @@ def assert_same_bits(a: Estimate, b: Estimate) -> None:
 def test_resumed_run_has_the_same_bits(
     backend: str, optimizer: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Seven iterations, converged or not, the stop after the third."""
+    """The run has seven iterations, converged or not, and stops after the third."""
     problem = spoiled(optimizer=optimizer, backend=backend, loss="cauchy", max_iterations=7)
     assert_same_bits(solve_in_two(problem, tmp_path / "file", 3, monkeypatch), solve(problem))
 

@@ -184,7 +184,10 @@ def test_a_worker_killed_between_tasks_changes_nothing(small: Block, four: Any) 
 @pytest.mark.consistency
 @pytest.mark.slow
 def test_a_large_block_on_workers_that_die(four: Any, tmp_path: Path) -> None:
-    """1e5 image points in 36 images: as in one piece, and the same bits on any workers, two of them killed."""
+    """1e5 image points in 36 images give the result of one part.
+
+    The bits are the same on any workers, two of them killed.
+    """
     large, _ = grid_block(BlockOptions(rows=6, columns=6, points=29_000, seed=2))
     problem = compile_problem(replace(large, options=replace(large.options, eop_set=20, backend="schur")))
     assert len(problem.observations) > 1e5
