@@ -122,12 +122,12 @@ def read_pvl(path: Path) -> Pvl:
         line += text.count("\n", at, found.start("name"))
         at = found.start("name")
         word = name.lower().replace("_", "")
-        if value is None:
-            if word in ("endobject", "endgroup"):
-                if len(stack) == 1 or not word.endswith(stack[-1].kind):
-                    raise InputError.of("pvl.end", file=path, place=f"line {line}", value=name)
-                stack.pop()
-            elif word == "end":
+        if word in ("endobject", "endgroup"):  # with or without the name of the object
+            if len(stack) == 1 or not word.endswith(stack[-1].kind):
+                raise InputError.of("pvl.end", file=path, place=f"line {line}", value=name)
+            stack.pop()
+        elif value is None:
+            if word == "end":
                 ended = True
             else:
                 raise InputError.of("pvl.statement", file=path, place=f"line {line}", value=name[:60])
@@ -135,10 +135,8 @@ def read_pvl(path: Path) -> Pvl:
             part = Pvl(str(path), word.removeprefix("begin"), value.strip("\"'"), line)
             stack[-1].parts.append(part)
             stack.append(part)
-        elif word not in ("endobject", "endgroup"):
-            stack[-1].values[name.lower()] = (value, line)
         else:
-            stack.pop()
+            stack[-1].values[name.lower()] = (value, line)
         line += text.count("\n", at, found.end())
         at = found.end()
     if len(stack) > 1:

@@ -53,8 +53,8 @@ def allowed_bytes(limit_gb: float | None) -> int | None:
 
 
 def available_bytes() -> int | None:
-    """Return the memory that this process can still allocate, by system and control groups."""
-    return min([*_of_system(), *_of_group()], default=None)
+    """Return the memory that this process can still allocate, by system, control groups and limit of addresses."""
+    return min([*_of_system(), *_of_group(), *_of_addresses()], default=None)
 
 
 def is_out_of_memory(error: BaseException | None) -> bool:
@@ -84,6 +84,9 @@ def _has_address_limit() -> bool:
 
 #: Address space that OpenBLAS takes for the work of a thread, bytes: 32 MiB and two pages (strace, 0.3.30).
 BLAS_BYTES: Final = 40_000_000
+#: Address space that a run needs at its beginning, at least, for libraries and the compilation of kernels, bytes: LLVM
+#: ends the process if it does not get memory.
+START_BYTES: Final = 200_000_000
 #: Rows of a product that OpenBLAS does not compute without it.
 _BLAS_ROWS: Final = 160
 
@@ -98,7 +101,7 @@ def reserve_blas() -> None:
     Raises
     ------
     MemoryError
-        There is none.
+        There is none, or less than ``START_BYTES``.
     """
     if not _has_address_limit():
         return
@@ -107,11 +110,11 @@ def reserve_blas() -> None:
 
     square = np.zeros((_BLAS_ROWS, _BLAS_ROWS), order="F")
     products: tuple[Callable[[], object], ...] = (lambda: square @ square, lambda: blas.dgemm(1.0, square, square))
-    for product in products:
+    for product, needed in zip(products, (START_BYTES, BLAS_BYTES), strict=True):
         try:
-            mmap.mmap(-1, BLAS_BYTES).close()
+            mmap.mmap(-1, needed).close()
         except OSError as error:
-            raise MemoryError("no address space for linear algebra") from error
+            raise MemoryError("no address space for linear algebra and compilation") from error
         product()
 
 
@@ -139,6 +142,15 @@ def _of_group() -> Iterator[int]:
             free = sum(int(line.split()[1]) for line in lines if line.startswith(f"{reclaimable} "))
         if most < _UNLIMITED:
             yield max(most - used + free, 0)
+
+
+def _of_addresses() -> Iterator[int]:
+    """Yield the free address space of a process with a limit (``ulimit -v``)."""
+    if _has_address_limit():
+        import resource
+
+        with suppress(OSError, StopIteration):
+            yield max(resource.getrlimit(resource.RLIMIT_AS)[0] - status_bytes("VmSize"), 0)
 
 
 def _group_files() -> Iterator[tuple[str, str, str, Path]]:
