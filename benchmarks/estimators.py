@@ -82,10 +82,16 @@ sigmas. The model is right, and only the estimator is judged.
 - **Minimum norm** needs a suitable cut: at 1e-9 nearly all runs of the sets with velocity fail, at 1e-5 more than
   half.
 
-Columns: *check RMSE*: largest axis of East, North, Up; *bias*: length of the mean error; *95 % covers*: share of the
-errors at the check points inside the stated interval; *x RMSE*: of the orientation, prior sigmas; *share of x*: part
-of the true deviation that the estimate contains, 1 without bias towards the metadata; *95 % covers x*: coverage of
-the orientation. Medians over the sets of a kind, of the runs with a result. Small numbers of runs: differences of a
+Columns:
+
+- *check RMSE*: RMSE at the check points, the largest of East, North and Up;
+- *bias*: length of the mean error;
+- *95 % covers*: share of the errors at the check points inside the stated interval;
+- *x RMSE*: RMSE of the orientation in units of the prior sigmas;
+- *share of x*: part of the true deviation from the metadata that the estimate contains; it is 1 if there is no bias;
+- *95 % covers x*: the same share for the orientation.
+
+All are medians over the sets of a kind, of the runs with a result. Small numbers of runs: differences of a
 few per cent are not significant.
 """
 MEASURES: Final = ("sets", "deviations", "method", "without result", "check RMSE, m", "bias, m", "95 % covers",

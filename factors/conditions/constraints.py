@@ -28,7 +28,8 @@ from factors._contract import Argument, Array, register_condition
 from factors.geometry.rotations import Vector
 from factors.records import Record
 
-#: Records of figures (n_0, e_1, e_2 orthonormal), of distances, of parallels and of observed elements.
+#: Constants of the conditions: a figure (its normal n_0 and the axes e_1, e_2 are orthonormal), a distance,
+#: a condition with a factor only, two parallel figures, and an observed element of a figure.
 FIGURE: Final = Record(factor=1, place=3, normal=3, e_1=3, e_2=3)
 LENGTH: Final = Record(factor=1, distance=1)
 FACTOR: Final = Record(factor=1)

@@ -151,8 +151,9 @@ def places_of_images(problem: Problem) -> Index:
 def cofactors_of_rays(
     problem: Problem, state: State, blocks: Callable[[Index], Array], datum: Datum | None = None
 ) -> RayCofactors:
-    """Return the cofactors of all adjusted image points, of points and images; see :func:`cofactors_of_points`.
+    """Return the cofactors of adjusted image points, of ground points, and of images.
 
+    See :func:`cofactors_of_points`.
     The result is not valid for ground points with extra observations, because they also
     depend on these. ``datum``: all cofactors are transformed to it.
     """

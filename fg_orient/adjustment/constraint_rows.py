@@ -154,9 +154,9 @@ def figure_of(constraint: Constraint, points: Array) -> Figure:
         raise constraint.fault("members", "coordinates", "points that determine the figure") from None
 
 
-#: Weight w of the misclosures; factor that converts the misclosure of a sphere to metres;
-#: axes of the figure (3, 3); its frame at the start (normal or direction, two axes
-#: across). A relation's record and the correlates k follow.
+#: Beginning of the record of a constraint: weight of the misclosures; factor that converts the misclosure of a sphere
+#: to metres; coordinate axes (3, 3); normal or direction of the figure at the start, and two axes perpendicular to it.
+#: Behind it are the constants of the relation and the correlates.
 HEAD: Final = Record(weight=1, scale=1, axes=9, frame=9)
 #: Figures with a frame.
 FRAMES: Final = {"plane": FIGURE, "line": FIGURE, "circle": CIRCLE_RECORD}

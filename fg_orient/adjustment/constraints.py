@@ -54,9 +54,9 @@ ROTATION: Final = ("rotation_x", "rotation_y", "rotation_z")
 FIRST: Final = 1.0
 FIRST_OBSERVED: Final = 0.1
 HARD: Final = 1e-3
-#: Maximum number of improvements of the correlates. They end at this misclosure of a hard
-#: constraint in units of its sigma, or at this ratio of misclosures. The adjustment
-#: itself ends with a step of 1e-8 m.
+#: The correlates are improved at most ROUNDS times. This ends earlier if the misclosure of each hard constraint is
+#: below HELD sigma, or if a round does not reduce the misclosure by the factor SLOW. The adjustment itself ends with a
+#: step of 1e-8 m.
 ROUNDS: Final = 12
 HELD: Final = 1e-5
 SLOW: Final = 0.5

@@ -319,7 +319,7 @@ def _run(job: _Job, schur: Callable[[Problem], Any] | None) -> Estimate:
     except RuntimeError:
         few, auto = len(job.problem.observations) <= EXPLICIT_LIMIT, job.options.backend == "auto"
         if auto and job.backend == "graph" and job.problem.regularisation is not None:
-            job.start_again("schur")  # GTSAM's Cholesky refuses pivots of very different size, as with a small kappa
+            job.start_again("schur")  # GTSAM's Cholesky refuses very different pivots
             return _run_schur(job)
         if not few or (job.backend != "graph" and not auto):
             raise

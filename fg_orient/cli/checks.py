@@ -167,7 +167,8 @@ def _show_examination(record: dict[str, Any]) -> None:
             note(f"{c['name']}: {c['detail']}")
 
 
-#: Maximum error of the check points, m. ECEF coordinates are rounded to 1e-9 m; after one step, 1e-7 m remain.
+#: Maximum error of the check points, m. Double precision represents ECEF coordinates within 1e-9 m, and the single
+#: iteration of the test leaves errors of 1e-7 m.
 TOLERANCE_M: Final = 1e-6
 
 

@@ -170,7 +170,7 @@ class XmlNode:
         text, n, k = etree.tostring(self.element, with_tail=False), len(self.element), len(names)
         cells = r"\s*".join(rf"<{name}>\s*([^<\s]+)\s*</{name}>" for name in names)
         rows = re.findall(rf"<{tag}>\s*{cells}\s*</{tag}>".encode(), text)
-        if len(rows) != n or text.count(b"<") != 2 + n * (2 + 2 * k):  # no others
+        if len(rows) != n or text.count(b"<") != 2 + n * (2 + 2 * k):  # there are other elements
             return None
         values = finite((b" ".join(rows) if k == 1 else b" ".join(chain.from_iterable(rows))).decode().split())
         return values.reshape(n, k) if values is not None and np.abs(values).max(initial=0.0) <= LARGEST else None

@@ -245,9 +245,9 @@ def _turner(gathers: bool) -> Callable[..., None]:
     return compiled
 
 
-#: Only for compiled code; numba supplies the first argument. ``f(source, target, places, shift, at, apart)``.
-#: ``turn_in``: lines at ``places[k] + shift`` of the source become columns of the target, from ``at`` on, ``apart``
-#: from each other. ``turn_out``: lines of the source from ``at`` on, ``apart`` from each other, become columns at
+#: Compiled code calls ``f(source, target, places, shift, at, apart)``. ``turn_in`` reads line k of the source at
+#: ``places[k] + shift``, and writes it as a column of the target; the columns begin at ``at`` and have the distance
+#: ``apart``. ``turn_out`` reads the lines of the source at ``at``, ``at + apart``, ..., and writes line k as the column
 #: ``places[k] + shift`` of the target.
 turn_in, turn_out = _turner(gathers=True), _turner(gathers=False)
 

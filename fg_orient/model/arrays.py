@@ -75,7 +75,7 @@ def array(
 
 
 def refuse(bad: Mask, place: str, values: Any, expected: str) -> None:
-    """Raise InputError for the first row (n,) or (n, k) that is ``bad``."""
+    """Raise InputError for the first row with a fault; ``bad`` is a mask (n,) or (n, k)."""
     rows = bad if bad.ndim == 1 else bad.any(axis=1)
     if rows.any():
         k = int(rows.argmax())

@@ -273,7 +273,7 @@ def factor_graph(block: Block, points: Literal["eliminated", "explicit"] = "elim
     Raises
     ------
     InputError
-        The block cannot be adjusted, or it has a loss; without priors points cannot be eliminated.
+        The block cannot be adjusted, or it has a loss. Points cannot be eliminated in a block without priors.
     RankDeficientError
         Without priors some directions are not observable.
     """

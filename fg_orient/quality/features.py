@@ -27,8 +27,9 @@ def feature_records(solution: AdjustmentResult) -> list[dict[str, Any]]:
     Returns
     -------
     list of dict
-        ``feature``; ``n``: image points; ``redundancy``: sum of r; ``rms_w``, and the point and image of the largest w,
-        ``largest_w``. Numbers are None without redundancy numbers.
+        Keys: ``feature``; ``n``, number of image points; ``redundancy``, sum of their redundancy numbers; ``rms_w``,
+        root mean square of their normalised residuals w; ``largest_w``, and the point and image to which it belongs.
+        Numbers are None without redundancy numbers.
     """
     problem, known = solution.problem, solution.residuals
     if not problem.on_features:

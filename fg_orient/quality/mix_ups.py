@@ -321,7 +321,11 @@ def undone(block: Block, found: Sequence[MixUp]) -> Block:
 
 
 def _readings(block: Block, k: int, row: Index, projected: Array) -> dict[tuple[str, int], Array]:
-    """Return distances (n,) px of image points, projected (n, 2) as given, for each reading and each other image."""
+    """Return distances (n,), px, between measured and projected image points.
+
+    There is one array for each other reading of the coordinates and for each other image. ``projected`` (n, 2) are the
+    points by the given reading in the given image.
+    """
     o, sensor, out = block.observations, block.images[k].sensor, dict[tuple[str, int], Array]()
     pixels = np.stack([o.line[row], o.sample[row]], axis=1)
     for name, reading in READINGS.items():

@@ -28,7 +28,7 @@ STEPS: Final = 3
 CORRECTIONS: Final = 2
 #: A smaller singular value of a motion is rounding noise, which corrections do not change.
 EXACT: Final = 1e-11
-#: Directions up to this multiple of the limit are corrected.
+#: Directions with singular values up to this multiple of the limit are corrected by the rows.
 BESIDES: Final = 10.0
 
 
@@ -115,7 +115,7 @@ class _ByRows(NamedTuple):
 
 
 def _by_rows(border: BorderMatrix, space: Array) -> _ByRows:
-    """Compute singular values and directions within a space (b, d) of movements, from all rows."""
+    """Compute singular values and directions of the observation equations within a space (b, d) of movements."""
     r = np.linalg.qr(border.images_of(space), mode="r")
     own = np.asarray(solve_triangular(r, space.T, trans="T").T)
     followed = border.follow(own)

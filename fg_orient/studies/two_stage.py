@@ -43,8 +43,8 @@ Kind = Literal[1, 2]
 CLOSED = 1e-15
 CLOSED_AS_RUN = np.radians(0.1 / 3600.0)
 MAX_CYCLES = 10
-#: The program repeats step 2 while a correction exceeds 10 (10" for sets of attitudes), at most as often as the first
-#: number of repetitions. With a limit per unknown (10 m or 10"), the second number of repetitions is sufficient.
+#: The published program repeats step 2 while a correction exceeds 10 m (10" for sets of attitudes), at most
+#: MAX_REPEATS times. If each unknown has its own limit (10 m or 10"), MAX_REPEATS_BY_UNKNOWN is sufficient.
 REPEAT_AS_RUN_M = 10.0
 REPEAT_AS_RUN_RAD = np.radians(10.0 / 3600.0)
 MAX_REPEATS, MAX_REPEATS_BY_UNKNOWN = 1000, 10

@@ -262,7 +262,7 @@ verdict.sigma0_regularised (doubt): sigma0 = {size:.2f} lies above {limit:.2f}, 
     -> give a smaller <kappa> or another <kappa_rule>; search for gross errors
 verdict.gross_error (doubt): gross error suspected
     + , of about {error} {unit}
-    + ; {symbol} = {size:.1f}, which fewer than {level:g} % of blocks without gross errors exceed
+    + ; {symbol} = {size:.1f}; fewer than {level:g} % of blocks without gross errors have such a large value
     + ; the error may also be in {also:5}, which cannot be separated from it
     + ; {more} more observation(s) are above their limits, perhaps because of this error
     + ; among them are {crowd}: its measurements are wrong, or its orientation

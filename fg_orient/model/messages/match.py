@@ -15,8 +15,8 @@ match.one_image: tie points need at least two images
     -> add [[images]] tables
 match.local: the image has no position on the Earth, so its epipolar lines cannot be computed
     -> use tie points of another photogrammetry program (docs/formats)
-match.no_pixels: the raster of the image is not found: {value} does not exist, or there is no raster of the same name
-    beside it
+match.no_pixels: the raster of the image is not found: {value} does not exist, or it contains no pixels and its folder
+    has no raster with the same name
     -> name the raster in the project file: pixels = "image.tif" in the [[images]] table
 match.pixels: the raster cannot be read: {reason}
     -> give a raster of numbers that GDAL reads

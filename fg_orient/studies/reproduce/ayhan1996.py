@@ -132,7 +132,8 @@ def sum_cells(values: Values) -> Cells:
 def six_point_cells(values: Values) -> Cells:
     """Recompute tables 13 to 20.
 
-    Case I of table 13 is the case of appendix 3. Large values of other cases are noise.
+    Case I of table 13 is the case of appendix 3. In other cases, values above the limit are rounding noise, which
+    cannot be reproduced.
     """
     out: Cells = {}
     for key, value in values.items():
