@@ -9,11 +9,13 @@ version 3.12 when a GeoPackage is written).
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import locale
 import os
+import sqlite3
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from filecmp import cmp
 from importlib import import_module
@@ -139,3 +141,65 @@ def plain_case() -> Iterator[None]:
         yield
     finally:
         locale.setlocale(locale.LC_ALL, before)
+
+
+def require_layers(path: Path, layers: Mapping[str, tuple[int, int]]) -> None:
+    """Read back what GDAL wrote to a GeoPackage: it ignores failed writes of CRS, extent, count and index.
+
+    Parameters
+    ----------
+    path : Path
+    layers : mapping of str to (int, int)
+        Number of rows and number of geometries of each layer.
+
+    Raises
+    ------
+    OSError
+        A layer is not complete.
+    """
+    with contextlib.closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
+        for layer, (rows, geometries) in layers.items():
+            try:
+                whole = _is_counted(database, layer, rows) and (
+                    not geometries or _is_indexed(database, layer, geometries)
+                )
+            except (sqlite3.Error, TypeError):  # TypeError: a row is missing
+                whole = False
+            if not whole:
+                raise OSError(errno.EIO, f"GDAL has not written all of layer {layer}")
+
+
+def _one(database: sqlite3.Connection, query: str, *values: str) -> Any:
+    """Single value of a query; TypeError if it has no row."""
+    return database.execute(query, values).fetchone()[0]
+
+
+def _has(database: sqlite3.Connection, *names: str) -> bool:
+    """Whether a database has tables or triggers of all these names."""
+    return all(_one(database, "SELECT count(*) FROM sqlite_master WHERE name = ?", name) for name in names)
+
+
+def _rows(database: sqlite3.Connection, table: str) -> Any:
+    quoted = table.replace('"', '""')
+    return _one(database, f'SELECT count(*) FROM "{quoted}"')
+
+
+def _is_counted(database: sqlite3.Connection, layer: str, rows: int) -> bool:
+    """Whether a layer has this number of rows, in its table and as written, and the triggers that keep the number."""
+    counted = _one(database, "SELECT feature_count FROM gpkg_ogr_contents WHERE table_name = ?", layer)
+    triggers = (f"trigger_{event}_feature_count_{layer}" for event in ("insert", "delete"))
+    return bool(_rows(database, layer) == counted == rows and _has(database, *triggers))
+
+
+def _is_indexed(database: sqlite3.Connection, layer: str, geometries: int) -> bool:
+    """Whether CRS and extent of a layer and its spatial index, with the triggers that keep it, are complete."""
+    column = _one(database, "SELECT column_name FROM gpkg_geometry_columns WHERE table_name = ?", layer)
+    index = f"rtree_{layer}_{column}"
+    extent = "SELECT count(min_x + min_y + max_x + max_y) FROM gpkg_contents WHERE table_name = ?"
+    crs = "SELECT count(*) FROM gpkg_geometry_columns JOIN gpkg_spatial_ref_sys USING (srs_id) WHERE table_name = ?"
+    named = "SELECT count(*) FROM gpkg_extensions WHERE table_name = ? AND extension_name = 'gpkg_rtree_index'"
+    return bool(
+        _one(database, extent, layer) == _one(database, crs, layer) == _one(database, named, layer) == 1
+        and _has(database, index, f"{index}_insert", f"{index}_delete")
+        and _rows(database, f"{index}_rowid") == geometries
+    )

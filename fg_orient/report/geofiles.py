@@ -21,7 +21,7 @@ import numpy.typing as npt
 from factors.arrays import Array
 from fg_orient.formats.atomic import outputs, require_free_files, staged_file, write_text
 from fg_orient.formats.exchange.gis import GPKG_OPTIONS
-from fg_orient.formats.gdal import plain_case
+from fg_orient.formats.gdal import plain_case, require_layers
 from fg_orient.formats.load import foreign_bytes
 from fg_orient.formats.table_write import WORDS
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
@@ -128,6 +128,8 @@ def write_geopackage(path: Path, layers: tuple[Layer, ...], made: str) -> None:
             for layer in layers:
                 _write_layer(temporary, layer)
             _write_styles(temporary, layers, made)
+            sizes = {layer.name: (len(layer.geometries), len(layer.geometries)) for layer in layers}
+            require_layers(temporary, sizes | {"layer_styles": (len(layers), 0)})
         except pyogrio.errors.DataSourceError as error:
             raise OSError(str(error)) from error
         finally:

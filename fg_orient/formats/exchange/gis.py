@@ -24,7 +24,7 @@ import numpy.typing as npt
 from factors.arrays import Array
 from fg_orient.formats.atomic import staged_file, write_text
 from fg_orient.formats.exchange.survey import UNKNOWN, Gathering, Survey
-from fg_orient.formats.gdal import plain_case
+from fg_orient.formats.gdal import plain_case, require_layers
 from fg_orient.formats.load import foreign_bytes, load_json, open_sqlite
 from fg_orient.formats.points import COLUMNS, SIGMA_COLUMNS
 from fg_orient.formats.registry import Format, Holds, Settings
@@ -214,12 +214,15 @@ def write_geopackage(survey: Survey, paths: tuple[Path, ...], settings: Settings
         text = [np.array(survey.ids, object), np.array([str(role) for role in survey.roles], object)]
         columns = dict(zip(("id", "role", *SIGMA_COLUMNS), (*text, *survey.sigma_enu_m.T), strict=True))
         _write_points(temporary, GROUND, survey.coordinates, {**columns, "fixed": survey.fixed}, survey.crs)
+        layers = {GROUND: (len(survey.ids), int(survey.located.sum()))}
         if len(o := survey.observed):
             names = [np.array(survey.images, object)[o.image], np.array(survey.ids, object)[o.point]]
             data = [*names, o.line, o.sample, o.sigma_line_px, o.sigma_sample_px]
             with plain_case():
                 libraries(paths[0])[0].raw.write(temporary, None, data, list(COLUMNS), layer=IMAGE, driver="GPKG",
                                                  append=True)  # fmt: skip
+            layers[IMAGE] = (len(o), 0)
+        require_layers(temporary, layers)
 
 
 def write_point_layer(
@@ -228,6 +231,8 @@ def write_point_layer(
     """Write a GeoPackage with one layer of points (n, 3); ``text`` describes the layer."""
     with staged_file(path, suffix=".gpkg") as temporary:
         _write_points(temporary, layer, coordinates, columns, crs, DESCRIPTION=text)
+        located = int(np.isfinite(coordinates[:, :2]).all(axis=1).sum())
+        require_layers(temporary, {layer: (len(coordinates), located)})
 
 
 def _write_points(
