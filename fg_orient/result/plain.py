@@ -89,8 +89,14 @@ class Table:
         return np.stack([self.figures.get(name, missing)[rows] for name in names], axis=1)
 
     def codes(self, name: str, words: Sequence[str]) -> Index:
-        """Return the position of each cell of a text column in a list of possible values."""
+        """Return the position of each cell of a text column in a list of possible values.
+
+        InputError: a cell has another value, because the table does not belong to the record.
+        """
         place = {word: k for k, word in enumerate(words)}
+        unknown = next((word for word in self.words[name] if word not in place), None)
+        if unknown is not None:
+            raise InputError.of("report.damaged", place=f"column {name}", value=unknown)
         return np.fromiter(map(place.__getitem__, self.words[name]), np.intp, len(self))
 
     def write(self, path: Path) -> None:

@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 from tests.support.changed_text import change_file
+from fg_orient.model.errors import InputError
+from fg_orient.result.record import read_any_result
 from tests.support.results import of_version_0_1, sealed
 
 pytestmark = pytest.mark.behaviour
@@ -196,6 +198,16 @@ def test_folder_of_version_0_1_is_read(run: Any, result: Path, twin_source: Path
         ended = run(*words)
         expected = 2 if name == "rpc convert" else 0  # the twin has no RPC
         assert ended.code in (expected, 4), (name, ended.stderr)
+
+
+def test_residuals_of_an_unknown_image_are_refused(result: Path) -> None:
+    """In a folder without manifest; found by fuzzing."""
+    of_version_0_1(result)
+    path = result / "residuals.csv"
+    path.write_text(path.read_text("utf-8").replace("left,", "other,", 1), "utf-8")
+    with pytest.raises(InputError, match="other") as caught:
+        read_any_result(result).residual_summary()
+    assert caught.value.problems[0].code == "report.damaged"
 
 
 def test_whole_folder_is_read(run: Any, result: Path, twin_source: Path, dem: Path, tmp_path: Path) -> None:
