@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.changed_text import change_file
 from fg_orient.model.errors import InputError
 from fg_orient.result.record import read_any_result
+from tests.support.changed_text import change_file
 from tests.support.results import of_version_0_1, sealed
 
 pytestmark = pytest.mark.behaviour
