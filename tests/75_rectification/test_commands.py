@@ -18,7 +18,10 @@ from tests.support.page import structure
 
 from .conftest import scene, write_points
 
-FILES = ["coefficients.csv", "points.csv", "report.html", "residuals.svg", "result.json", "transformation.json"]
+FILES = [
+    "coefficients.csv", "manifest.json", "points.csv", "report.html", "residuals.svg", "result.json",
+    "transformation.json",
+]  # fmt: skip
 
 
 @pytest.fixture
@@ -263,6 +266,8 @@ def test_check_refuses_an_edited_result(name: str, value: object, points: Path, 
             del row[name]
         else:
             row[name] = row["residual_easting_m"] = value
+    del record["manifest"]  # as a folder of a version without manifest
+    (out / "manifest.json").unlink()
     (out / "result.json").write_text(json.dumps(record), "utf-8")
     done = run("rectify", "check", out)
     assert done.code == 2 and "not a result of rectify fit" in done.stderr

@@ -63,7 +63,7 @@ def test_resect_then_intersect(folder: tuple[Path, Array]) -> None:
     assert (left["redundancy"], len(left["points"])) == (18, 15)
     assert max(left["check_rms"]) <= 1e-8
     assert sorted(p.name for p in (path / "out").iterdir()) == [
-        "closerange.json", "photos.toml", "points.csv", "report.html",
+        "closerange.json", "manifest.json", "photos.toml", "points.csv", "report.html",
     ]  # fmt: skip
     again = run("closerange", "intersect", path / "image.csv", path / "out" / "photos.toml", "--json")
     found = np.array([[p["x_m"], p["y_m"], p["z_m"]] for p in again.json["points"]])

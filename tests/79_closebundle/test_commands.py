@@ -53,7 +53,7 @@ def test_bundle_from_tables(tmp_path: Path) -> None:
     )
     assert max(np.abs(points[f"p{k}"] - scene.points[k]).max() for k in range(14)) <= 5e-3
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
-        "closerange.json", "photos.toml", "points.csv", "report.html",
+        "closerange.json", "manifest.json", "photos.toml", "points.csv", "report.html",
     ]  # fmt: skip
     again = run("closerange", "intersect", tmp_path / "image.csv", tmp_path / "out" / "photos.toml", "--json")
     assert again.code == 0
