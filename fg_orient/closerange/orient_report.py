@@ -11,7 +11,7 @@ from fg_orient.closerange.report_words import m0_words, significant
 from fg_orient.formats.atomic import outputs, write_text
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.model.errors import sentences
-from fg_orient.model.installation import versions
+from fg_orient.model.installation import stamp
 from fg_orient.report.page import environment
 
 
@@ -22,8 +22,7 @@ def write_page(record: Record, inputs: list[Path], output: Output) -> str | None
         return None
     stamped = record | {
         "input": [{"file": one.name, "sha256": sha256_of(one)} for one in inputs],
-        "command": list(output.command),
-        "versions": versions(),
+        **stamp(output.command),
     }
     with outputs(path, overwrite=output.overwrite and not path.is_dir(), option="report"):
         write_text(path, render(stamped))

@@ -11,6 +11,7 @@ from factors.arrays import Array
 from factors.geometry import ellipsoid
 from fg_orient.formats.json_files import JsonFile
 from fg_orient.formats.registry import read_bytes
+from fg_orient.geodesy.bodies import Body, is_earth, spheroid
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.base import Sensor
 from fg_orient.sensors.focal_plane import Detector, Distortion
@@ -62,6 +63,15 @@ def distortion_fields(distortion: Distortion) -> dict[str, Any]:
 def semi_axes(sensor: Sensor) -> tuple[float, float]:
     """Return the major and minor semi-axis of the body of an image, m."""
     return (ellipsoid.A_M, ellipsoid.B_M) if sensor.body is None else (sensor.body.radii_m[0], sensor.body.radii_m[2])
+
+
+def body_of(state: JsonFile) -> Body | None:
+    """Return the body to which the axes of a state are fixed; None for the Earth."""
+    axes = state.number("m_majorAxis"), state.number("m_minorAxis")
+    if is_earth(*axes):
+        return None
+    name = state.text("m_targetName", "") or "body"  # line-scan states have no name
+    return spheroid(name, *axes, file=state.path, place="m_majorAxis, m_minorAxis")
 
 
 def common_fields(

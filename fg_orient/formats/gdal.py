@@ -24,7 +24,7 @@ from typing import Any, Final
 from zlib import crc32
 
 from fg_orient.model.errors import InputError
-from fg_orient.model.raster_limits import require_bounded, require_bounded_file
+from fg_orient.model.raster_limits import open_bounded
 
 #: TIFF and BigTIFF files begin with one of these, depending on the byte order.
 TIFF_MARKS: Final = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
@@ -53,16 +53,9 @@ def opened(rasterio: Any, path: str | os.PathLike[str], mode: str = "r") -> Any:
     InputError
         The file exceeds a limit (:mod:`fg_orient.model.raster_limits`).
     """
-    require_bounded_file(path)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-        source = rasterio.open(path, mode)
-        try:
-            require_bounded(rasterio, source, path)
-        except BaseException:
-            source.close()
-            raise
-    return source
+        return open_bounded(rasterio, path, mode)
 
 
 class Written:

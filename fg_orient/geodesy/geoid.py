@@ -19,7 +19,7 @@ import numpy.typing as npt
 from factors.arrays import Array
 from fg_orient.geodesy import from_geographic, known_crs
 from fg_orient.model.errors import InputError
-from fg_orient.model.raster_limits import require_bounded, require_bounded_file
+from fg_orient.model.raster_limits import open_bounded
 
 #: File suffixes of geoid files.
 GRID_SUFFIXES: Final = (".gtx", ".tif", ".tiff", ".byn", ".isg")
@@ -120,10 +120,8 @@ class GeoidFile:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("error", no_place)
-                require_bounded_file(self.path)
-                source = rasterio.open(self.path)
+                source = open_bounded(rasterio, self.path)
             with source:
-                require_bounded(rasterio, source, self.path)
                 yield source
         # GDAL's reader raises ValueError for damaged text
         except (rasterio.errors.RasterioError, no_place, ValueError) as error:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import struct
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, Final
@@ -29,7 +30,32 @@ _TIFF: Final = {
 _FIRST: Final = {"I": 4, "Q": 8}
 
 
-def require_bounded_file(path: str | os.PathLike[str]) -> None:
+def open_bounded(rasterio: Any, path: str | os.PathLike[str], mode: str = "r") -> Any:
+    """Open a raster whose file and blocks do not exceed the limits.
+
+    Parameters
+    ----------
+    rasterio : module
+    path : path
+    mode : str
+        Mode of ``rasterio.open``.
+
+    Raises
+    ------
+    InputError
+        The raster exceeds a limit. Other errors are those of rasterio.
+    """
+    _require_bounded_file(path)
+    source = rasterio.open(path, mode)
+    try:
+        _require_bounded(rasterio, source, path)
+    except BaseException:
+        source.close()
+        raise
+    return source
+
+
+def _require_bounded_file(path: str | os.PathLike[str]) -> None:
     """Raise InputError if a TIFF file has too many directories.
 
     Other and missing files are not read.
@@ -68,7 +94,7 @@ def _directories(stream: BinaryIO) -> Iterator[int]:
             return
 
 
-def require_bounded(rasterio: Any, source: Any, path: str | os.PathLike[str]) -> None:
+def _require_bounded(rasterio: Any, source: Any, path: str | os.PathLike[str]) -> None:
     """Raise InputError if a raster has too many pixels, or its blocks are too many or too large for its file.
 
     Parameters
@@ -92,8 +118,8 @@ def require_bounded(rasterio: Any, source: Any, path: str | os.PathLike[str]) ->
     is_mixed = n_bands > 1 and getattr(source.interleaving, "name", "") != "band"  # bands are decoded together
     block = float(down) * across * item * (2 * n_bands if is_mixed else 1)
     within_memory(BLOCK_BYTES * float(n_blocks) + block, size, file=path, place=place)
-    for one in source.files[1:] if source.driver == "VRT" else ():
-        if one.lower().endswith((".tif", ".tiff", ".vrt")):
-            require_bounded_file(one)
-            with rasterio.open(one) as opened:
-                require_bounded(rasterio, opened, one)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        for one in source.files[1:] if source.driver == "VRT" else ():
+            if one.lower().endswith((".tif", ".tiff", ".vrt")):
+                open_bounded(rasterio, one).close()

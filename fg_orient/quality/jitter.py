@@ -44,8 +44,7 @@ MIXED: Final = (0.35, 0.5, 0.71, 1.0, 1.41, 2.0, 2.8)
 NEIGHBOURS: Final = 2
 #: Gain of log likelihood below which an optimisation ends; loss against the best model above which a model is ignored.
 SETTLED, NEGLIGIBLE = 1e-2, 4.0
-#: Share of jitter of 1 px that must be determined at a resolution; number of intervals that describe a cycle.
-RESOLVED: Final = 0.5
+#: Number of intervals that describe a cycle.
 PER_CYCLE: Final = 3.0
 #: Number of intervals at which the shares absorbed by points and orientation are computed.
 ABSORBED_AT: Final = 8
@@ -122,7 +121,7 @@ class JitterChoice:
 
     def resolved_cycles(self, angle: int) -> float:
         """Return the highest frequency, cycles per image, that the points resolve in an angle; 0 if none."""
-        return max((k / PER_CYCLE for k in resolved(self.system, angle)), default=0.0)
+        return max((k / PER_CYCLE for k in self.system.resolved[angle]), default=0.0)
 
     def absorbed(self, angle: int) -> tuple[float, float]:
         """Return the shares of the effect of jitter on image points that ground points and orientation absorb."""
@@ -153,12 +152,6 @@ class JitterChoice:
         return Band(tau, value, np.sqrt(variance), float(np.mean(second)))
 
 
-def resolved(system: JitterSystem, angle: int) -> tuple[int, ...]:
-    """Return the numbers of intervals at which jitter of 1 px of an angle is determined by more than half."""
-    of = [(k, system.information(angle, k)[0]) for k in RESOLUTIONS]
-    return tuple(k for k, eigenvalues in of if np.mean(eigenvalues / (1.0 + eigenvalues)) >= RESOLVED)
-
-
 def choose(system: JitterSystem) -> JitterChoice:
     """Return the jitter for which there is evidence."""
     rng, chosen, steps = np.random.default_rng(SEED), tuple[Strength, ...](), list[Step]()
@@ -186,7 +179,7 @@ def step(system: JitterSystem, chosen: Sequence[Strength], rng: np.random.Genera
     largest, bounds, best = np.full(SIMULATED + 1, -np.inf), np.full(len(system.angles), np.nan), None
     taken = {c.angle for c in chosen}
     for angle in range(len(system.angles)):
-        told = resolved(system, angle)
+        told = system.resolved[angle]
         if angle in taken or not told:
             continue
         trials = list[_Trial]()

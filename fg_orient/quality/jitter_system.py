@@ -40,6 +40,8 @@ from fg_orient.quality.elimination import CHUNK, PointRows, control_residuals, e
 #: Numbers of intervals that are tested; their common multiple, whose splines contain the splines of all of them.
 RESOLUTIONS: Final = (2, 3, 4, 6, 8, 12, 16, 24, 32)
 FINE: Final = 96
+#: Share of jitter of 1 px that must be determined at a resolution.
+RESOLVED: Final = 0.5
 _F: Final = FINE + polynomials.DEGREE
 #: Maximum number of images: dense matrices have about 200 columns for each.
 MOST_IMAGES: Final = 12
@@ -120,6 +122,14 @@ class JitterSystem:
     def orientation(self) -> Array:
         """Orthonormal basis (m, p) of the columns of A."""
         return np.linalg.qr(self.design)[0]
+
+    @cached_property
+    def resolved(self) -> tuple[tuple[int, ...], ...]:
+        """For each angle, the numbers of intervals at which jitter of 1 px is determined by more than half."""
+        return tuple(
+            tuple(k for k in RESOLUTIONS if np.mean((own := self.information(angle, k)[0]) / (1.0 + own)) >= RESOLVED)
+            for angle in range(len(self.angles))
+        )
 
     def information(self, angle: int, intervals: int) -> tuple[Array, float, float]:
         """Return the eigenvalues (k,) of jitter of 1 px, and the shares that ground points and orientation absorb.

@@ -94,10 +94,10 @@ class Table:
         InputError: a cell has another value, because the table does not belong to the record.
         """
         place = {word: k for k, word in enumerate(words)}
-        unknown = next((word for word in self.words[name] if word not in place), None)
-        if unknown is not None:
-            raise InputError.of("report.damaged", place=f"column {name}", value=unknown)
-        return np.fromiter(map(place.__getitem__, self.words[name]), np.intp, len(self))
+        try:
+            return np.fromiter(map(place.__getitem__, self.words[name]), np.intp, len(self))
+        except KeyError as error:
+            raise InputError.of("report.damaged", place=f"column {name}", value=error.args[0]) from None
 
     def write(self, path: Path) -> None:
         """Write the table in the format of the file name's suffix."""

@@ -19,7 +19,7 @@ import numpy as np
 from factors.arrays import Array
 from fg_orient.geodesy import from_geographic, to_geographic
 from fg_orient.model.errors import Finding, InputError, finding
-from fg_orient.model.raster_limits import require_bounded, require_bounded_file
+from fg_orient.model.raster_limits import open_bounded
 from fg_orient.sensors.cliffs import cliff_of
 from fg_orient.sensors.dem_cells import bilinear, groups, share
 
@@ -91,9 +91,7 @@ class RasterDem:
         self._warn = warn or (lambda one: None)
         self._share = share(memory_limit_gb, KEPT_BYTES + GDAL_BYTES + 8 * PART_CELLS)
         with self._reading():
-            require_bounded_file(path)
-            source = self._source = rasterio.open(path)
-            require_bounded(rasterio, source, path)
+            source = self._source = open_bounded(rasterio, path)
             if source.crs is None:
                 raise InputError.of("dem.no_crs", file=path)
             self.crs, unit = str(source.crs.to_wkt()), source.units[0] or ""

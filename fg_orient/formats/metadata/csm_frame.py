@@ -23,10 +23,9 @@ import numpy as np
 
 from factors.arrays import Array
 from fg_orient.formats.atomic import write_text
-from fg_orient.formats.csm import DISTORTIONS, FRAME_MODEL, UNIT, common_fields, distortion_of, open_state
+from fg_orient.formats.csm import DISTORTIONS, FRAME_MODEL, UNIT, body_of, common_fields, distortion_of, open_state
 from fg_orient.formats.json_files import JsonFile
 from fg_orient.formats.registry import Format
-from fg_orient.geodesy.bodies import Body, is_earth, spheroid
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.focal_plane import Detector, Distortion
 from fg_orient.sensors.framing import FramingCamera, FramingSensor, Taken, angles_of
@@ -71,16 +70,7 @@ def read_state(path: str | Path) -> FramingSensor:
     )  # fmt: skip
     taken = Taken(state.text("m_spacecraftName", ""), state.text("m_instrumentID", ""), "", "CSM state")
     size = state.count("m_nLines"), state.count("m_nSamples")
-    return FramingSensor(camera, *size, _body(state), taken=taken, file=str(path))
-
-
-def _body(state: JsonFile) -> Body | None:
-    """Return the body to which the axes are fixed; None for the Earth."""
-    axes = state.number("m_majorAxis"), state.number("m_minorAxis")
-    if is_earth(*axes):
-        return None
-    name = state.text("m_targetName", "") or "body"
-    return spheroid(name, *axes, file=state.path, place="m_majorAxis, m_minorAxis")
+    return FramingSensor(camera, *size, body_of(state), taken=taken, file=str(path))
 
 
 def _detector(state: JsonFile) -> Detector:

@@ -18,12 +18,19 @@ import numpy as np
 
 from factors.arrays import Array
 from factors.geometry.interpolation import sign_aligned
-from fg_orient.formats.csm import LINE_SCAN_MODEL, UNIT, distortion_of, line_directions, line_timing, open_state
+from fg_orient.formats.csm import (
+    LINE_SCAN_MODEL,
+    UNIT,
+    body_of,
+    distortion_of,
+    line_directions,
+    line_timing,
+    open_state,
+)
 from fg_orient.formats.csm_write import write_state
 from fg_orient.formats.json_files import JsonFile
 from fg_orient.formats.metadata.csm_frame import write_state as write_frame
 from fg_orient.formats.registry import Format
-from fg_orient.geodesy.bodies import Body, is_earth, spheroid
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.focal_plane import Detector
 from fg_orient.sensors.framing import FramingSensor
@@ -61,7 +68,7 @@ def read_state(path: str | Path, light: tuple[str, ...] = ()) -> GeneralMetadata
     size = state.count("m_nLines"), state.count("m_nSamples")
     _require_plain(state)
     look, mounting = _directions(state, size[1])
-    body = _body(state)
+    body = body_of(state)
     effects = chosen(light, LightEffects())
     if body is not None and effects:
         raise InputError.of("body.light", file=path, option="light", value=body.name)
@@ -83,14 +90,6 @@ def _require_plain(state: JsonFile) -> None:
     flag = state.number("m_platformFlag", default=_SATELLITE)
     if flag != _SATELLITE:
         raise InputError.of("csm.aircraft", file=state.path, place="m_platformFlag", value=f"{flag:g}")
-
-
-def _body(state: JsonFile) -> Body | None:
-    """Body of the axes; None for the Earth."""
-    axes = state.number("m_majorAxis"), state.number("m_minorAxis")
-    if is_earth(*axes):
-        return None
-    return spheroid("body", *axes, file=state.path, place="m_majorAxis, m_minorAxis")
 
 
 def _timing(state: JsonFile) -> LineTiming:
