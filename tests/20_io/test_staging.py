@@ -19,6 +19,7 @@ from fg_orient.formats.atomic import (
     alone,
     made_folder,
     outputs,
+    require_free,
     staged_file,
     staged_folder,
     together,
@@ -85,6 +86,19 @@ def test_a_file_sweeps_its_folder_too(tmp_path: Path) -> None:
     staging.sweep_once.cache_clear()
     write_text(tmp_path / "file", "text")
     assert hidden(tmp_path) == []
+
+
+def test_a_lock_left_inside_an_output_does_not_protect_it(tmp_path: Path) -> None:
+    """The removal of a lock inside the staging folder failed, so the output contains it; --overwrite sweeps it."""
+    kind = Contents("mark", ("mark", "inner/mark"))
+    (tmp_path / "out" / "inner").mkdir(parents=True)
+    for name in ("mark", "inner/mark", "inner/.mark.0123456789ab.lock"):
+        (tmp_path / "out" / name).write_text("", "utf-8")
+    require_free(tmp_path / "out", overwrite=True, contents=kind)
+    assert sorted(path.name for path in (tmp_path / "out").rglob("*")) == ["inner", "mark", "mark"]
+    (tmp_path / "out" / "inner" / "own").touch()
+    with pytest.raises(InputError, match="inner/own"):
+        require_free(tmp_path / "out", overwrite=True, contents=kind)
 
 
 @pytest.mark.parametrize(("there", "expected"), [(False, "old"), (True, "new")])

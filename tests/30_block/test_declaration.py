@@ -66,7 +66,7 @@ def given_on_the_command_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, *
         raise InputError.of("options.value", place="stopped", expected="nothing")
 
     monkeypatch.setattr(fg_orient.orientation.run, "run_project", run_project)
-    monkeypatch.setattr("fg_orient.formats.project.require_files", lambda *arguments, **more: None)
+    monkeypatch.setattr("fg_orient.formats.project.require_files", lambda *arguments, **more: Options())
     project = tmp_path / "project.toml"
     project.touch()
     ended = in_process("adjust", project, *words)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -227,3 +228,24 @@ def test_adjust_with_a_dem_as_control(twin: Path, tmp_path: Path) -> None:
     for words in (("--dem-sigma", 3), ("--dem-control", dem)):
         ended = run("adjust", folder / "project.toml", *words, "--out", tmp_path / "none", "--json")
         assert [e["code"] for e in ended.json["errors"]] == ["dem_control.both"]
+
+
+@pytest.mark.behaviour
+@pytest.mark.parametrize(("words", "limit_gb"), [((), 2.5), (("--memory-limit-gb", "3.5"), 3.5)])
+def test_the_caches_of_the_dem_follow_the_memory_limit_of_the_project_file(
+    twin: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], limit_gb: float
+) -> None:
+    given = list[float | None]()
+
+    def read_dem(path: Path, vertical_crs: str, memory_limit_gb: float | None = None) -> None:
+        given.append(memory_limit_gb)
+        raise InputError.of("dem.missing", file=path)
+
+    monkeypatch.setattr("fg_orient.cli.adjust.read_dem", read_dem)
+    folder = shutil.copytree(twin, tmp_path / "twin")
+    text = (folder / "project.toml").read_text("utf-8")
+    with_limit = text.replace("[adjustment]", "[adjustment]\nmemory_limit_gb = 2.5", 1)
+    assert with_limit != text
+    (folder / "project.toml").write_text(with_limit, "utf-8")
+    ended = run("adjust", folder / "project.toml", "--dem-control", "dem.tif", "--dem-sigma", "3", *words)
+    assert ended.code == 2 and given == [limit_gb]
