@@ -17,7 +17,8 @@ from typing import Any
 import pytest
 import typer
 
-from fg_orient.cli import app
+from factors._preparation import on_compilation, report_compilation
+from fg_orient.cli import app, command
 from fg_orient.cli.app import COMMANDS, declared, help_of
 from fg_orient.cli.app import app as application
 from fg_orient.cli.log import LogFile, opened, session
@@ -172,6 +173,19 @@ def test_long_commands_tell_how_far_they_are(tmp_path: Path, run: Run) -> None:
     assert counted == {"orbits": 2, "ground points": 60, "images taken": 2, "metadata files": 2}
 
 
+def test_long_compilation_is_noted_once(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """A command prints one note when compilation has taken longer than half a second, and none before."""
+    spent = iter([10.0, 10.4, 10.6, 12.0])
+    monkeypatch.setattr(command, "preparing_seconds", lambda: next(spent))
+    with on_compilation(command._CompilationNote()):
+        report_compilation("first")
+        assert capsys.readouterr().err == ""
+        report_compilation("second")
+        assert re.fullmatch(r"note: compiling kernels, .*\n", capsys.readouterr().err)
+        report_compilation("third")
+        assert capsys.readouterr().err == ""
+
+
 def test_words_of_progress() -> None:
     assert describe_steps("windows", 30, 120, 10.0) == "windows 30 of 120, 3.0/s, about 30 s left"
     assert describe_steps("set 5", 2, 20, 60.0) == "set 5 2 of 20, 30 s each, about 9 min left"
@@ -305,8 +319,8 @@ def test_the_program_answers_the_script_of_a_shell(shell: str) -> None:
         assert all(f"{name}=" in script for name in variables) and f"_FG_ORIENT_COMPLETE=complete_{shell}" in script
         told.append(entry_point(**variables, _FG_ORIENT_COMPLETE=f"complete_{shell}").stdout)
     assert "--quiet" in told[0] and "--json" not in told[0]
-    for command in ("replay", "report", "reproduce"):
-        assert command in told[1]
+    for word in ("replay", "report", "reproduce"):
+        assert word in told[1]
     for other in ("adjust", "doctor", "--quiet"):
         assert other not in told[1]
     assert ("Repeat a run" in told[1]) == (shell != "bash")  # bash shows no help
