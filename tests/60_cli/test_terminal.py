@@ -371,7 +371,7 @@ def test_other_shells_complete_commands_and_options(shell: str, repository: Path
         [found, *OPTIONS[shell], OFFERED[shell]], capture_output=True, text=True, timeout=600, env=environment
     )
     assert done.returncode == 0, done.stderr
-    for offered in ("--quiet", "No progress", "replay", "report", "reproduce", "Repeat a run"):
+    for offered in ("--quiet", "progress", "replay", "report", "reproduce", "Repeat a run"):
         assert offered in done.stdout
     for other in ("--json", "doctor", "adjust"):
         assert other not in done.stdout
