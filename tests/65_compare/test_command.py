@@ -8,7 +8,6 @@ import math
 import re
 import shutil
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -25,6 +24,7 @@ from fg_orient.studies.comparison import plots
 from fg_orient.studies.comparison import report as heat
 from fg_orient.studies.comparison.model import COLUMNS, Comparison
 from fg_orient.studies.comparison.report import ranges, render, three_digits, verdict
+from tests.support.page import structure
 
 FIGURES = {
     "heatmap_control.svg", "heatmap_check.svg", "conditions.svg", "spectra.svg", "l_curves.svg", "seconds.svg",
@@ -38,40 +38,6 @@ TABLES = {
 ROW_KEYS = {
     "eop_set", "solver", "backend", "control_rmse_m", "check_rmse_m", "cond_raw", "cond_scaled", "rank", "reached",
 }  # fmt: skip
-VOID = {"meta", "br", "img", "link", "input", "hr"}
-
-
-class Structure(HTMLParser):
-    """The parser collects tags, ids and attributes, and fails on tags that do not match."""
-
-    def __init__(self) -> None:
-        super().__init__(convert_charrefs=True)
-        self.open: list[str] = []
-        self.tags: list[str] = []
-        self.attributes: list[tuple[str, str]] = []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append(tag)
-        self.attributes += [(name, value or "") for name, value in attrs]
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.handle_starttag(tag, attrs)
-        if tag not in VOID:
-            self.open.pop()
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open and self.open[-1] == tag, f"</{tag}> closes {self.open[-3:]}"
-        self.open.pop()
-
-
-def structure(text: str) -> Structure:
-    found = Structure()
-    found.feed(text)
-    found.close()
-    assert found.open == []
-    return found
 
 
 def rows_of(path: Path) -> list[dict[str, str]]:
@@ -274,7 +240,7 @@ def test_without_matplotlib(run: Any, project: Path, tmp_path: Path, monkeypatch
         "l_curves.csv",
         "error_vectors.csv",
     }  # of the published procedure alone
-    assert "svg" not in structure((out / "report.html").read_text("utf-8")).tags
+    assert "svg" not in structure(out / "report.html").tags
 
 
 @pytest.mark.behaviour
