@@ -52,7 +52,7 @@ def test_prior_sigmas_of_the_concepts_page_are_the_defaults(repository: Path) ->
 
 
 def test_commands_of_the_readme_exist(repository: Path) -> None:
-    """Every command shown in README and quick start is one of the command line, and the other way round."""
+    """README and quick start show every command of the command line, and no command that does not exist."""
     import typer.main
 
     from fg_orient.cli import app

@@ -113,7 +113,7 @@ def test_every_code_in_the_sources_is_in_the_catalogue(repository: Path) -> None
 
 @pytest.mark.repository
 def test_every_literal_that_looks_like_a_code_is_in_the_catalogue(repository: Path) -> None:
-    """``domain.word`` of a known domain, unless the word is the suffix of a file name."""
+    """Each literal ``domain.word`` of a known domain is a code of the catalogue, unless it is a file name."""
     known = entries(repository)
     domains = {code.split(".")[0] for code in known}
     alike = {
@@ -154,7 +154,7 @@ def test_entries_are_well_formed(repository: Path) -> None:
 
 @pytest.mark.behaviour
 def test_entries_format_with_values_of_their_fields(repository: Path) -> None:
-    """Each field accepts a value of its format, and all other words of the entry are kept."""
+    """Every entry of the catalogue accepts values for its fields, shows each value once and keeps its other words."""
     for code in entries(repository):
         parts = [p for text in texts(code) for p in FORMAT.parse(OPTION.sub(r"option \1", text))]
         values: dict[str, object] = {name: 1.5 if kind else "WORD" for _, name, kind, _ in parts if name}
@@ -181,7 +181,7 @@ def test_no_code_has_two_entries() -> None:
 
 @pytest.mark.repository
 def test_an_entry_has_parts_a_remedy_and_a_severity() -> None:
-    """Lines are joined; parts begin with +, the remedy with ->. Failures that follow each other share a remedy."""
+    """The parser joins lines, begins a part at +, a remedy at ->, and shares a remedy among consecutive codes."""
     table = "a.b (note): one\n    two: three\n    + , {four}\n    -> do\n    it\n"
     table += "c.c: last\nc.d: five\n    -> six\ne.e (note): x"
     assert words(table) == {
@@ -194,7 +194,7 @@ def test_an_entry_has_parts_a_remedy_and_a_severity() -> None:
 
 @pytest.mark.repository
 def test_choices_are_offered_in_the_same_words(repository: Path) -> None:
-    """The same words introduce every list of known values."""
+    """No entry of the catalogue introduces a list of known values with other words than the standard ones."""
     others = re.compile(r"choose among|use one of|give one of \{|^known: \{known\}$|choose one of: ")
     assert [code for code in entries(repository) if any(others.search(text) for text in texts(code))] == []
 

@@ -110,7 +110,7 @@ def test_metashape_csv(tmp_path: Path) -> None:
 
 
 def test_a_crs_that_the_users_replaces_is_told(tmp_path: Path) -> None:
-    """--crs replaces a text that is no CRS of EPSG; an equal CRS needs no note."""
+    """A note states that --crs replaces a CRS text without an EPSG code; an equal CRS gives no note."""
     grid = 'LOCAL_CS["Quarry grid",  UNIT["metre",1]]'
     local = re.sub("(?<=# CoordinateSystem: ).*", grid, METASHAPE_CSV, count=1)
     found = read(tmp_path, "metashape-csv", local, crs="EPSG:32636")

@@ -155,7 +155,10 @@ def test_another_crs_than_the_file_says_is_one_fault_with_a_remedy_of_projects(f
 
 @pytest.mark.behaviour
 def test_our_points_with_tie_points_of_another_program(folder: Path, own: Block) -> None:
-    """Image points that only the other file knows are tie points; entries of foreign files are refused for our own."""
+    """Image points of another program without a point in our table become tie points.
+
+    Entries for foreign files are refused for our own tables.
+    """
     (gcp,) = exported(folder, "metashape-xml")
     points = folder / "points.csv"
     first = next(line for line in points.read_text("utf-8").splitlines() if ",control," in line)

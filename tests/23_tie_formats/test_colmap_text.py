@@ -96,7 +96,7 @@ def test_the_first_pixel_is_at_one_half(tmp_path: Path) -> None:
 
 @pytest.mark.oracle
 def test_what_is_written_is_read_again(tmp_path: Path) -> None:
-    """By COLMAP's formulas the numbers of the three files give the residuals of the model."""
+    """A COLMAP model is read unchanged, and COLMAP's formulas applied to its three files give the model's residuals."""
     model = frame_model()
     assert write_colmap_text(tmp_path / "new" / "model", model) == ()
     again = read_colmap_text(tmp_path / "new" / "model")

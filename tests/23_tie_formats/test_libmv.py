@@ -75,7 +75,10 @@ def arrays(path: Path) -> tuple[Array, ...]:
 @pytest.mark.oracle
 @pytest.mark.real_data
 def test_the_published_problem_has_the_costs_that_scipy_finds(real_data: Path) -> None:
-    """The cost is half the sum of squares. It is compared at the start and at the minimum over all poses and points."""
+    """The published problem has the cost of scipy at the start and at the minimum over all poses and points.
+
+    The cost is half the sum of squares.
+    """
     path = real_data / "libmv-ba" / "problem_01.bin"
     (f, *principal), start, t, ground, image, point, xy = arrays(path)
     n, m, k = len(t), len(ground), len(xy)

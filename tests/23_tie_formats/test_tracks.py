@@ -94,7 +94,7 @@ def test_impossible_matches_are_refused(matches: list[list[int]], words: str) ->
 
 @pytest.mark.behaviour
 def test_a_hundred_thousand_matches_are_joined_as_arrays() -> None:
-    """The number of calls is that for a thousand matches, because no step handles single matches."""
+    """Joining 100 000 matches makes as many function calls as joining a thousand, below 2000."""
     joined(50)  # imports, caches
     assert joined(50_000) == joined(500) < 2000
 

@@ -219,7 +219,10 @@ def test_heights_above_a_geoid_are_asked_for(tmp_path: Path) -> None:
 def test_a_grid_that_proj_lacks_is_taken_from_the_folder_or_asked_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Undulations on a plane in longitude and latitude, which a bilinear grid has exactly."""
+    """``new`` uses a geoid file of the folder if PROJ lacks the grid; without the file it asks for --geoid.
+
+    The undulations lie on a plane in longitude and latitude, which a bilinear grid has exactly.
+    """
     rasterio = pytest.importorskip("rasterio")
     monkeypatch.delenv("PROJ_DATA", raising=False)
     there = place("tr")
