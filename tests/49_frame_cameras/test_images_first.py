@@ -159,7 +159,7 @@ def test_elimination_of_images_changes_nothing(
 def test_tests_of_unknowns_and_observations_are_those_of_full_matrices(
     both: Callable[..., tuple[Solution, Solution]],
 ) -> None:
-    """F tests of many unknowns by blocks and few columns, and tests of observations."""
+    """F tests, coefficients, outlier tests and redundancy numbers equal those of the dense backend."""
     dense, found = both(sequence())
     for mine, other in zip(found.significance().groups, dense.significance().groups, strict=True):
         assert (mine.group, mine.dimension) == (other.group, other.dimension)
@@ -176,7 +176,7 @@ def test_tests_of_unknowns_and_observations_are_those_of_full_matrices(
 def test_effects_of_image_points_are_those_of_their_cofactors(
     both: Callable[..., tuple[Solution, Solution]], controls: int
 ) -> None:
-    """Rows of ``Q A^T`` in the datum of the solution, from the cofactors of all unknowns by full matrices."""
+    """The effects of image points equal ``Q A^T`` from the full matrix of cofactors, on each backend."""
     block = sequence(controls=controls)
     solutions = (*both(block), fg.adjust(block))
     assert solutions[2].backend == "graph" and not isinstance(solutions[2].cofactors, StarCofactors)
@@ -227,7 +227,10 @@ def held_unknown(problem: Problem) -> ExtraObservation:
 @pytest.mark.oracle
 @pytest.mark.parametrize("priors", [True, False])
 def test_border_is_the_schur_complement_of_the_images(priors: bool) -> None:
-    """Matrix, gradient, cost, steps and following images by numpy, with weights and observations of one photo."""
+    """Matrix, gradient, cost and steps of the border equal numpy's Schur complement of the images.
+
+    The problem has weights and an observation of one image.
+    """
     problem = compiled(sequence(controls=4, cameras=2, held=3), priors=priors)
     problem = replace(problem, block=replace(problem.block, extra=(*problem.block.extra, held_unknown(problem))))
     rng, state, places = np.random.default_rng(5), moved(problem), Places(problem)
@@ -260,7 +263,7 @@ def test_border_is_the_schur_complement_of_the_images(priors: bool) -> None:
 
 @pytest.mark.oracle
 def test_movements_of_the_border_have_the_effect_of_all_rows() -> None:
-    """Singular values of the effect, the gradient and a Gauss-Newton step against the Jacobian of all observations."""
+    """Effect, gradient and step of the border equal those of the Jacobian of all observations."""
     problem = compiled(sequence(controls=4), priors=True)
     state = moved(problem)
     border = ImagesBorder(problem, state)
@@ -300,7 +303,7 @@ def test_resumed_run_has_the_same_bits(at_once: None, options: dict[str, object]
 
 @pytest.mark.behaviour
 def test_points_are_eliminated_where_images_cannot_be(at_once: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No image counts as determined: the solution is that of the other elimination."""
+    """If no image can be eliminated first, points are, and the solution is the same within 1e-9 m."""
     problem = compiled(sequence(controls=4), priors=True)
     expected = solve(problem)
     monkeypatch.setattr(images_first, "PIVOT", 1.0)
@@ -333,7 +336,7 @@ def test_photo_that_its_points_do_not_determine_is_named() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize(("photos", "points"), [(60, 20), (100, 37)])
 def test_estimated_memory_covers_what_is_allocated(photos: int, points: int) -> None:
-    """Arrays counted by tracemalloc, of networks that need no matrix of all images."""
+    """The estimated memory is above the peak that tracemalloc counts, and below four times the peak."""
     block, _ = network(Size(photos, points, 0, 8, 2, 0.0))
     fg.adjust(block)  # what is compiled or loaded once does not count
     tracemalloc.start()

@@ -45,7 +45,7 @@ def write(folder: Path, content: str) -> Path:
 
 @pytest.mark.oracle
 def test_values_and_covariance_are_those_of_the_file(tmp_path: Path) -> None:
-    """The converted standard deviations are those of the values typed into ``convert_camera``."""
+    """A Metashape file is read with its values and covariance, and converts as these values do by the function."""
     path = write(tmp_path, text())
     file = read_convention(path)
     assert file is not None and (file.name, file.lines, file.samples) == ("FC6310, 8.8mm", 3648, 5472)
