@@ -53,7 +53,7 @@ def assert_equal(found: Problem, expected: Problem) -> None:
 def test_one_image_point_less_and_back(
     block: Block, full: Problem, role: Role, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """All rays of its point are computed again, and no others."""
+    """If an image point is removed or returned, only the rows of its ground point are computed again."""
     o, rays = block.observations, np.bincount(block.observations.point)
     point = next(int(j) for j in block.points.where(role) if rays[j] > 2)
     smaller, made = without(block, int(np.flatnonzero(o.point == point)[0])), []
@@ -91,7 +91,7 @@ def test_other_pixels_sigmas_and_options_are_not_taken_for_the_same(block: Block
 
 
 def test_a_point_measured_twice_alike(block: Block) -> None:
-    """Two rows that are the same, and one of them left out: the ground point has changed."""
+    """If one of two equal image points is removed, the rows of its ground point count as changed."""
     o = block.observations
     twice = replace(block, observations=o.take(np.r_[np.arange(len(o)), 0]))
     once = unchanged_rows(compile_problem(twice), block, o)

@@ -109,7 +109,7 @@ def follow(block: Block, adjust: Callable[[Block], Solution | Dense]) -> None:
 
 @pytest.mark.oracle
 def test_a_strip_of_twelve_images_follows_the_batch_adjustment() -> None:
-    """After each image the unknowns are those that numpy finds from the rows of all images so far."""
+    """After each added image the unknowns are numpy's from the rows of all images so far."""
     follow(strip(12), of_numpy)
 
 

@@ -28,7 +28,10 @@ def circle(p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.truth
 def test_circle_as_a_constrained_conic() -> None:
-    """Six unknowns of six points, three constraints; the normal matrix without them is singular."""
+    """A conic with three constraints has the centre and radius of the published circle within 5e-5.
+
+    It has six unknowns and six points; the normal matrix without constraints is singular.
+    """
     found = fg.gauss_helmert(conic, POINTS.T.ravel(), np.array([1, 0, 1, -10.0, -6.0, 10.0]), constraints=circle)
     centre = -0.5 * found.x[3:5]
     assert found.converged and found.redundancy == 3
@@ -54,7 +57,10 @@ def bound(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.oracle
 def test_curved_conditions_and_constraints_equal_scipy(rng: np.random.Generator) -> None:
-    """SLSQP minimises v^T W v over (v, x) under all conditions."""
+    """Curved conditions with constraints have unknowns, residuals and squares of scipy's SLSQP.
+
+    SLSQP minimises v^T W v over (v, x) under all conditions.
+    """
     n, true = 16, np.array([1.0, 1.0, 0.5, 1.0])
     t, root = np.linspace(-2.0, 2.0, 8), rng.normal(size=(n, n))
     q = 0.01 * (root @ root.T / n + np.eye(n))
@@ -82,9 +88,10 @@ def test_curved_conditions_and_constraints_equal_scipy(rng: np.random.Generator)
 
 @pytest.mark.oracle
 def test_cofactors_equal_those_of_the_whole_matrix(rng: np.random.Generator) -> None:
-    """Unknowns and residuals are linear in L; the inverse with all multipliers gives this map, and Q = map Q_ll map^T.
+    """Cofactors of unknowns and residuals equal those of the whole matrix with all multipliers.
 
-    The matrix is [[W, 0, B^T, 0], [0, 0, A^T, C^T], [B, A, 0, 0], [0, C, 0, 0]].
+    The matrix is [[W, 0, B^T, 0], [0, 0, A^T, C^T], [B, A, 0, 0], [0, C, 0, 0]]. Its inverse maps L linearly to
+    unknowns and residuals, and Q = map Q_ll map^T.
     """
     n, r, u, q = 9, 7, 4, 2
     a, b, c = rng.normal(size=(r, u)) * [1.0, 1e3, 1.0, 1e-3], rng.normal(size=(r, n)), rng.normal(size=(q, u))
@@ -112,7 +119,10 @@ def test_cofactors_equal_those_of_the_whole_matrix(rng: np.random.Generator) -> 
 
 @pytest.mark.truth
 def test_inner_constraint_is_the_datum_of_levelling() -> None:
-    """Height differences leave the level open. Sum of heights 0: the solution of least norm, and its cofactors."""
+    """With the sum of heights 0 as constraint, levelling gives the least-norm solution and its cofactors.
+
+    Height differences alone leave the level open.
+    """
     lines = np.array([(0, 1), (1, 2), (2, 3), (3, 0), (0, 2)])
     design = np.zeros((5, 4))
     design[np.arange(5), lines[:, 1]], design[np.arange(5), lines[:, 0]] = 1.0, -1.0
