@@ -201,7 +201,7 @@ def test_folder_of_version_0_1_is_read(run: Any, result: Path, twin_source: Path
 
 
 def test_residuals_of_an_unknown_image_are_refused(result: Path) -> None:
-    """In a folder without manifest; found by fuzzing."""
+    """Residuals of an unknown image in a folder without manifest are refused. Fuzzing found this case."""
     of_version_0_1(result)
     path = result / "residuals.csv"
     path.write_text(path.read_text("utf-8").replace("left,", "other,", 1), "utf-8")
@@ -211,7 +211,7 @@ def test_residuals_of_an_unknown_image_are_refused(result: Path) -> None:
 
 
 def test_whole_folder_is_read(run: Any, result: Path, twin_source: Path, dem: Path, tmp_path: Path) -> None:
-    """The page and the figures may be written again; the folder may be renamed and copied."""
+    """A result folder is read after it is copied, renamed and given another page, and its manifest lists all files."""
     copy = shutil.copytree(result, tmp_path / "another name")
     (copy / "report.html").write_text("edited", "utf-8")
     for name in ("report", "locate"):

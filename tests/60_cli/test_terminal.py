@@ -151,7 +151,7 @@ def test_steps_are_logged_once_a_second_and_at_the_end(tmp_path: Path) -> None:
 
 
 def test_other_work_has_a_rate_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first hundred steps took ten seconds; the second count starts a new clock."""
+    """A second count of a progress bar starts a new clock. The first hundred steps took ten seconds."""
     clock = [0.0]
     log = tmp_path / "run.log"
     with opened(log, as_json=True, quiet=False), progress_bar("orbits") as tell:
@@ -165,7 +165,10 @@ def test_other_work_has_a_rate_of_its_own(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_long_commands_tell_how_far_they_are(tmp_path: Path, run: Run) -> None:
-    """The rate and time left of a bar come from these steps; the log holds the same."""
+    """The log of ``simulate`` has the progress of each stage with its total.
+
+    The rate and time left of a bar come from these steps.
+    """
     log = tmp_path / "run.log"
     words = ("--rows", 1, "--columns", 2, "--points", 60, "--out", tmp_path / "block", "--log", log)
     assert run("simulate", "block", *words).code == 0
@@ -311,7 +314,10 @@ ASKED: dict[str, Callable[[str], dict[str, str]]] = {
 
 @pytest.mark.parametrize("shell", ASKED)
 def test_the_program_answers_the_script_of_a_shell(shell: str) -> None:
-    """No shell is needed: the variables that its script sets; the slow tests below ask by the shells that there are."""
+    """The program completes options and commands for the variables that the script of each shell sets.
+
+    No shell is needed; the slow tests below run the installed shells.
+    """
     script = entry_point("completion", shell).stdout
     told = []
     for words in WORDS:

@@ -132,12 +132,12 @@ def test_covariance_in_twelve_runs(truth: Solution) -> None:
 
 
 def test_wrong_sigma_is_seen_in_twelve_runs(truth: Solution) -> None:
-    """Sigmas are 20 % too small, so that every covariance that depends on image points is too small."""
+    """With sigmas 20 % too small, residuals and observations leave their intervals in twelve runs."""
     assert {"residuals", "observations"} <= set(scatter(truth, 12, seed=621, sigma_factor=0.8).outside)
 
 
 def test_half_the_sigma_is_seen_in_every_part(truth: Solution) -> None:
-    """Twelve runs: images and points, which priors and control hold, too."""
+    """With half the sigmas every part leaves its interval in twelve runs, also images and points."""
     assert scatter(truth, 12, seed=621, sigma_factor=0.5).outside == list(PARTS)
 
 

@@ -115,7 +115,10 @@ def pixels_of(solution: Solution, j: int) -> dict[str, tuple[float, float]]:
 
 @pytest.mark.consistency
 def test_many_images_are_those_of_excluded_check_points(twin: Block) -> None:
-    """Check points that took no part are located by other code; default sigmas are the block's own times sigma0."""
+    """``intersect`` has the place and sigmas of an excluded check point.
+
+    Other code locates check points; default sigmas are the block's times sigma0.
+    """
     solution = fg.adjust(twin, eop_set=10, check_points="exclude")
     check = solution.accuracy.check
     for k, j in enumerate(check.index[:3]):
@@ -202,7 +205,7 @@ def test_radii_of_circle_sphere_and_line() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("ratio", [0.8, 0.3, 0.1, 0.02, 0.004])
 def test_radii_of_ellipses_hold_their_share(ratio: float) -> None:
-    """The probability inside is computed by an integral over angles, which the function does not use."""
+    """The radius of an ellipse contains 90 % of the probability, by an integral over angles, for any axis ratio."""
     r = radius(np.diag([ratio**2, 1.0]))
     angle = np.linspace(0.0, 2.0 * np.pi, 200_001)[:-1]
     a = np.cos(angle) ** 2 / ratio**2 + np.sin(angle) ** 2

@@ -84,7 +84,10 @@ def test_efficiency_against_scipy(dimension: int) -> None:
 
 @pytest.mark.truth
 def test_constants_of_the_literature() -> None:
-    """Hampel's 1.7 : 3.4 : 8.5 has 0.98 or so; Andrews 1.339, Danish 2 (Holland & Welsch 1977; Kubik)."""
+    """The constants of Andrews and Danish are 1.339 and 2, and Hampel's 1.7 : 3.4 : 8.5 has an efficiency of 0.98.
+
+    The sources are Holland & Welsch 1977 and Kubik.
+    """
     known = losses()
     assert known["andrews"].constants[0] == pytest.approx(1.339, abs=5e-4)
     assert known["danish"].constants[0] == pytest.approx(2.0, abs=0.01)

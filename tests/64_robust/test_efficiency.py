@@ -59,7 +59,10 @@ def test_a_constant_too_small_is_found() -> None:
 @pytest.mark.parametrize("dimension", [1, 2, 3])
 @pytest.mark.parametrize("name", NAMES)
 def test_all_dimensions(name: str, dimension: int) -> None:
-    """4000 clouds of 300, seed 17; 1/300 is left to the limit of many."""
+    """The robust centre of a normal cloud has an efficiency of 95 % for each loss and dimension.
+
+    4000 clouds of 300 are drawn; 1/300 is allowed for the limit of many.
+    """
     loss = losses()[name]
     value, half = relative_variance(loss, loss.constant(dimension), dimension, 4000, 300, 17)
     assert abs(value - 0.95) <= half + 1.0 / 300.0

@@ -73,7 +73,7 @@ def test_json_keys(written: tuple[Path, Any]) -> None:
 
 @pytest.mark.consistency
 def test_table_equals_the_rows_of_the_library(written: tuple[Path, Any], comparison: Comparison) -> None:
-    """The project folder gives the numbers of the block in memory; times and rounding noise aside."""
+    """``compare`` writes the rows of its record to the table, with the check RMSE of the library."""
     found = rows_of(written[0] / "compare.csv")
     assert list(found[0]) == list(COLUMNS)
     assert len(found) == len(comparison.rows)
@@ -136,7 +136,7 @@ def test_figures_show_the_numbers(written: tuple[Path, Any], comparison: Compari
 
 @pytest.mark.consistency
 def test_heat_maps_and_outcomes_are_the_rows(comparison: Comparison, written: tuple[Path, Any]) -> None:
-    """Each adjustment that was tried stands in its field, on the side of the target where its number lies."""
+    """Each row of a comparison is in its field of the heat map, on the right side of the target, and is counted."""
     counted = heat.counts(comparison)
     assert sum(counted.values()) == len(comparison.rows) and counted["left_out"] == 9
     assert counted["reached"] == sum(r.reached for r in comparison.rows)
@@ -294,7 +294,10 @@ def test_existing_folders(run: Any, project: Path, written: tuple[Path, Any], tm
 
 @pytest.mark.behaviour
 def test_no_solution_at_all(run: Any, tmp_path: Path) -> None:
-    """Two control points carry no look-angle polynomial: the published procedure alone gives exit code 3."""
+    """If no adjustment has a solution, ``compare`` ends with exit code 3 and the reason, and writes nothing.
+
+    Two control points do not determine a look-angle polynomial.
+    """
     project = simulate_zonguldak(tmp_path / "twin", ZonguldakOptions())
     points = project.parent / "points.csv"
     lines = points.read_text("utf-8").splitlines()

@@ -69,7 +69,7 @@ def _count(t: np.ndarray, freedom: float) -> int:
 
 
 def test_sizes_of_the_linear_twin(monkeypatch: pytest.MonkeyPatch) -> None:
-    """600 runs, seed 31; a height judged with the freedom of all heights is rejected far too often."""
+    """Tests with variance components have their level in 600 runs; with the freedom of all heights they have not."""
     found = alarms(600, 31, monkeypatch)
     low, high = interval(600)
     assert {part: low <= mine <= high for part, (mine, _) in found.items()} == dict.fromkeys(found, True), found
@@ -78,7 +78,10 @@ def test_sizes_of_the_linear_twin(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 def test_sizes_of_whole_adjustments() -> None:
-    """300 blocks, seeds 7000 to 7299: components iterated, preselected observations and any alarm at 5 % over all."""
+    """In 300 whole adjustments with components tests of each kind, and any alarm, have the level of 5 %.
+
+    The tested observations are chosen beforehand.
+    """
     runs, planted = 300, planted_large()
     found = {"image": 0, "position": 0, "height": 0, "any": 0}
     for seed in range(7000, 7000 + runs):

@@ -130,7 +130,7 @@ def test_parts_agree() -> None:
 
 
 def test_a_wrong_weight_fails_the_check() -> None:
-    """In one backend one of 48 pixel sigmas is wrong by a millionth."""
+    """One pixel sigma that is wrong by a millionth in one backend exceeds the limit of the comparison."""
     problem = small()
     found = all_cofactors(problem, problem.start)
     _, design = assemble(problem, problem.start)
