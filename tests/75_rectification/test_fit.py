@@ -237,7 +237,7 @@ def test_unknown_models_are_refused(name: str, degree: int | None, code: str) ->
 
 @pytest.mark.behaviour
 def test_a_pole_among_the_points_is_refused() -> None:
-    """Half of the points are beyond the horizon of a projective image, so that no denominator has one sign."""
+    """A projective fit is refused if half of the points are beyond the horizon. No denominator has one sign there."""
     rng = np.random.default_rng(6)
     source = rng.uniform(-1.0, 1.0, (30, 2))
     source = source[np.abs(source[:, 0]) > 0.3]
@@ -276,7 +276,10 @@ def test_other_files_are_no_transformation(text: str | None, tmp_path: Path) -> 
 @pytest.mark.oracle
 @pytest.mark.parametrize(("name", "degree"), [c for c in CASES if find_model(*c).linear])
 def test_plain_coefficients_in_rational_numbers_give_the_same_points(name: str, degree: int | None) -> None:
-    """Exact evaluation of the coefficients as rounded: the rounding of degree 2 in full metres is what is left."""
+    """The plain coefficients, evaluated exactly, give the fitted points within 1e-6.
+
+    The rounding of degree 2 in full metres remains.
+    """
     points = points_for(name, n=45)
     t = fit(points, find_model(name, degree)).transformation
     c = [Fraction(v) for v in (t.plain_coefficients() or {}).values()]

@@ -94,7 +94,10 @@ def test_a_value_that_the_type_holds_is_taken(dtype: str, nodata: float, tmp_pat
 
 @pytest.mark.truth
 def test_newton_ends_or_says_nan() -> None:
-    """x^2 = 4 from 5 ends at 2; x^2 = -1 has no solution; at 0 the slope of x^2 vanishes."""
+    """Newton's method finds a solution, or gives nan if there is none or the slope vanishes.
+
+    x^2 = 4 from 5 ends at 2; x^2 = -1 has no solution; at 0 the slope of x^2 vanishes.
+    """
 
     def squares(at: Array) -> Array:
         return np.stack([at[:, 0] ** 2, at[:, 1]], axis=1)
@@ -129,7 +132,7 @@ def test_an_image_beyond_the_fold_of_a_polynomial_has_no_outline(tmp_path: Path)
 @pytest.mark.behaviour
 @pytest.mark.parametrize("which", ["image", "dem", "model", "foreign"])
 def test_nothing_that_is_read_and_no_foreign_file_is_replaced(tmp_path: Path, which: str) -> None:
-    """The check is made before anything is read, also with --overwrite."""
+    """An output that is an input or a foreign file is refused, also with --overwrite, and stays as it was."""
     files = {name: tmp_path / f"{name}.tif" for name in ("image", "dem", "model", "foreign")}
     for path in files.values():
         path.write_bytes(b"not to be lost")

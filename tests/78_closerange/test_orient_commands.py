@@ -78,7 +78,7 @@ def test_words_of_both_commands(folder: tuple[Path, Array, list[Array]]) -> None
 
 @pytest.mark.behaviour
 def test_pages_of_both_commands(folder: tuple[Path, Array, list[Array]]) -> None:
-    """One self-contained page each: the numbers of the record, all residuals, the inputs; warnings are in it, too."""
+    """``relative`` and ``absolute`` write one page each with the record, residuals and inputs, and no second time."""
     path, _, _ = folder
     page, model = path / "page.html", path / "model.csv"
     first = ("closerange", "relative", path / "image.csv", path / "cameras.toml", "--sigma", SIGMA, "--out", model)

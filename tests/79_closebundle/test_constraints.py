@@ -226,7 +226,7 @@ def unknowns(found: BundleResult) -> Array:
 ])  # fmt: skip
 @pytest.mark.parametrize("kind", KINDS)
 def test_random_configurations(kind: str, runs: int, optimizer: str) -> None:
-    """Misclosures by numpy are zero; the difference from soft constraints falls with the square of their sigma."""
+    """Hard constraints are met within 1e-11, and soft ones approach them with the square of their sigma."""
     for seed in range(0, 2 * runs, 2):
         one = configuration(kind, seed)
         spread = 1e-4 if kind == "equal attitude" else NOISE
@@ -240,7 +240,7 @@ def test_random_configurations(kind: str, runs: int, optimizer: str) -> None:
 @pytest.mark.consistency
 @pytest.mark.parametrize("kind", KINDS)
 def test_backends_agree(kind: str) -> None:
-    """Unknowns, standard deviations of points, stations and figures."""
+    """Dense and graph backend have the same unknowns and sigmas of points, stations and figures."""
     dense, graph = (configuration(kind, 5).adjusted(None, backend) for backend in ("dense", "graph"))
     assert unknowns(dense) == pytest.approx(unknowns(graph), abs=1e-6 * NOISE)
     roots = [

@@ -108,7 +108,7 @@ def test_a_point_with_all_its_observations_is_without_place() -> None:
 
 @pytest.mark.truth
 def test_variance_components() -> None:
-    """Image points are three times worse than stated."""
+    """If image points are three times worse than stated, variance components find this factor."""
     scene = make(5, 30, 4, noise=3.0 * SIGMA)
     rng = np.random.default_rng(2)
     control = {f"p{k}": (scene.points[k] + rng.normal(scale=SIGMA_CONTROL, size=3), SIGMA_CONTROL) for k in range(12)}

@@ -327,7 +327,7 @@ USABLE: dict[str, Callable[[Any], Any]] = {
 
 @pytest.mark.parametrize("kind", USABLE)
 def test_usable_arrays_give_the_same_bits(kind: str) -> None:
-    """Blocks, DLT, bundles, RPC and rectification, with arrays of another layout or type."""
+    """Arrays of another layout or type give the same bits in blocks, DLT, bundles, RPC and rectification."""
     give, b = USABLE[kind], block()
     arrays = [getattr(b.observations, name) for name in NOTHING]
     other = replace(

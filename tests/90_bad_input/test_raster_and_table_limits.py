@@ -142,7 +142,7 @@ def test_virtual_raster_does_not_hide_its_source(tmp_path: Path) -> None:
 
 
 def test_damaged_pixels_are_refused(tmp_path: Path) -> None:
-    """GDAL's error is an InputError with the name of the file."""
+    """Damaged pixels of an image give an InputError with the name of the file. GDAL reports them."""
     pytest.importorskip("rasterio")
     path = tmp_path / "a.tif"
     tiff(path, size(40, 30, 8) + strips(30, 50), bytes(range(50)))
@@ -221,7 +221,7 @@ def test_many_columns_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 @pytest.mark.parametrize("compression", [None, "zstd", "lz4"])
 def test_sizes_of_arrow_files_are_those_of_their_buffers(tmp_path: Path, compression: str | None) -> None:
-    """The sizes read from the FlatBuffers equal the sizes of the buffers that pyarrow made (padded to 8 bytes)."""
+    """The sizes read from an Arrow file are those of pyarrow's buffers, padded to 8 bytes."""
     pa = pytest.importorskip("pyarrow")
     ids = pa.array([f"point {k}" for k in range(1000)] * 3).dictionary_encode()
     table = pa.table({"id": ids, "number": np.arange(3000.0), "text": pa.array(["ab", None, "c"] * 1000)})

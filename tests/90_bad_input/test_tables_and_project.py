@@ -299,7 +299,7 @@ def test_bad_metadata_is_reported_with_the_other_faults(folder, monkeypatch):
 
 
 def test_nothing_is_left_behind(folder):
-    """Reading writes nothing, whether it succeeds or not."""
+    """Reading a project that is refused writes no file."""
     before = sorted(p.name for p in folder.folder.iterdir())
     folder.change(P, "12.5", "nan")
     refused(folder)

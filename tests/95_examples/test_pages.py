@@ -189,7 +189,7 @@ def test_options_of_every_command_exist(name: str) -> None:
 
 @pytest.mark.repository
 def test_every_picture_is_small_told_in_words_and_shown() -> None:
-    """Alternative text for those who cannot see it; docs/pictures.py draws those of DRAWN."""
+    """Each drawn picture is below 150 kB and shown on a page, and each picture has alternative text."""
     shown: set[Path] = set()
     for name, path in PAGES.items():
         for words, target in re.findall(r"!\[(.*?)\]\((\S+?)\)", path.read_text("utf-8"), re.DOTALL):
@@ -207,7 +207,7 @@ def test_every_picture_is_small_told_in_words_and_shown() -> None:
 @pytest.mark.behaviour
 @pytest.mark.slow
 def test_pictures_are_drawn_again(tmp_path: Path) -> None:
-    """The script in the documentation draws them again under the same names."""
+    """``docs/pictures.py`` draws all pictures of the documentation under the same names."""
     ended = pages.run_script(REPOSITORY / "docs" / "pictures.py", tmp_path)
     assert ended.code == 0, ended.stderr
     kept = REPOSITORY / "docs" / "_static"
