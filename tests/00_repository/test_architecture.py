@@ -149,7 +149,7 @@ PLANTED = [
 
 @pytest.fixture(scope="module")
 def planted(copied_tree: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
-    """Return what import-linter says of a copy with all violations; they do not hide one another."""
+    """Return import-linter's output for a copy with all violations; they do not hide one another."""
     folder = tmp_path_factory.mktemp("planted") / "tree"
     shutil.copytree(copied_tree, folder)
     for module, line, _, _ in PLANTED:

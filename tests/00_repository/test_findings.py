@@ -85,7 +85,7 @@ def test_no_sentence_is_given_as_a_warning_or_as_its_data(repository: Path) -> N
 
 
 def planted(**data: object) -> Finding:
-    """Return the code, severity, sentence, remedy and data of a warning, all in the one place that raises it."""
+    """Return a warning whose code, severity, sentence and remedy are stated where it is raised."""
     return finding(
         "outside.planted (warning): image {image} is upside down + , like {others:2} "
         "-> turn it with <turn_by> {angle:g}",

@@ -35,7 +35,7 @@ def write(file: Path, text: str = "") -> None:
 
 
 def dist_info(site: Path, name: str, version: str, files: list[str], direct_url: object = None) -> None:
-    """Records of an installed distribution."""
+    """Write the records of an installed distribution."""
     folder = site / f"{name.replace('-', '_')}-{version}.dist-info"
     write(folder / "METADATA", f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
     write(folder / "RECORD", "".join(f"{file},,\n" for file in files))
@@ -57,7 +57,7 @@ def copy_packages(repository: Path, site: Path) -> None:
 
 @pytest.fixture
 def site(repository: Path, tmp_path: Path) -> Path:
-    """fg_orient as pip installs it from a wheel."""
+    """Return a folder with fg_orient as pip installs it from a wheel."""
     folder = tmp_path / "site"
     copy_packages(repository, folder)
     files = ["fg_orient/__init__.py", "factors/__init__.py", "factors/_contract.py"]

@@ -28,7 +28,7 @@ CODE = re.compile(r"^[a-z0-9_]+\.[a-z0-9_]+$|^internal$")
 
 @functools.cache
 def sources(repository: Path) -> dict[str, list[ast.AST]]:
-    """Every node of the modules of fg_orient but the catalogue itself: name of the module, its nodes."""
+    """Return all nodes of each module of fg_orient by the module's name, but not those of the catalogue."""
     return {
         path.relative_to(repository).as_posix(): nodes(path)
         for path in sorted((repository / "fg_orient").rglob("*.py"))
@@ -62,7 +62,10 @@ def entries(repository: Path) -> dict[str, Entry]:
 
 @functools.cache
 def calls(repository: Path) -> list[tuple[str, str, set[str] | None]]:
-    """Every ``finding("code", ...)`` and ``SomeError.of("code", ...)``: place, code, keywords (None = ``**``)."""
+    """Return place, code and keywords of each ``finding("code", ...)`` and ``SomeError.of("code", ...)``.
+
+    Keywords are None if a call has ``**``.
+    """
     found = []
     for module, own in sources(repository).items():
         for node in own:
@@ -90,7 +93,7 @@ def fields(code: str) -> set[str]:
 
 @functools.cache
 def literals(repository: Path) -> set[str]:
-    """Every string literal of the sources but places: codes also travel as variables."""
+    """Return every string literal of the sources but places, as codes are also passed in variables."""
     found = set()
     for own in sources(repository).values():
         places = {

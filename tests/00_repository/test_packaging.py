@@ -83,7 +83,10 @@ def imports(repository: Path, *folders: str) -> dict[str, str]:
 
 
 def undeclared(found: dict[str, str], known: set[str]) -> dict[str, str]:
-    """Imported modules of which no distribution is declared; one that is not installed has its module's name."""
+    """Return the imported modules, with a file, of which no distribution is declared.
+
+    A module of no installed distribution counts under its own name.
+    """
     return {name: file for name, file in found.items() if not {normal(d) for d in owners().get(name, [name])} & known}
 
 

@@ -66,7 +66,7 @@ def test_residual_equals_the_printed_formulas() -> None:
 
 
 def with_nothing_more(camera: np.ndarray) -> np.ndarray:
-    """Return the camera with all corrections of ``frame_corrections``, the further ones 0."""
+    """Return the camera of ``frame_corrections`` whose further corrections are all neutral."""
     further = np.zeros(frame_corrections.CAMERA.size - CAMERA.size)
     further[-3:] = 1.0  # sign, nominal principal distance, radius
     return np.append(camera, further)
@@ -95,7 +95,7 @@ def test_ideal_directions_invert_the_distortion_and_stop_at_its_fold() -> None:
 
 
 def rows_of(parts: list[tuple[int, int]], corrects: bool = False, spoil: bool = False) -> tuple[np.ndarray, list[int]]:
-    """Return the value and Jacobians of 30 rays of 3 images in one array, computed in parts; what each part reports."""
+    """Return values and Jacobians of 30 rays of 3 images, computed in parts, and what each part returns."""
     rng = np.random.default_rng(5)
     e = frame_collinearity(rng)
     while e.setup.shape[1] != 9:

@@ -50,7 +50,7 @@ def test_values_and_denominators_equal_the_sum_of_terms(rng: np.random.Generator
 
 
 def complex_value(c: np.ndarray, ground: np.ndarray) -> np.ndarray:
-    """(l, s) of one point by plain sums, complex arguments allowed."""
+    """Return the (l, s) of one point by plain sums; arguments may be complex."""
     monomials = np.array([np.prod(ground ** np.array(e)) for e in EXPONENTS["RPC00B"]])
     f = c @ monomials
     return np.array([f[0] / f[1], f[2] / f[3]])

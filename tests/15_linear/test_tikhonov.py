@@ -137,7 +137,7 @@ def no_residual() -> LinearSystem:
 
 
 def one_unknown() -> LinearSystem:
-    """Return an exact observation, and one that no unknown explains."""
+    """Return the system of one unknown with an exact observation and one that the unknown does not affect."""
     return LinearSystem.from_design(np.array([[1.0], [0.0]]), np.array([1e-6, 1.0]))
 
 
@@ -276,7 +276,7 @@ def test_creso_is_the_first_local_maximum() -> None:
     s, b = np.array([1.0, 1e-3]), np.array([1.0, 1e-3])
 
     def function(kappa: float) -> float:
-        """|x|^2 + 2 kappa d|x|^2/dkappa of x = s b / (s^2 + kappa)."""
+        """Return |x|^2 + 2 kappa d|x|^2/dkappa of x = s b / (s^2 + kappa)."""
         x = s * b / (s**2 + kappa)
         return float(np.sum(x**2 - 4.0 * kappa * x**2 / (s**2 + kappa)))
 

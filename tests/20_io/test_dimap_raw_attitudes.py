@@ -132,7 +132,10 @@ def test_raw_attitudes_that_do_not_do_are_refused(
 
 
 def tilted_line(mirror_rad: float, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Detectors of a straight line of +-2.06 degrees, turned across track by a mirror: sample, psi_x, psi_y."""
+    """Return sample, psi_x, psi_y of a straight line of detectors that a mirror turns across track.
+
+    Its field of view is +-2.06 degrees.
+    """
     sample_ = np.arange(float(n))
     field = np.tan(np.radians(2.06)) * (2 * sample_ / (n - 1) - 1)
     forward = np.full(n, 0.01)

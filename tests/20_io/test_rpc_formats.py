@@ -41,7 +41,7 @@ def model() -> RpcModel:
 
 
 def assert_same(found: RpcModel, expected: RpcModel, relative: float = 0.0) -> None:
-    """Equal, by default to the last digit."""
+    """Assert that two models are equal, by default to the last digit."""
     for name in ("offsets", "scales", "coefficients"):
         ours, theirs = getattr(found, name), getattr(expected, name)
         assert np.all(np.abs(ours - theirs) <= relative * np.abs(theirs)), name
@@ -215,7 +215,7 @@ def vrt_text(model: RpcModel) -> str:
 
 
 def list_text(model: RpcModel) -> str:
-    """90 numbers: latitude before longitude."""
+    """Return the text of a list of 90 numbers with latitude before longitude."""
     order = [0, 1, 3, 2, 4]
     numbers = [*model.offsets[order], *model.scales[order], *model.coefficients.ravel()]
     return "\n".join(repr(float(v)) for v in numbers)

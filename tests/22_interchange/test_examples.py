@@ -94,7 +94,10 @@ def assert_ground(found: Survey, ids: tuple[str, ...] = ("01", "k 1", "t1")) -> 
 
 
 def assert_pixels(found: Survey) -> None:
-    """The first point: line 1034.25, sample 512 in one image, the centre of the first pixel in the other."""
+    """Assert the pixels of the first point.
+
+    They are line 1034.25, sample 512 in one image, and the centre of the first pixel in the other.
+    """
     assert found.images == ("left.tif", "right.tif")
     o = found.observed
     rows = o.point == found.ids.index("01")

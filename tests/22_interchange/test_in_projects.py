@@ -47,7 +47,7 @@ def folder(source: Path, tmp_path: Path) -> Path:
 
 
 def exported(folder: Path, name: str) -> list[Path]:
-    """Return the tables of a folder in another format, beside them."""
+    """Write the tables of a folder in another format into it; return the new files."""
     own = format_named("csv")
     survey, _ = read_survey([folder / "points.csv", folder / "observations.csv"], own, Settings(crs="EPSG:4979"))
     crs = "EPSG:32636" if name == "odm" else ""
@@ -56,7 +56,7 @@ def exported(folder: Path, name: str) -> list[Path]:
 
 
 def told(folder: Path, points: str, observations: str) -> Path:
-    """Return the project with other tables."""
+    """Replace the tables in the project file of a folder; return the file."""
     path = folder / "project.toml"
     text = path.read_text("utf-8")
     begin, end = text.index("[points]"), text.index("[orientation]")

@@ -36,7 +36,7 @@ LOST = {
 
 @pytest.fixture
 def everything() -> Survey:
-    """Return six points, none of them without a sigma, two unseen, in a compound CRS."""
+    """Return six points in a compound CRS: all known ones have sigmas, and only two are observed."""
     rng = np.random.default_rng(5)
     full = random_survey(rng, formats()["csv"], UTM, plain=True)
     n = 6

@@ -37,7 +37,10 @@ BUNDLE = """# Bundle file v0.3
 
 
 def snavely() -> tuple[float, float]:
-    """As printed: P = R X + t, p = -P / P_z, p' = f (1 + k1 |p|^2 + k2 |p|^4) p; x right, y up from the middle."""
+    """Return x (right) and y (up from the middle) by the printed formulas.
+
+    P = R X + t, p = -P / P_z, p' = f (1 + k1 |p|^2 + k2 |p|^4) p.
+    """
     p = MATRIX @ POINT + T
     x, y = -p[:2] / p[2]
     r2 = x * x + y * y

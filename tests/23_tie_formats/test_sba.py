@@ -41,7 +41,10 @@ def pixels(k: np.ndarray, kc: np.ndarray) -> list[list[list[float]]]:
 
 
 def written(folder: Path, before: str = "", k: np.ndarray = K, kc: np.ndarray = NONE, each: str = "") -> Path:
-    """Return the cameras, with other numbers before each, and points with more cells after each image point."""
+    """Write the files of three cameras and some points; return their folder.
+
+    ``before`` are further numbers in front of each camera, ``each`` further cells after each image point.
+    """
     seen = pixels(k, kc)
     rows = zip(QUATERNIONS.tolist(), TRANSLATIONS.tolist(), strict=True)
     lines = [f"{before} {' '.join(map(repr, q + t))}" for q, t in rows]

@@ -36,7 +36,7 @@ def closed_ecef(lon_deg, lat_deg, height):
 
 
 def closed_utm(lon_deg, lat_deg, meridian_deg):
-    """Krüger's series to n^4 (Karney 2011, equations 8-10, 35), northern hemisphere."""
+    """Return UTM coordinates (northern hemisphere) by Krüger's series to n^4 (Karney 2011, equations 8-10, 35)."""
     n = F / (2.0 - F)
     alpha = (
         n / 2 - 2 * n**2 / 3 + 5 * n**3 / 16 + 41 * n**4 / 180,

@@ -70,7 +70,7 @@ def test_libreoffice_takes_the_texts_as_text(tmp_path: Path) -> None:
 
 
 def _cells(file: Path) -> list[tuple[str, bool]]:
-    """Shown text of each cell of the first column, and whether it is a formula."""
+    """Return the shown text of each cell of the first column, and whether it is a formula."""
     table, found = "urn:oasis:names:tc:opendocument:xmlns:table:1.0", list[tuple[str, bool]]()
     for cell in ElementTree.parse(file).iterfind(".//t:table-row/t:table-cell[1]", {"t": table}):
         text, is_formula = "".join(cell.itertext()).strip(), f"{{{table}}}formula" in cell.attrib

@@ -29,7 +29,10 @@ WEST, NORTH = 29.0, 44.4
 
 
 def write(path: Path, rows: slice, columns: slice, *, size: int = SIZE, **options: Any) -> Path:
-    """Sparse GeoTIFF with heights in a part of it: a plane, 100 m in the west and 1 m higher every 40 cells."""
+    """Write a sparse GeoTIFF with heights in a part of it.
+
+    The heights are a plane, 100 m in the west and 1 m higher every 40 cells.
+    """
     place = rasterio.Affine(STEP, 0.0, WEST, 0.0, -STEP, NORTH)
     settings = {"driver": "GTiff", "count": 1, "dtype": "int16", "crs": "EPSG:4326", "nodata": -9999} | options
     with rasterio.open(

@@ -38,7 +38,7 @@ def grid(sensor: RpcSensor, n: int = 9) -> tuple[np.ndarray, np.ndarray]:
 
 
 def seen(sensor: RpcSensor, lon: np.ndarray, lat: np.ndarray, height_m: Any, terms: np.ndarray | None) -> np.ndarray:
-    """Lines and samples by the evaluation written apart, plus an affine compensation in normalised pixels."""
+    """Return lines and samples by a separate evaluation, plus an affine compensation in normalised pixels."""
     plain = np.array(reference_project(sensor.model, lon, lat, np.broadcast_to(height_m, lon.shape)), float)
     if terms is None:
         return plain

@@ -261,7 +261,7 @@ def test_origin_of_pleiades_is_that_of_the_rigorous_model(real_data: Path) -> No
 
 
 def spot6_frame(path: Path) -> list[tuple[float, float, float, float]]:
-    """Line and sample counted from 0, longitude, latitude of the corners and the centre that the product states."""
+    """Return line and sample (from 0), longitude and latitude of the corners that the product states."""
     cells = dict(line.split(":", 1) for line in path.read_text("latin-1").splitlines() if ":" in line)
     lines, samples = (float(cells[k]) - 1.0 for k in ("number_lines", "number_samples"))
     corners = {"ul": (0.0, 0.0), "ur": (0.0, samples), "lr": (lines, samples), "ll": (lines, 0.0)}

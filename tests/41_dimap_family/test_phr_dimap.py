@@ -31,7 +31,7 @@ def point(k: int) -> str:
 
 
 def document() -> str:
-    """Make a PHR_DIMAP of 4001 lines of 0.0735 ms and 24 columns, with the acquisition's own line period beside."""
+    """Return a PHR_DIMAP of 4001 lines of 0.0735 ms and 24 columns that also states the acquisition's line period."""
     models = "".join(
         f"<Q{j}><DEGREE>{len(row) - 1}</DEGREE><COEFFICIENTS>{' '.join(map(repr, row))}</COEFFICIENTS></Q{j}>"
         for j, row in enumerate(QUATERNIONS)

@@ -204,7 +204,7 @@ def test_a_rigorous_model_that_is_not_there(real_data: Path, name: str) -> None:
 
 
 def without_heights(metadata: PushbroomMetadata, heights_m: list[float]) -> PushbroomMetadata:
-    """Return the frame points on a terrain whose heights are not told."""
+    """Return the metadata with frame points on a terrain whose heights are not stated."""
     sensor = PushbroomSensor(metadata)
     line, sample = sensor.corners()
     records = sensor.locate(line, sample, height_m=np.array(heights_m))

@@ -76,7 +76,7 @@ def test_intervals_are_checked(value: object) -> None:
 
 
 def wavy(block: Block) -> tuple[Block, list[Correction]]:
-    """Return the twin observed without noise by images whose attitude waves by some 1e-5 rad, three pixels."""
+    """Return the twin observed without noise by images whose attitude waves by some 1e-5 rad, and the true curves."""
     rng, o, known = np.random.default_rng(3), block.observations, block.points.known.ecef_m
     o = o.take(np.isfinite(known[o.point]).all(axis=1))
     line, sample, truth = o.line.copy(), o.sample.copy(), []
@@ -111,7 +111,7 @@ def test_rays_and_projection_agree_with_curves(twin: tuple[Block, list[Correctio
 
 
 def written(solution: fg.Solution) -> None:
-    """What the result folder holds gives the curves back."""
+    """Assert that the values of the result folder give the curves back."""
     for image in solution.block.images:
         values = {str(row[1]): float(str(row[5])) for row in eop_rows(solution) if row[0] == image.id}
         back, expected = image.sensor.correction_of(values, solution.block.options), solution.correction(image.id)

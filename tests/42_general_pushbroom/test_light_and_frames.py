@@ -14,7 +14,7 @@ RADIUS = 7.2e6
 
 
 def orbit(n: int = 24) -> tuple[np.ndarray, np.ndarray]:
-    """Return a whole turn on an orbit of 98.7 degrees: ascending and descending; velocity partly radial."""
+    """Return positions and velocities of a whole turn on an orbit of 98.7 degrees; velocity is partly radial."""
     w, i, node = np.linspace(0.1, 2.0 * np.pi, n, endpoint=False), np.radians(98.7), 1.1
     m = np.array([[np.cos(node), -np.sin(node) * np.cos(i)], [np.sin(node), np.cos(node) * np.cos(i)], [0, np.sin(i)]])
     p = RADIUS * (m @ np.array([np.cos(w), np.sin(w)])).T
@@ -76,9 +76,9 @@ def test_light_time_is_the_earth_at_emission() -> None:
 
 
 def traced_shift_m(zenith_deg: float, ground_m: float) -> tuple[float, np.ndarray, np.ndarray]:
-    """Return the ray through spherical shells of the standard atmosphere: n r sin z is constant (Snell's law).
+    """Trace the ray through spherical shells of the standard atmosphere: n r sin z is constant (Snell's law).
 
-    Returns the distance on the ground from the end of the straight line of sight to the end of the bent one, and the
+    Return the distance on the ground from the end of the straight line of sight to the end of the bent one, and the
     direction (2,) and vertical (2,) at the end of the straight line.
     """
     h = np.linspace(ground_m, 85_000.0, 17_001)

@@ -34,7 +34,7 @@ def points(located: list[Location]) -> np.ndarray:
 
 
 def by_line(found: Replay) -> list[list[Location]]:
-    """Return the locations of one time and one set of effects: a line of a sensor."""
+    """Return the locations in groups of the same time and effects: each is a line of a sensor."""
     keys = dict.fromkeys((x.time_s, x.effects) for x in found.locations)
     return [[x for x in found.locations if (x.time_s, x.effects) == key] for key in keys]
 
@@ -73,7 +73,7 @@ def test_direct_locations(real_data: Path, name: str, count: int) -> None:
 
 
 def hits(sensor: GeneralPushbroom, found: Replay, ground: np.ndarray) -> np.ndarray:
-    """Return the distances to our hits; of several tiles that which covers the ray."""
+    """Return the distances of ground points from our hits, on the nearest of several tiles."""
     sample = np.arange(len(ground), dtype=float)
     if len(found.tiles) == 1:
         return np.linalg.norm(sensor.locate(0.0, sample, dem=found.tiles[0]) - ground, axis=1)

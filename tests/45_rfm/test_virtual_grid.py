@@ -22,7 +22,7 @@ SHAPE = (12, 12, 5)
 
 @pytest.fixture(scope="module")
 def sensor() -> PushbroomSensor:
-    """Left image of the twin."""
+    """Return the sensor of the left image of the twin."""
     found = zonguldak_block(ZonguldakOptions(errors="none"))[0].images[0].sensor
     assert isinstance(found, PushbroomSensor)
     return found

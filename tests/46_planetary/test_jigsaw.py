@@ -16,7 +16,7 @@ from tests.support.planetary_files import project, write_block
 
 
 def own_values(solution: Solution) -> tuple[twin.Array, twin.Array]:
-    """Adjusted positions (km) and angles (degrees) (m, 6), and their standard deviations."""
+    """Return adjusted positions (km) and angles (degrees) (m, 6), and their standard deviations."""
     values, sigmas = [], []
     for image in solution.block.images:
         camera = image.sensor.camera.corrected(solution.correction(image.id))
@@ -28,7 +28,10 @@ def own_values(solution: Solution) -> tuple[twin.Array, twin.Array]:
 
 
 def compare(solution: Solution, expected: twin.Bundle) -> None:
-    """All unknowns within 1e-6 of their standard deviations, these within 1e-6 of themselves, residuals 1e-6 px."""
+    """Assert that a solution equals the expected one.
+
+    Unknowns agree within 1e-6 of their standard deviations, these within 1e-6 of themselves, residuals within 1e-6 px.
+    """
     values, sigmas = own_values(solution)
     known = np.isfinite(sigmas[:, 0])
     assert solution.sigma0 == pytest.approx(expected.sigma0, rel=1e-9)

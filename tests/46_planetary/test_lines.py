@@ -94,7 +94,10 @@ def test_a_line_scan_state_of_mars(tmp_path: Path) -> None:
 
 
 def block(folder: Path, rng: np.random.Generator) -> np.ndarray:
-    """Stereo pair of Mars with 12 control, 40 tie and 12 check points, an error of each orbit, 0.3 px: true points."""
+    """Write a stereo pair of Mars with an error of each orbit and 0.3 px of noise; return the true points.
+
+    It has 12 control, 40 tie and 12 check points.
+    """
     radius, pitch = twin.MARS_KM[0], 0.25
     apart = np.arcsin((radius + 300.0) / radius * np.sin(pitch)) - pitch
     images = {name: twin.simulated(sign * pitch, ahead_rad=-sign * apart) for name, sign in (("a", 1.0), ("b", -1.0))}

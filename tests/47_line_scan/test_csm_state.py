@@ -40,7 +40,7 @@ def apart_px(path: Path, sensor: PushbroomSensor, correction: Correction | None 
 
 
 def band_px(path: Path, sensor: PushbroomSensor, columns: list[int], n: int) -> float:
-    """Likewise at three lines and ``n`` samples of the band of columns of a state."""
+    """Return the largest difference in pixels at three lines and ``n`` samples of a state's band of columns."""
     line, sample = np.meshgrid(
         np.linspace(sensor.first_line, sensor.last_line, 3), np.linspace(columns[0], columns[1] - 1.0, n)
     )
@@ -52,7 +52,10 @@ def largest_px(
     path: Path, sensor: PushbroomSensor, line: np.ndarray, sample: np.ndarray, correction: Correction | None,
     first: int = 0,
 ) -> float:  # fmt: skip
-    """Likewise at pixels of the image; the image of the state begins with column ``first``."""
+    """Return the largest difference in pixels at pixels of the image.
+
+    The image of the state begins with column ``first``.
+    """
     state = csm.read_state(path)
     worst = 0.0
     for height_m in (0.0, 800.0):

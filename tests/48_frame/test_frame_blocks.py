@@ -38,7 +38,7 @@ def with_options(block: Block, **options: object) -> Block:
 
 
 def all_unknown(block: Block) -> Block:
-    """Every unknown of a frame camera that there is."""
+    """Return the block with every unknown of a frame camera that there is."""
     more = {"principal_sample": 1.0, "principal_line": 1.0, "k3": 1e-3, "p1": 1e-4, "p2": 1e-4}
     images = tuple(
         replace(image, sensor=FrameSensor(
@@ -85,7 +85,10 @@ def test_three_backends_end_where_numpy_has_no_step_left(name: str, optimizer: s
 
 
 def independent(block: Block) -> Callable[[np.ndarray], np.ndarray]:
-    """Residuals of priors and pixels by numpy and scipy alone, as a function of image unknowns, then points."""
+    """Return a function for the residuals of priors and pixels by numpy and scipy alone.
+
+    Its argument holds the image unknowns, then the points.
+    """
     o, n_images = block.observations, len(block.images)
     cameras = [image.sensor.camera for image in block.images]
     scale = np.array(list(SIGMA.values()))

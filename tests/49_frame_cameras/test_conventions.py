@@ -63,7 +63,7 @@ def directions(n: int = 400) -> tuple[np.ndarray, np.ndarray]:
 def radial_tangential(
     x: np.ndarray, y: np.ndarray, radial: list[float], p1: float, p2: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """OpenCV: x (1 + k1 r^2 + ...) + 2 p1 x y + p2 (r^2 + 2 x^2)."""
+    """Return OpenCV's distorted coordinates: x (1 + k1 r^2 + ...) + 2 p1 x y + p2 (r^2 + 2 x^2), likewise y."""
     r = x * x + y * y
     scale = 1.0 + sum(k * r ** (i + 1) for i, k in enumerate(radial))
     return scale * x + 2 * p1 * x * y + p2 * (r + 2 * x * x), scale * y + p1 * (r + 2 * y * y) + 2 * p2 * x * y
@@ -257,7 +257,7 @@ def test_fit_is_the_least_squares_solution() -> None:
 
 
 def covariance_of(name: str, relative: float = 1e-3) -> np.ndarray:
-    """Return the covariance with correlations: sigmas of a share of each value."""
+    """Return a covariance with correlations whose sigmas are some ``relative`` of each value."""
     values = np.array(list(VALUES[name].values()))
     k = len(values)
     mixing = np.random.default_rng(8).normal(size=(k, 2 * k))

@@ -72,7 +72,7 @@ def written(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 
 
 def _write_tables(folder: Path, truth: dict[str, FrameSensor], ground: np.ndarray, rng: np.random.Generator) -> None:
-    """Nine control points without error worth speaking of, ten check points, tie points."""
+    """Write nine control points with small sigmas, ten check points and six tie points."""
     roles = [fg.Role.CONTROL] * 9 + [fg.Role.CHECK] * 10 + [fg.Role.TIE] * 6
     coordinates = np.stack(ecef_to_geodetic(ground), axis=1)
     sigma = np.full((25, 3), 0.02)
@@ -130,7 +130,7 @@ def test_the_adjustment_finds_the_cameras(written: Written, tmp_path: Path) -> N
 
 
 def _recomputed(record: dict, out: Path) -> None:
-    """Chi-square from the tables: the shared prior counts once."""
+    """Assert that the tables give the chi-square when a shared prior counts once."""
 
     def rows(name: str) -> list[dict[str, str]]:
         with (out / name).open() as stream:

@@ -86,7 +86,10 @@ def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def both(monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[Solution, Solution]]:
-    """Solutions of a block by the dense backend and by the elimination of images, which is not yet worth it."""
+    """Return a function that solves a block by the dense backend and by the elimination of images.
+
+    The elimination is forced, although it is not yet worth it.
+    """
 
     def solved(block: fg.Block, **options: object) -> tuple[Solution, Solution]:
         dense = fg.adjust(block, backend="dense", **options)
@@ -108,7 +111,7 @@ def all_cofactors(solution: Solution) -> np.ndarray:
 
 
 def require_equal(dense: Solution, found: Solution) -> None:
-    """State, cofactors and everything that follows from them."""
+    """Assert that state, cofactors and everything that follows from them are equal."""
     problem, q = dense.problem, all_cofactors(dense)
     size = np.sqrt(np.diag(q))
     assert found.status is dense.status and len(found.warnings) == len(dense.warnings)

@@ -18,7 +18,7 @@ NAMES = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2")
 
 
 def covariance() -> np.ndarray:
-    """Of f, cx, cy, k1, correlated."""
+    """Return a covariance of f, cx, cy, k1 with correlations."""
     sigma = np.array([0.5, 0.2, 0.3, 1e-4])
     rho = np.array([[1.0, 0.1, -0.2, -0.7], [0.1, 1.0, 0.0, 0.05], [-0.2, 0.0, 1.0, 0.1], [-0.7, 0.05, 0.1, 1.0]])
     return rho * np.outer(sigma, sigma)

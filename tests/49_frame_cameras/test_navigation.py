@@ -155,7 +155,7 @@ def _residuals(problem: fg.adjustment.problem.Problem, block: Block, x: np.ndarr
 
 
 def _nees(seed: int) -> tuple[float, int, np.ndarray, float, int]:
-    """Normalised squared error of all unknowns of the images, their number, errors in sigmas, chi2, redundancy."""
+    """Return normalised squared error of all image unknowns, their number, errors in sigmas, chi2 and redundancy."""
     block, truth = strip_block(StripOptions(seed=seed, images=3, points=25))
     solution = fg.adjust(block, statistics="basic")
     assert solution.status is Status.CONVERGED

@@ -31,7 +31,10 @@ INTERIOR = {"focal": 5.0, "principal_sample": 3.0, "principal_line": 3.0, "k1": 
 
 @lru_cache
 def shared(model: str = "", held: bool = True, priors: bool = False) -> Block:
-    """Return four images of one camera; the first is held with the centre's X of the second, or nothing is."""
+    """Return four images of one camera.
+
+    The first image and X of the second centre are held, or nothing is.
+    """
     block, _ = pinhole_block(4, 25, views=3, seed=2)
     images = []
     for k, image in enumerate(block.images):
@@ -206,7 +209,10 @@ def test_a_shared_unknown_is_one_of_holms_tests() -> None:
 
 
 def compare(block: Block, form: dbat.Format, folder: Path) -> tuple[int, float]:
-    """Number of printed values and deviations, and the largest difference in units of the last printed digit."""
+    """Return the number of printed values and deviations, and the largest difference.
+
+    It is in units of the last printed digit.
+    """
     problem, estimate, q = solved(block, "schur")
     figures, printed = dbat.report(folder / "result" / "report.txt")
     sigma0 = dbat.same_figures(problem, estimate, figures)

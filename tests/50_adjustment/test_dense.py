@@ -60,9 +60,10 @@ def assert_no_step_left(problem: Problem, state: State) -> None:
 
 
 def largest_differences(problem: Problem) -> tuple[float, float, float]:
-    """Dense against GTSAM, each iterated by itself: unknowns (sigmas), points (m); normal matrices (relative).
+    """Return the largest differences of the dense backend and GTSAM, each iterated by itself.
 
-    At the end of the dense one numpy's least squares has no step left.
+    They are those of unknowns (sigmas), points (m) and normal matrices (relative). At the end of the dense one numpy's
+    least squares must have no step left.
     """
     dense, graph = DenseBackend(problem), ExplicitBackend(problem)
     a = gauss_newton(dense, dense.initial(), 50, tolerance=TOLERANCE)

@@ -18,7 +18,7 @@ from tests.support.rpc_block import rpc_twin
 
 
 def all_control(seed: int = 1, kind: str = "shift") -> Block:
-    """Every point with coordinates: true ones plus noise of 0.06/0.06/1 m East, North, Up."""
+    """Return a twin whose points are all control: truth plus noise of 0.06/0.06/1 m East, North, Up."""
     twin = rpc_twin(kind, seed=seed)
     n = len(twin.ecef_m)
     sigma = np.tile([0.06, 0.06, 1.0], (n, 1))

@@ -46,7 +46,7 @@ def mixed(kind: str = "shift_drift") -> Block:
 
 
 def blocks() -> dict[str, Block]:
-    """Return what both backends must agree on."""
+    """Return the blocks on which both backends must agree."""
     out = {kind: rpc_twin(kind).block for kind in KINDS} | {"mixed": mixed(), "mixed shift": mixed("shift")}
     fixed = out["affine"].points.known.fixed.copy()
     fixed[out["affine"].points.where(Role.CONTROL)[:5]] = True
@@ -58,7 +58,7 @@ def blocks() -> dict[str, Block]:
 
 
 def relative(block: Block) -> Block:
-    """Without any control point, the datum held by the priors."""
+    """Return the block without control points, with the datum held by the priors."""
     free = without_control(block)
     return replace(free, options=replace(free.options, datum="priors"))
 
@@ -160,7 +160,7 @@ def test_estimate_of_scipy() -> None:
 
 
 def few_points(block: Block, count: int = 9) -> Block:
-    """Every fifth point, all observations of it."""
+    """Return the block with every fifth point only, and all observations of it."""
     return replace(block, observations=block.observations.take(block.observations.point % 5 == 0))
 
 
@@ -273,7 +273,7 @@ def test_control_fixes_the_datum_also_when_priors_may_hold_it() -> None:
 
 
 def with_control(block: Block, keep: tuple[int, ...]) -> Block:
-    """Only these points stay control points, the others are tie points."""
+    """Return the block with only these points as control points and the others as tie points."""
     roles = tuple(Role.CONTROL if j in keep else Role.TIE for j in range(len(block.points.ids)))
     known = block.points.known
     mask = np.array([r is Role.CONTROL for r in roles])[:, None]

@@ -64,7 +64,10 @@ def values_at(backend: GraphBackend, free: np.ndarray) -> gtsam.Values:
 
 
 def reduced_of_dense(problem: Problem, state: State) -> tuple[np.ndarray, np.ndarray, float]:
-    """Normal equations of the image unknowns after elimination of the points, without priors: numpy, all rows."""
+    """Return the normal equations of images after elimination of the points, without priors, and the error.
+
+    They are numpy's, from all rows.
+    """
     without = replace(problem, block=replace(problem.block, options=replace(problem.block.options, priors=False)))
     residual, design = assemble(without, state)
     design, u = design if problem.ties is None else problem.ties.columns(design), problem.n_free_unknowns

@@ -47,14 +47,17 @@ def block(noise: float = 0.01) -> Block:
 
 
 def part(whole: Block, images: tuple[int, ...], rows: npt.NDArray[np.bool_]) -> Block:
-    """Some images with some of the image points; all ground points."""
+    """Return some images with some of the image points, and all ground points."""
     o, order = whole.observations.take(rows), np.full(len(whole.images), -1)
     order[list(images)] = np.arange(len(images))
     return replace(whole, images=tuple(whole.images[k] for k in images), observations=replace(o, image=order[o.image]))
 
 
 def campaigns(whole: Block) -> tuple[Block, Block]:
-    """Images 0, 1, 2, then 1, 2, 3: the second has all rays of image 3, and some of images 1 and 2 of old points."""
+    """Return the blocks of images 0, 1, 2 and of images 1, 2, 3.
+
+    The second has all rays of image 3, and some rays of images 1 and 2 to old points.
+    """
     o = whole.observations
     rays = np.bincount(o.point[o.image < 3], minlength=len(whole.points.ids))[o.point]
     first = (o.image < 3) & (rays >= 2) & ~((rays == 3) & (o.image == 2))
@@ -82,7 +85,7 @@ def require_equal(two: fg.Solution, whole: fg.Solution | Dense, within: float) -
 
 
 def counted_again(one: fg.Solution, two: fg.Solution) -> tuple[float, int]:
-    """Return the sum of squares and number of the rows that stand for the first campaign, at its solution."""
+    """Return the sum of squares and number of the rows that replace the first campaign, at its solution."""
     prior = two.block.extra[-1]
     x = [
         one.problem.unknowns(one.state, one.block.image_index(name.partition(":")[2])) if name.startswith("image:")

@@ -65,7 +65,7 @@ def grown(block: Block) -> fg.Incremental:
 
 
 def of_numpy(block: Block) -> Dense:
-    """Return the batch adjustment, by numpy from its rows; single rays of tie points say nothing."""
+    """Return numpy's batch adjustment of the block from its rows."""
     return Dense.of(compile_problem(part(block, len(block.images))))
 
 
@@ -88,7 +88,7 @@ def solutions_differ(a: Solution, b: Solution | Dense) -> float:
 
 
 def follow(block: Block, adjust: Callable[[Block], Solution | Dense]) -> None:
-    """Each update against a batch adjustment of the same images."""
+    """Assert that each update equals a batch adjustment of the same images."""
     incremental, o = fg.Incremental(without_images(block)), block.observations
     for k, image in enumerate(block.images):
         incremental.add(images=[image], observations=o.take(o.image == k))

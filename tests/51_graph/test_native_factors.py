@@ -35,7 +35,10 @@ def ties(count: int, of: Block | None = None) -> list[int]:
 
 
 def native_factors(of: Block | None = None) -> tuple[gtsam.NonlinearFactor, ...]:
-    """A difference of two points, a distance, a full prior of an image, and an own factor: all a little wrong."""
+    """Return a difference of two points, a distance, a full prior of an image and an own factor.
+
+    All of them are a little wrong.
+    """
     of = of or block()
     a, b, c, _ = ties(4, of)
     ground = fg.adjust(of, backend="schur").state.ground
@@ -89,9 +92,9 @@ def test_every_backend_equals_independent_least_squares() -> None:
 
 
 def independent_step(solution: fg.Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Next Gauss-Newton step of images (u,) and points (N, 3), by numpy: points eliminated, the rest dense.
+    """Return the next Gauss-Newton step of images (u,) and points (N, 3) by numpy.
 
-    Points that factors name are not eliminated. Rows of these factors are GTSAM's own.
+    Points are eliminated, but not those that factors name. Rows of these factors are GTSAM's own.
     """
     problem, state = solution.problem, solution.state
     rows, image, point = linearised(problem, state), problem.observations.image, problem.observations.point

@@ -23,7 +23,10 @@ from tests.support.pinhole import pinhole_block
 
 @cache
 def figure(*, every: bool = False, shared: bool = False) -> Block:
-    """Six images and 40 points: an observed and two hard distances, and a plane through some points, or through all."""
+    """Return six images and 40 points with constraints.
+
+    They are an observed and two hard distances, and a plane through some points, or through all.
+    """
     block, truth = pinhole_block(6, 40, views=4, seed=5)
     ids, g = block.points.ids, truth.ground_m
     block = with_control(block, (10, 15, 20, 30, 35), g)
@@ -48,7 +51,7 @@ def figure(*, every: bool = False, shared: bool = False) -> Block:
 
 
 def equal(a: fg.Solution, b: fg.Solution, unit_m: float = 1e-7) -> None:
-    """The same squares, points, weights and cofactors."""
+    """Assert equal squares, points, weights and cofactors."""
     assert a.status is b.status is fg.Status.CONVERGED
     assert a.chi2 == pytest.approx(b.chi2, rel=1e-9)
     assert a.redundancy == b.redundancy

@@ -70,7 +70,10 @@ def fixed_control(block: Block, count: int) -> Block:
 
 
 def mixed(kind: str) -> Block:
-    """The left image with its rigorous model, the right one with an RPC, and the RPC of the left one as a third."""
+    """Return a block of three images with different models.
+
+    The left one has its rigorous model, the right one an RPC, and the third is the left one with its RPC.
+    """
     rigorous, _, _ = twin_with_models()
     twin = rpc_twin(kind).block
     o, p = rigorous.observations, twin.observations
@@ -106,7 +109,7 @@ def gapped(block: Block, seed: int) -> Block:
 
 
 def assert_same_step(problem: Problem, state: State, damping: float) -> None:
-    """One step against the dense rows, within 100 eps of the condition of the normal equations."""
+    """Assert that one step equals that of the dense rows, within 100 eps of the normal equations' condition."""
     residual, design = assemble(problem, state)
     normal = design.T @ design + damping * np.eye(design.shape[1])
     condition = np.linalg.cond(normal / np.sqrt(np.outer(np.diag(normal), np.diag(normal))))
@@ -279,7 +282,7 @@ def test_selected_blocks_equal_the_dense_inverse(strip: bool, reduced: str) -> N
 
 @pytest.fixture
 def tiles(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Tiles of a few chunks, some kept, some computed again."""
+    """Set tiles of a few chunks, some of which are kept and some computed again."""
     for name, value in (("TILE", 1200), ("ALL_KEPT", 0), ("KEPT_SHARE", 0.4)):
         monkeypatch.setattr(schur_structure, name, value)
 
@@ -426,7 +429,7 @@ def test_workers_cover_the_range_once() -> None:
 
 
 def pattern_of(images: int, pairs: list[tuple[int, int]], unknowns: int = 9) -> Pattern:
-    """Return the images with so many unknowns, linked in pairs."""
+    """Return the pattern of images with so many unknowns, linked in pairs."""
     row, column = np.array([*((k, k) for k in range(images)), *sorted(pairs)]).T
     return Pattern(np.full(images, unknowns), row, column)
 

@@ -32,7 +32,7 @@ PUBLISHED = {"huber": 1.345, "cauchy": 2.385, "welsch": 2.985, "tukey": 4.685, "
 
 
 def curves() -> dict[str, tuple[object, object, float]]:
-    """Return the weight, cost and the last place where the weight has a corner, of all losses and surrogates."""
+    """Return weight, cost and the last corner of the weight of all losses and surrogates."""
     out: dict[str, tuple[object, object, float]] = {n: (loss.weight, loss.cost, 1.0) for n, loss in losses().items()}
     for name, schedule in SCHEDULES.items():
         for mu in (1e-3, 0.5, 40.0):
@@ -61,7 +61,10 @@ def test_weight_starts_at_one_and_does_not_rise(name: str) -> None:
 
 
 def efficiency(loss: Loss, constant: float, dimension: int) -> float:
-    """Of the location of a normal cloud: (E w + E t w'/d)^2 d / E w^2 t^2, the derivative by its jumps and slopes."""
+    """Return the efficiency of the location of a normal cloud: (E w + E t w'/d)^2 d / E w^2 t^2.
+
+    The derivative comes from jumps and slopes.
+    """
     density = chi(dimension).pdf
 
     def mean(function: object) -> float:

@@ -28,7 +28,7 @@ def stage(as_run: bool | Switches, **options: object) -> TwoStage:
 
 
 def gcp_errors(run: TwoStage) -> np.ndarray:
-    """Measured minus computed coordinates after step 1, (n, 3)."""
+    """Return measured minus computed coordinates (n, 3) after step 1."""
     return run.look_only().gcp_m
 
 

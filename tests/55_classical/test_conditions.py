@@ -27,7 +27,7 @@ ROUNDING = 2e-14
 
 @pytest.fixture(scope="module")
 def block() -> Block:
-    """Return the radial velocity and attitude: the case in which nothing vanishes."""
+    """Return a twin with radial velocity, attitude and distortion, in which no term vanishes."""
     options = ZonguldakOptions(point_set="H-0", radial_velocity_m_s=8.0, attitude_rad=ATTITUDE, distortion_rad=3e-6)
     return zonguldak_block(options)[0]
 
@@ -55,7 +55,7 @@ def deviation(found: np.ndarray, expected: np.ndarray) -> float:
 
 
 def tangents_of(eop: np.ndarray, ground: np.ndarray) -> np.ndarray:
-    """f1/f3 and f2/f3 as run (n, 2)."""
+    """Return f1/f3 and f2/f3 as run (n, 2)."""
     f = oracle.f_vector(eop, ground, True)
     return f[:, :2] / f[:, 2:]
 

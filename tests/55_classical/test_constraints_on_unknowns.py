@@ -14,14 +14,17 @@ CENTRE, RADIUS = (4.7398, 2.9835), 4.7142
 
 
 def conic(l_: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """``a x^2 + b x y + c y^2 + d x + e y + f = 0`` for L = (x, y)."""
+    """Return value and derivatives of ``a x^2 + b x y + c y^2 + d x + e y + f = 0`` for L = (x, y)."""
     x, y = l_.reshape(2, -1)
     a = np.stack([x * x, x * y, y * y, x, y, np.ones_like(x)], axis=1)
     return a @ p, a, np.hstack([np.diag(2 * p[0] * x + p[1] * y + p[3]), np.diag(p[1] * x + 2 * p[2] * y + p[4])])
 
 
 def circle(p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the equal curvatures, no mixed term, and the factor that the condition leaves open."""
+    """Return constraints that make a conic a circle, and one that fixes the free factor.
+
+    a = c, b = 0 and a + c = 2.
+    """
     rows = np.array([[1.0, 0.0, -1.0, 0, 0, 0], [0, 1.0, 0, 0, 0, 0], [1.0, 0, 1.0, 0, 0, 0]])
     return rows @ p - [0.0, 0.0, 2.0], rows
 
@@ -40,7 +43,7 @@ def test_circle_as_a_constrained_conic() -> None:
 
 
 def mixed(l_: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return eight points (t, y), both observed, of a curve of four unknowns."""
+    """Return the conditions of eight points (t, y), both observed, on a curve of four unknowns."""
     t, y = l_.reshape(2, -1)
     a = np.stack([np.ones_like(t), t, t**2, np.sin(x[3] * t)], axis=1)
     slope = x[1] + 2.0 * x[2] * t + x[3] * np.cos(x[3] * t)

@@ -16,7 +16,10 @@ N = 12
 
 
 def line(l_: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """``y - a - b t = 0`` with L = (t, y), both observed: bilinear in observations and unknowns."""
+    """Return value and derivatives of ``y - a - b t = 0`` with L = (t, y), both observed.
+
+    It is bilinear in observations and unknowns.
+    """
     t, y = l_[:N], l_[N:]
     a = np.stack([-np.ones(N), -t], axis=1)
     return y - x[0] - x[1] * t, a, np.hstack([-x[1] * np.eye(N), np.eye(N)])

@@ -41,7 +41,7 @@ def design(eop_set: int, switches: Switches = PROGRAM, image: int = 0) -> np.nda
 
 
 def near(found: np.ndarray, expected: list[float], share: float = 0.01) -> bool:
-    """Within a share, and half a unit of the last printed digit."""
+    """Return whether values agree within a share plus half a unit of the last printed digit."""
     printed = [0.5 * 10.0 ** -len(repr(e).partition(".")[2]) if "." in repr(e) else 0.5 for e in expected]
     return bool(np.all(np.abs(found - expected) <= share * np.abs(expected) + printed))
 

@@ -30,7 +30,7 @@ SOLVER = "gauss_partial_pivot_elimination"
 
 @pytest.fixture(scope="module")
 def run() -> TwoStage:
-    """Return H-10, 0.3 px, constant errors, distortion."""
+    """Return the two-stage procedure on H-10 with 0.3 px of noise, constant errors and distortion."""
     return TwoStage(zonguldak_block(ZonguldakOptions(distortion_rad=3e-6))[0])
 
 
@@ -87,7 +87,10 @@ class Independent:
         return self.eop + np.einsum("nck,nk->nc", change.reshape(2, 9, 3)[self.o.image], powers)
 
     def bundle(self, codes: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """EOP corrections (2, k), coordinates of all points (N, 3) (control points computed again), v (2n,)."""
+        """Return EOP corrections (2, k), coordinates of all points (N, 3) and v (2n,).
+
+        Control points are intersected again, too.
+        """
         a, b, w = self.linearised(codes)
         q = b**2  # M = B B^T
         scale = np.linalg.norm(a / np.abs(b)[:, None], axis=0)
@@ -408,7 +411,7 @@ def test_other_point_sets(point_set: str) -> None:
 
 
 def _exact_block() -> tuple[Block, np.ndarray]:
-    """Return the twin with orbits that are parabolas: what the procedure assumes is true; noise-free; and the truth."""
+    """Return a noise-free twin whose orbits are parabolas, as the procedure assumes, and the truth."""
     options = ZonguldakOptions(errors="none", image_noise_px=0.0, ground_noise_m=(0.0, 0.0, 0.0))
     block, truth = zonguldak_block(options)
     images, line, sample = [], block.observations.line.copy(), block.observations.sample.copy()

@@ -88,7 +88,7 @@ def test_claims_are_shared_by_seed() -> None:
 
 
 def assert_same_comparison(a: Comparison, b: Comparison) -> None:
-    """All but the times."""
+    """Assert that two comparisons are equal but for the times."""
     np.testing.assert_equal(without_times(a.rows), without_times(b.rows))
     for x, y in zip(a.spectra, b.spectra, strict=True):
         np.testing.assert_array_equal(x.values, y.values)

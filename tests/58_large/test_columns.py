@@ -34,7 +34,7 @@ figures = st.one_of(st.sampled_from([0.0, -0.0, -1.5, float("nan"), float("inf")
 
 
 def digits(cell: str) -> str:
-    """Return the significant digits of a number."""
+    """Return the significant digits in the text of a number."""
     return re.sub(r"[^0-9]", "", cell.partition("e")[0]).strip("0")
 
 

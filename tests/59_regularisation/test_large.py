@@ -28,7 +28,7 @@ def block() -> Block:
 
 @pytest.fixture
 def large(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
-    """No decomposition of more than ten unknowns."""
+    """Forbid decompositions of more than ten unknowns."""
     monkeypatch.setattr(regularisation, "MAX_UNKNOWNS", 10)
     return monkeypatch
 

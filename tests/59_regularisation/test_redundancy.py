@@ -33,7 +33,10 @@ def block() -> Block:
 
 
 def inverse_rows(problem: Problem, state: Any) -> tuple[Array, Array]:
-    """All rows J (n, u) without the penalty, and the estimator M (u, n) of numpy with it, in columns of unit length."""
+    """Return all rows J (n, u) without the penalty, and numpy's estimator M (u, n) with it.
+
+    Columns have unit length in the inversion.
+    """
     design = assemble(without_penalties(problem), state)[1]
     held = np.zeros((len(problem.regularisation.rows), design.shape[1]))  # type: ignore[union-attr]
     held[:, : problem.n_free_unknowns] = problem.regularisation.rows  # type: ignore[union-attr]

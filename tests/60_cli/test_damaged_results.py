@@ -57,7 +57,10 @@ def _link(folder: Path, other: Path) -> None:
 
 
 def _half(folder: Path, other: Path) -> None:
-    """Leave what a copy in alphabetical order wrote before it was interrupted: the manifest came before the tables."""
+    """Leave the files that a copy in alphabetical order has written when it ends after the manifest.
+
+    The tables are missing.
+    """
     names = sorted(path.name for path in folder.iterdir())
     for name in names[names.index(MANIFEST) + 1 :]:
         (folder / name).unlink()

@@ -181,7 +181,7 @@ def test_deleting_the_truth_changes_nothing(run: Any, twin: Path, adjusted: tupl
 
 
 def content(folder: Path) -> dict[str, bytes]:
-    """Every file of a folder and below."""
+    """Return the bytes of every file in a folder and below."""
     return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 

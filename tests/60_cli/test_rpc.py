@@ -68,7 +68,7 @@ def write_points(
 
 
 def normalised(model: RpcModel, ground: np.ndarray) -> np.ndarray:
-    """l and s of the model without its own code: (n, 2)."""
+    """Return l and s (n, 2) of the model without its own code."""
     pixel = np.stack(reference_project(model, *ground.T), axis=1).astype(float)
     return (pixel - model.offsets[:2]) / model.scales[:2]
 
@@ -142,7 +142,7 @@ def test_a_pole_in_the_image_is_not_trustworthy(run: Run, tmp_path: Path) -> Non
 
 
 def near_zero() -> RpcModel:
-    """f2 = 1 + 0.95 z, positive and 0.05 at the lowest height; the rest is affine."""
+    """Return a model with f2 = 1 + 0.95 z, positive and 0.05 at the lowest height; the rest is affine."""
     c = np.zeros((4, 20))
     c[0, :4], c[2, :4], c[[1, 3], 0], c[1, 3] = [0.0, 0.05, -1.0, 0.02], [0.0, 1.0, 0.05, -0.03], 1.0, 0.95
     return synthetic_model(coefficients=c)

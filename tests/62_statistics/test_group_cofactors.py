@@ -63,7 +63,7 @@ def assert_equal_to_full_matrix(solution: Solution, groups: tuple[str, ...] = GR
 
 
 def share(r: np.ndarray, select: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Return the shares of one suspect."""
+    """Return the shares of all groups for one suspect."""
     effect = r[:, rows] @ columns
     own = np.linalg.pinv(columns.T @ effect[rows], rcond=1e-6, hermitian=True)
     rank = np.linalg.matrix_rank(own, tol=1e-9 * np.abs(own).max(), hermitian=True)

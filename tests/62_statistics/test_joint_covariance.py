@@ -29,7 +29,10 @@ def names_of(solution: Solution) -> tuple[str, ...]:
 
 
 def expected(solution: Solution) -> np.ndarray:
-    """Return the same from the full design matrix: rows of unknowns, adjusted observations and residuals."""
+    """Return the joint covariance from the full design matrix.
+
+    Its rows are unknowns, adjusted observations and residuals.
+    """
     problem, (_, tie) = solution.problem, tie_name(solution)
     full, o = Full.of(problem, solution.state), solution.problem.observations
     j, columns = problem.block.points.ids.index(tie), np.eye(len(full.unknowns))

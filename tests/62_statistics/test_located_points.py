@@ -134,7 +134,7 @@ def test_images_with_rpc() -> None:
     sensor, adjusted = solution.block.images[0].sensor, np.asarray(solution.correction("left"))
 
     def ground(x: np.ndarray) -> np.ndarray:
-        """Of line, sample, and the two shifts."""
+        """Return the ground point by changes of line, sample and the two shifts."""
         place = adjusted + np.append(x[2:], np.zeros(4))
         return sensor.locate(np.array([3100.0 + x[0]]), np.array([4200.0 + x[1]]), height_m=500.0,
                              correction=place)[0]  # fmt: skip

@@ -79,7 +79,7 @@ def test_what_cannot_be_tested() -> None:
 
 
 def stepwise(p: np.ndarray, level: float, control: str) -> set[int]:
-    """Rejected hypotheses by the definitions (Holm 1979; Benjamini & Hochberg 1995), one after the other."""
+    """Return the rejected hypotheses by the definitions (Holm 1979; Benjamini & Hochberg 1995), one by one."""
     order, n = [int(k) for k in np.argsort(p)], len(p)
     if control == "holm":
         out: set[int] = set()

@@ -143,7 +143,10 @@ def test_what_went_with_it_is_counted_and_named() -> None:
 
 
 def left_out_by_numpy(block: Block, rows: list[int]) -> tuple[int, float]:
-    """Dimension, and root of F or F, of rows left out: sums of squares of the linear problem with and without them."""
+    """Return the dimension, and root of F or F, of rows left out.
+
+    They come from sums of squares of the linear problem with and without the rows.
+    """
     all_of_it = Dense.of(compile_problem(block))
     v, design = turned_rows(all_of_it.problem, all_of_it.state)
     design = design / np.linalg.norm(design, axis=0)

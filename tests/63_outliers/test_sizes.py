@@ -23,13 +23,13 @@ RUNS = [(63, 1000), pytest.param(64, 10_000, marks=pytest.mark.slow)]
 
 
 def interval(rate: float, runs: int) -> tuple[float, float]:
-    """99.9 % interval of a count of independent alarms, as a rate."""
+    """Return the 99.9 % interval of a count of independent alarms, as a rate."""
     low, high = binom.interval(0.999, runs, rate)
     return low / runs, high / runs
 
 
 def preselected(twin: LinearTwin) -> dict[str, tuple[Suspects, int]]:
-    """Return one suspect of each part: that of a control point in the middle of the list."""
+    """Return one suspect of each part, of a control point in the middle of the list."""
     problem = twin.solution.problem
     control = np.flatnonzero(problem.observed)
     j = int(control[len(control) // 2])
@@ -38,7 +38,7 @@ def preselected(twin: LinearTwin) -> dict[str, tuple[Suspects, int]]:
 
 
 def one(found: Suspects, k: int) -> Suspects:
-    """Return a single suspect."""
+    """Return the family that holds suspect ``k`` alone."""
     parts = (found.point, found.row, found.rows, found.v, found.q, found.columns)
     return Suspects(found.part, found.unit, *(part[[k]] for part in parts))
 
@@ -201,7 +201,10 @@ def test_minimal_detectable_bias_is_found_with_its_power(seed: int, runs: int) -
 
 
 def biased(single: Suspects, delta: float) -> np.ndarray:
-    """Whitened errors (m,) of a suspect with this non-centrality, along the first of its checked directions."""
+    """Return whitened errors (m,) of a suspect with this non-centrality.
+
+    They lie along its best checked direction.
+    """
     e = single.columns[0] / np.linalg.norm(single.columns[0], axis=0)
     size, axes = np.linalg.eigh(e.T @ single.q[0] @ e)
     return np.asarray(e @ axes[:, -1] * np.sqrt(delta / size[-1]))

@@ -23,7 +23,7 @@ ERROR_M = 20.0
 
 
 def with_loose_control(seed: int, stated_m: tuple[float, float]) -> Block:
-    """The twin with coordinates that have errors of 20 m, and these stated sigmas horizontally and vertically."""
+    """Return the twin with errors of 20 m in the coordinates and these stated sigmas (horizontal, vertical)."""
     block = zonguldak_block(ZonguldakOptions(seed=seed))[0]
     known, rng = block.points.known, np.random.default_rng(seed)
     sigma = known.sigma_enu_m.copy()

@@ -79,7 +79,7 @@ def test_rows_and_columns_say_the_same() -> None:
 
 
 def one_ray_more_than_needed() -> Block:
-    """Return the tie points alone but for the control: points of two rays are checked in one direction only."""
+    """Return a block in which tie points of two rays are checked in one direction only."""
     return rpc_twin("shift").block
 
 

@@ -21,7 +21,7 @@ NAMES = tuple(losses())
 
 
 def integral(loss: Loss, end: float) -> float:
-    """``int_0^end s w(s) ds`` by an adaptive quadrature between the corners."""
+    """Return ``int_0^end s w(s) ds`` by an adaptive quadrature between the corners."""
     places = [0.0, *(c for c in loss.corners if c < end), end]
     return sum(
         quad(lambda s: s * float(loss.weight(np.array(s))), a, b, epsabs=1e-13, limit=200)[0]
@@ -97,7 +97,7 @@ def test_constants_of_the_literature() -> None:
 
 
 def hard_weight(u: np.ndarray) -> np.ndarray:
-    """1 up to 1, 0.05 beyond: a jump, and a cost that grows without end."""
+    """Return 1 up to 1 and 0.05 beyond: the weight jumps, and the cost grows without end."""
     return np.where(u <= 1.0, 1.0, 0.05)
 
 

@@ -15,7 +15,7 @@ LEVEL = 0.999
 
 
 def centres(x: np.ndarray, loss: Loss, constant: float) -> np.ndarray:
-    """Return the centres (runs, d) of clouds (runs, n, d) by reweighting, from the mean."""
+    """Return the centres (runs, d) of clouds (runs, n, d) by reweighting that starts at the mean."""
     at = x.mean(axis=1)
     for _ in range(40):
         w = loss.weight(np.linalg.norm(x - at[:, None], axis=2) / constant)[..., None]

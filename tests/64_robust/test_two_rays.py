@@ -22,7 +22,7 @@ Array = np.ndarray[Any, np.dtype[np.float64]]
 
 
 def spoiled(seed: int, share: float) -> tuple[Block, Array, Array]:
-    """Block with errors of 5 to 50 px in a share of all rays, true coordinates, and whether each ray is wrong."""
+    """Return a block with errors of 5 to 50 px in a share of all rays, the truth, and which rays are wrong."""
     block, truth = grid_block(BlockOptions(points=200, control_share=0.1, check_share=0.0, seed=seed))
     o, rng = block.observations, np.random.default_rng(seed)
     bad = rng.random(len(o)) < share

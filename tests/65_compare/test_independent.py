@@ -54,7 +54,7 @@ def minimum(problem: Problem) -> tuple[Array, Array]:
 
 
 def joined(problem: Problem) -> Array:
-    """Return the unknowns of all images and points (rows) by those without repetitions (columns)."""
+    """Return the matrix from the unknowns without repetitions (columns) to those of all images and points (rows)."""
     assert problem.ties is not None
     z, wide = problem.n_free_unknowns, problem.n_image_unknowns
     out = np.zeros((problem.n_columns, problem.n_unknowns))
@@ -121,7 +121,7 @@ def test_ten_random_rows_of_the_pleiades_pair(real_data: Path, tmp_path: Path) -
 
 
 def check_rows(block: Block, comparison: Comparison) -> None:
-    """Ten random rows: errors, sigma0, matrix, elements and operations."""
+    """Check errors, sigma0, matrix, elements and operations of ten random rows."""
     given, known = block, dict[int, tuple[Array, Array]]()
     for row in random_rows(comparison):
         block = replace(given, options=replace(given.options, eop_set=row.eop_set))
@@ -143,7 +143,7 @@ def check_rows(block: Block, comparison: Comparison) -> None:
 
 
 def check_matrix(row: Row, problem: Problem, design: Array) -> None:
-    """Order, rank and condition numbers from numpy."""
+    """Check order, rank and condition numbers by numpy."""
     scale = np.concatenate([np.concatenate([p.sigma for p in problem.parameters]), np.ones(3 * problem.active.sum())])
     if problem.ties is not None:
         scale = np.array([scale[np.flatnonzero(column)[0]] for column in joined(problem).T])
@@ -160,7 +160,7 @@ def check_matrix(row: Row, problem: Problem, design: Array) -> None:
 
 
 def check_work(row: Row, problem: Problem, design: Array) -> None:
-    """Elements and operations from the pattern of the matrix, block by block."""
+    """Check elements and operations from the pattern of the matrix, block by block."""
     u = problem.n_image_unknowns
     sizes = [*([3] * int(problem.active.sum())), *np.diff(problem.first).tolist()]
     ends = np.concatenate([[0], np.cumsum(sizes)])

@@ -32,7 +32,7 @@ WORDS = ("none", "tikhonov:gcv", "tikhonov:1", "minimum_norm:1e-05")
 
 @pytest.fixture(scope="module")
 def free(twin: Block) -> Block:
-    """Without priors, where set 19 has directions that no observation determines."""
+    """Return the block without priors, where set 19 has directions that no observation determines."""
     return with_options(twin, "test", priors=False)
 
 

@@ -41,7 +41,7 @@ def solution() -> fg.Solution:
 
 
 def relative_errors(seeds: range) -> tuple[np.ndarray, np.ndarray]:
-    """Return the estimated over true variances minus 1 (runs, groups), and their stated covariances (runs, g, g)."""
+    """Return estimated over true variances minus 1 (runs, groups), and their stated covariances (runs, g, g)."""
     errors, stated = [], []
     for seed in seeds:
         found = estimated(drawn(seed)).components
@@ -52,10 +52,10 @@ def relative_errors(seeds: range) -> tuple[np.ndarray, np.ndarray]:
 
 
 def calibrated(errors: np.ndarray, stated: np.ndarray) -> bool:
-    """Return whether the mean of e^T C^-1 e is within its 99.9 % interval; variances are spread by C of the true ones.
+    """Return whether the mean of e^T C^-1 e is in its 99.9 % interval; C belongs to the true variances.
 
-    e is a sum of squares of normal errors: its kurtosis widens the interval of the chi-square by the root of
-    1 + 12 / (2 nu) per component, nu = 2 / C_ii.
+    e is a sum of squares of normal errors: its kurtosis widens the chi-square's interval by the root of 1 + 12 / (2 nu)
+    per component, nu = 2 / C_ii.
     """
     c = stated.mean(axis=0)
     m = np.einsum("ni,ij,nj->n", errors, np.linalg.inv(c), errors)
@@ -143,7 +143,10 @@ def test_after_the_rounds_each_group_has_the_squares_that_its_redundancy_says(so
 
 
 def moments(solution: fg.Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Sums of squares (3,) of the groups, their redundancies (3,) and S (3, 3) of the full matrix, with its weights."""
+    """Return sums of squares (3,) and redundancies (3,) of the groups, and S (3, 3), from the full matrix.
+
+    The weights of the solution apply.
+    """
     v, a = turned_rows(solution.problem, solution.state)
     n, m = 2 * len(solution.problem.observations), int(solution.problem.observed.sum())
     basis = np.linalg.qr(a / np.linalg.norm(a, axis=0)).Q
@@ -213,7 +216,7 @@ def test_too_little_redundancy_is_held_and_said() -> None:
 
 
 def with_sigmas(block: Block, image: float, control: float) -> Block:
-    """Other given sigmas, the same errors."""
+    """Return the block with other given sigmas and the same errors."""
     o, known = block.observations, block.points.known
     o = replace(o, sigma_line_px=image * o.sigma_line_px, sigma_sample_px=image * o.sigma_sample_px)
     known = replace(known, sigma_enu_m=control * known.sigma_enu_m)
@@ -399,7 +402,7 @@ def test_freedom_of_an_unknown_is_that_of_its_variance(solution: fg.Solution, mo
 
 
 def false_alarms(seeds: range, level: float) -> tuple[int, int]:
-    """Return the alarms and tests of good blocks whose sigmas are estimated."""
+    """Return the number of alarms and of tests in good blocks whose sigmas are estimated."""
     alarms, total = 0, 0
     for seed in seeds:
         tests = estimated(drawn(seed)).outlier_tests(level=level, control="none")

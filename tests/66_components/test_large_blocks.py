@@ -22,7 +22,7 @@ LEVEL = 0.05
 
 
 def interval(runs: int, level: float = LEVEL) -> tuple[int, int]:
-    """Return the alarms of ``runs`` independent tests, 99.9 %."""
+    """Return the 99.9 % interval of the number of alarms in ``runs`` independent tests."""
     low, high = binom.ppf([5e-4, 1.0 - 5e-4], runs, level)
     return int(low), int(high)
 
@@ -63,7 +63,7 @@ def alarms(runs: int, seed: int, monkeypatch: pytest.MonkeyPatch) -> dict[str, t
 
 
 def _count(t: np.ndarray, freedom: float) -> int:
-    """Return the alarms at the level, from T and f as ``fg_orient.quality.outliers`` hands them on."""
+    """Return the number of alarms at the level, from T and f of ``fg_orient.quality.outliers``."""
     f = np.full(len(t), freedom)
     return int(np.sum(hypotheses.probabilities(np.minimum(t, f), np.ones(len(t), int), f, f, "t") < LEVEL))
 

@@ -31,7 +31,7 @@ LINEAR = {"eop_set": 10, "priors": False, "backend": "dense"}
 
 
 def without_priors(residual: np.ndarray, design: np.ndarray, x: np.ndarray, at: list[int]) -> tuple:  # type: ignore[type-arg]
-    """Return the linear adjustment without the priors of unknowns ``at``: their values, cofactors, and v^T v."""
+    """Return values, cofactors and v^T v of the linear adjustment without priors of unknowns ``at``."""
     alone = np.count_nonzero(design, axis=1) == 1
     rows = [np.flatnonzero(alone & (design[:, k] != 0.0))[0] for k in at]
     rest, v = np.delete(design, rows, axis=0), np.delete(residual, rows)
@@ -174,7 +174,7 @@ def test_holm_is_the_step_down_rule() -> None:
 
 
 def false_alarms(seeds: range) -> tuple[int, int]:
-    """Return the coefficients that are zero in truth, called significant at 5 % each; their number."""
+    """Return how many coefficients that are zero in truth are significant at 5 % each, and their number."""
     alarms, total = 0, 0
     for seed in seeds:
         block, _ = zonguldak_block(ZonguldakOptions(seed=seed))
@@ -260,7 +260,7 @@ PLAIN = {"eop_set": 10, "priors": False, "check_points": "exclude"}
 
 
 def deleted_residuals(block: Block, folds: tuple[tuple[int, ...], ...]) -> np.ndarray:
-    """(I - H_pp)^-1 v_p of points, from the adjustment with them, in pixels."""
+    """Return (I - H_pp)^-1 v_p of points in pixels, from the adjustment with them."""
     solution = fg.adjust(block, backend="dense", **PLAIN)
     _, design = assemble(solution.problem, solution.state)
     hat = design @ np.linalg.solve(design.T @ design, design.T)

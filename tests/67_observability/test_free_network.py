@@ -53,7 +53,10 @@ def pseudo_inverse(design: np.ndarray, rank: int) -> np.ndarray:
 
 
 def with_datum(design: np.ndarray, held: np.ndarray) -> np.ndarray:
-    """Cofactors whose trace is the least at some unknowns (u,), by numpy: (J^T J)^+, moved along the null space."""
+    """Return the cofactors whose trace is the least at some unknowns (u,), by numpy.
+
+    They are (J^T J)^+, moved along the null space.
+    """
     rank = design.shape[1] - 7
     null = np.linalg.svd(design, full_matrices=True)[2][rank:].T
     part = null * held[:, None]

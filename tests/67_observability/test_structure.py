@@ -46,7 +46,10 @@ def incidence(problem: Problem) -> np.ndarray:
 
 
 def under_determined(design: np.ndarray) -> set[int]:
-    """Columns that alternating paths reach from those that a largest matching leaves out (Dulmage & Mendelsohn)."""
+    """Return the columns that alternating paths reach from those that a largest matching leaves out.
+
+    Dulmage & Mendelsohn's decomposition.
+    """
     of_row = csgraph.maximum_bipartite_matching(sparse.csr_matrix(design), perm_type="column")
     reached = set(range(design.shape[1])) - set(of_row.tolist())
     todo = list(reached)

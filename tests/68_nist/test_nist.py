@@ -48,7 +48,7 @@ DANWOOD = Certified(
 
 
 def least_digits(fit: CurveFit, certified: Certified) -> float:
-    """Of parameters, standard deviations and sum of squares."""
+    """Return the least number of right digits of parameters, standard deviations and sum of squares."""
     assert fit.standard_deviations is not None, fit.unavailable
     pairs = [(fit.parameters, certified.parameters), (fit.standard_deviations, certified.standard_deviations)]
     return min(digits(found, value) for found, value in [*pairs, (fit.chi2, certified.squares)])

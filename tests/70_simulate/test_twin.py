@@ -52,7 +52,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def assert_same(a: object, b: object, place: str = "") -> None:
-    """Equal to the last bit, arrays and dataclasses inside."""
+    """Assert that two objects are equal to the last bit, with arrays and dataclasses inside."""
     if is_dataclass(a) and not isinstance(a, type):
         assert type(a) is type(b), place
         for field in fields(a):
@@ -383,7 +383,7 @@ def test_ground_tracks(roll_deg: float, low_km: float, high_km: float) -> None:
 
 
 def forward_axes(sensor: PushbroomSensor, line: np.ndarray) -> np.ndarray:
-    """Y axes of the orbital frame, Z x X, at N lines."""
+    """Return the Y axes of the orbital frame, Z x X, at N lines."""
     states = sensor.states(line)
     right = np.cross(states.velocity_m_s, states.position_m)
     forward = np.cross(states.position_m, right)

@@ -28,7 +28,7 @@ def texture(line: np.ndarray, sample: np.ndarray) -> np.ndarray:
 
 
 def pair(place: np.ndarray, a: np.ndarray, curvature: float, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the template, and an image with 1.5 its contrast, such that q + A u + c u_line^2 e is the place of u."""
+    """Return a template, and an image of 1.5 times its contrast where q + A u + c u_line^2 e is the place of u."""
     grid = np.stack(np.meshgrid(np.arange(SIZE), np.arange(SIZE), indexing="ij"), axis=-1).astype(float)
     template = texture(grid[..., 0], grid[..., 1])
     away = grid - place

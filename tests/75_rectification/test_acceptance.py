@@ -66,7 +66,10 @@ def gauss_jordan(matrix: np.ndarray) -> np.ndarray:
 
 
 def ek2(x: np.ndarray, y: np.ndarray, plane: np.ndarray, degree: int) -> tuple[np.ndarray, float]:
-    """Residuals (n, 2) and m0 by the program EK 2: plain powers, both axes in one normal matrix, its inverse."""
+    """Return residuals (n, 2) and m0 by the program EK 2.
+
+    It has plain powers, both axes in one normal matrix, and the inverse of that.
+    """
     terms = np.stack([x**k * y ** (d - k) for d in range(degree + 1) for k in range(d + 1)], axis=1)
     zero = np.zeros_like(terms)
     a, length = np.block([[terms, zero], [zero, terms]]), plane.T.ravel()

@@ -93,7 +93,7 @@ def test_geometry_that_cannot_be_is_refused(ask: Callable[[], object], code: str
 
 
 def krueger(lat: float, dlon: float, k0: float) -> tuple[float, float]:
-    """Transverse Mercator by Krueger's series to n^4 on Hayford's ellipsoid, radians to easting, northing."""
+    """Return easting and northing of radians by Krueger's series to n^4 on Hayford's ellipsoid."""
     n, e = F / (2.0 - F), math.sqrt(F * (2.0 - F))
     radius = A_M / (1 + n) * (1 + n**2 / 4 + n**4 / 64)
     alpha = (
@@ -238,7 +238,7 @@ def test_area_on_the_ellipsoid_equals_that_of_the_plane_by_its_scale() -> None:
 
 
 def inside(outline: Array, point: Array) -> bool:
-    """Return the even-odd rule, one edge at a time."""
+    """Return whether a point is inside by the even-odd rule, one edge at a time."""
     odd = False
     for (x1, y1), (x2, y2) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
         if (y1 > point[1]) != (y2 > point[1]) and point[0] < x1 + (point[1] - y1) * (x2 - x1) / (y2 - y1):

@@ -27,7 +27,7 @@ CENTRE = np.array([500.0, 400.0])
 def strip(
     width: float, angle: float, *, n: int = 30, noise_px: float = 0.5, scale: float = 28.5, seed: int = 1
 ) -> Observations:
-    """Return the points in a strip of 1000 pixels in a direction; noise of the image points, map points without."""
+    """Return points in a strip of 1000 pixels in a direction; only image points have noise."""
     rng = np.random.default_rng(seed)
     along, across = rng.uniform(-500.0, 500.0, n), rng.uniform(-0.5, 0.5, n) * width
     turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
@@ -139,7 +139,7 @@ def test_heights_that_say_nothing_are_remarked(name: str) -> None:
 
 
 def derivatives(found: TransformationFit, source: Array) -> Array:
-    """Of a transformed point with respect to the coefficients (2, u), by differences."""
+    """Return the derivatives (2, u) of a transformed point by the coefficients, from differences."""
     t = found.transformation
     step = 1e-5
     ends = [

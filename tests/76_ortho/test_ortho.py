@@ -44,7 +44,10 @@ def ortho(twin: Twin, out: Path, dem: RasterDem | None = None, **options: object
 
 
 def plain(east: float, north: float, size: float, *, forward: bool) -> Transformation:
-    """Return the pixel (line, sample) to map: centre of the first pixel at (east, north), square pixels, north up."""
+    """Return a transformation between pixels and a map, in one direction.
+
+    The centre of the first pixel is at (east, north), pixels are square, north is up.
+    """
     plane, unit = Scaling(np.array([east, north]), np.ones(2)), Scaling(np.zeros(2), np.ones(2))
     slope = size if forward else 1.0 / size
     rows = np.array([[0.0, slope, 0.0], [0.0, 0.0, -slope]])

@@ -22,7 +22,7 @@ Array = np.ndarray
 
 
 def model() -> PointModel:
-    """Return the map to image: north up, 30 m, the centre of the first pixel at (1005, 5025)."""
+    """Return a model from map to image: north up, 30 m, the centre of the first pixel at (1005, 5025)."""
     sample, line = (a.ravel() for a in np.meshgrid(np.linspace(0.0, 299.0, 4), np.linspace(0.0, 199.0, 4)))
     ground = np.stack([1005.0 + 30.0 * sample, 5025.0 - 30.0 * line], axis=1)
     found = fit(Observations.of(ground, np.stack([sample, line], axis=1)), find_model("affine"),
@@ -110,7 +110,7 @@ def test_newton_ends_or_says_nan() -> None:
 
 
 def folded(east: Array) -> Array:
-    """Return the samples of a map to image that turns round at its middle: none is above 150."""
+    """Return the samples of a map that turns round at its middle; no sample is above 150."""
     return 150.0 - ((east - 5000.0) / 500.0) ** 2
 
 

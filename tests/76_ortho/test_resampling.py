@@ -25,7 +25,7 @@ def image(rng: np.random.Generator) -> Array:
 
 @pytest.fixture
 def places(rng: np.random.Generator) -> tuple[Array, Array]:
-    """Return the places all over, the half pixel of border included."""
+    """Return random places in the whole image, with its half pixel of border."""
     return rng.uniform(-0.5, 22.5, (20, 25)), rng.uniform(-0.5, 30.5, (20, 25))
 
 

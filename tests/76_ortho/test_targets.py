@@ -29,7 +29,7 @@ HALF_M, SEARCH_M = 200.0, 190.0
 
 
 def misses(twin: Twin, image: str, tmp: Path, *, adjusted: bool, dem: RasterDem | None = None, every: int = 1) -> Array:
-    """Found minus true position (n, 2) of targets in map pixels, east and north."""
+    """Return found minus true positions (n, 2) of targets in map pixels, east and north."""
     surface, sensor = dem or twin.dem, twin.sensors[image]
     correction = read_correction(twin.result, sensor) if adjusted else None
     model = SensorModel(sensor, correction, CRS, surface.range_m[1])
@@ -146,7 +146,7 @@ def test_whole_images_rectified_in_one_run(tmp_path: Path) -> None:
 
 
 def targets_in(raster: Path, targets: Array) -> Array:
-    """Found minus true position (n, 2) of targets in one map raster, in its pixels."""
+    """Return found minus true positions (n, 2) of targets in one map raster, in its pixels."""
     found, reach = [], int(SEARCH_M / RESOLUTION_M)
     with rasterio.open(raster) as source:
         place = source.transform

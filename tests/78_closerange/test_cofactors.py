@@ -54,7 +54,10 @@ def pair_distances(
     rotation: Array,
     base: Array,
 ) -> Array:
-    """Triple products of base and rays by their standard deviations, propagated in the unit of the images."""
+    """Return the triple products of base and rays over their standard deviations.
+
+    These are propagated in the unit of the images.
+    """
 
     def product(both: Array) -> Array:
         rays = [np.column_stack([c.tangents(xy), np.ones(len(xy))]) for c, xy in

@@ -44,7 +44,10 @@ def test_bend_of_a_parabola() -> None:
 
 
 def squares(distance_m: float, runs: int) -> tuple[Array, Array, Array]:
-    """Return the resections of six points: squares by the covariance (n,), by single deviations (n, 6), and bends."""
+    """Return squared errors of resections by the covariance (n,) and by single deviations (n, 6), and bends.
+
+    Each resection has six points.
+    """
     whole, single, bends = [], [], []
     for seed in range(runs):
         rng = np.random.default_rng(seed)

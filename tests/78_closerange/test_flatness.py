@@ -24,7 +24,10 @@ CAMERA = PhotoInterior(60.0, np.array([0.3, -0.2]), y_axis="down")
 def scene(
     seed: int, heights_m: float, n: int, *, distance_m: float = 3.0, sigma: float = SIGMA
 ) -> tuple[Array, Array, Array]:
-    """Points on 1 m, heights up to ``heights_m`` apart, seen from above: points, projection centre, noisy images."""
+    """Return points, projection centre and noisy image coordinates of a scene from above.
+
+    The points lie on 1 m, with heights up to ``heights_m`` apart.
+    """
     rng = np.random.default_rng(seed)
     points = np.column_stack([rng.uniform(-0.5, 0.5, (n, 2)), heights_m * rng.uniform(-0.5, 0.5, n)])
     angles = [180.0 + rng.uniform(-25.0, 25.0), rng.uniform(0.0, 360.0)]

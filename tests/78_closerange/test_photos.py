@@ -36,7 +36,7 @@ DISTORTION = corrections_of(("k1", "k2", "p1", "p2"), [2e-5, -1e-8, 1e-5, -2e-5]
 
 
 def scene(seed: int, n: int = 20, *, y_axis: str = "up") -> tuple[PhotoInterior, list[Photo], list[Array], Array]:
-    """Two photos of points in a room, one metre apart, far from the origin: camera, photos, rotations, points."""
+    """Return camera, two photos one metre apart, their rotations, and points of a room far from the origin."""
     rng = np.random.default_rng(seed)
     camera = PhotoInterior(60.0, np.array([0.3, -0.2]), DISTORTION, y_axis)  # type: ignore[arg-type]
     rotations = [rotation_from_ayhan(*rng.normal(scale=0.1, size=3)) for _ in range(2)]
@@ -270,7 +270,7 @@ def test_residuals_of_a_resection_are_computed_minus_ideal(y_axis: str) -> None:
 def flat_scene(
     seed: int, distance_m: float, n: int, sigma: float, tilt_deg: float
 ) -> tuple[PhotoInterior, Photo, Array, Array, Array]:
-    """Points of a plane seen from above: camera, true photo and rotation, points, image coordinates with noise."""
+    """Return camera, true photo and rotation, points of a plane seen from above, and noisy image coordinates."""
     rng = np.random.default_rng(seed)
     points = np.column_stack([rng.uniform(-1.0, 1.0, (n, 2)), np.zeros(n)])
     turn = Rotation.from_euler("xz", [180.0 + tilt_deg, rng.uniform(0.0, 360.0)], degrees=True).as_matrix()
@@ -280,7 +280,7 @@ def flat_scene(
 
 
 def _misclosures(x: Array, photo: Photo, rotation: Array, points: Array, image: Array) -> Array:
-    """Computed minus measured coordinates (2 n,) after turns and a shift of a photo."""
+    """Return computed minus measured coordinates (2 n,) after turns and a shift of a photo."""
     q = (points - photo.origin_m - x[3:]) @ (Rotation.from_rotvec(x[:3]).as_matrix() @ rotation).T
     return np.asarray((60.0 * q[:, :2] / q[:, 2:] - image).ravel())
 

@@ -146,7 +146,10 @@ def test_geometric_fit_is_the_least_squares_of_scipy(land: Array) -> None:
 
 @pytest.fixture
 def without_profile(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fits at their minimum only: nothing held far away, which changes no number and takes 98 % of the time."""
+    """Leave out the fits with a semi-axis fixed far away.
+
+    They change no number and take 98 % of the time.
+    """
     monkeypatch.setattr(surface_fit, "_require_steep", lambda *given: None)
 
 

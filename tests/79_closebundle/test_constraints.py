@@ -98,7 +98,10 @@ CENTRES = np.array([[-12.0, -14.0, 1.0], [0.0, -18.0, -2.0], [12.0, -14.0, 2.0]]
 
 
 def _quadric(points: Array) -> Array:
-    """Misfits (n,) of a spheroid about y: x^2 + z^2 + a y^2 + b x + c y + d z + e = 0 of least squares, m."""
+    """Return the misfits (n,) of a least-squares spheroid about y.
+
+    x^2 + z^2 + a y^2 + b x + c y + d z + e = 0.
+    """
     p = points - points.mean(axis=0)
     x, y, z = p.T
     design = np.column_stack([y * y, x, y, z, np.ones(len(p))])
@@ -156,7 +159,7 @@ class Configuration:
 
     @property
     def rotations(self) -> list[Array]:
-        """Return the photos that look to the origin, but for some degrees."""
+        """Return rotations of photos that look to the origin, but for some degrees."""
         turns = Rotation.from_rotvec(np.random.default_rng(self.seed + 1).normal(scale=0.05, size=(3, 3))).as_matrix()
         out = []
         for centre, turn in zip(CENTRES, turns, strict=True):

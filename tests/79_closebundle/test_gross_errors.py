@@ -133,7 +133,7 @@ def test_other_options_are_refused(name: str) -> None:
 
 @pytest.fixture
 def words(tmp_path: Path) -> tuple[object, ...]:
-    """Return the words of the command for the planted scene without the wrong height."""
+    """Write the planted scene without the wrong height; return the words of the command."""
     scene, control = planted(height=False)
     rows = [f"p{k},ph{p},{float(x)!r},{float(y)!r}"
             for (x, y), p, k in zip(scene.image, scene.which, scene.of, strict=True)]  # fmt: skip

@@ -27,7 +27,7 @@ TURNED = ",omega_deg,phi_deg,kappa_deg,sigma_x_deg,sigma_y_deg,sigma_z_deg"
 
 
 def written(folder: Path, scene: Scene, n_control: int) -> list[object]:
-    """Return the tables of a scene; words of the command."""
+    """Write the tables of a scene; return the words of the command."""
     seen = zip(scene.image.tolist(), scene.which.tolist(), scene.of.tolist(), strict=True)
     rows = [f"p{k},ph{p},{x!r},{y!r}" for (x, y), p, k in seen]
     (folder / "image.csv").write_text("\n".join(["id,photo,x,y", *rows, ""]), "utf-8")
@@ -48,7 +48,7 @@ def stations(folder: Path, rows: list[list[object]], more: str = "") -> Path:
 
 
 def observed(scene: Scene, sigma: float) -> list[list[object]]:
-    """Return the rows of all stations, exact to what is written."""
+    """Return the rows of all stations with their exact coordinates."""
     return [[f"ph{k}", *map(repr, c.tolist()), sigma, sigma, sigma] for k, c in enumerate(scene.centres)]
 
 
@@ -174,7 +174,10 @@ def test_redundancy_numbers_are_those_of_difference_quotients(hard: bool) -> Non
     lens = scene.interior.corrections.copy()
 
     def residuals(x: Array) -> Array:
-        """Of the image points, the control points and the distance, by their sigmas; x are small changes."""
+        """Return residuals of image points, control points and the distance, divided by their sigmas.
+
+        x are small changes.
+        """
         places, out = found.points_m + x[19:].reshape(-1, 3), []
         lens[0] = found.cameras[0]["k1"][0] + 1e-4 * x[18]
         ideal = ideal_points(lens, scene.image - scene.interior.principal).reshape(3, -1, 2)

@@ -32,7 +32,10 @@ def example(repository: Path) -> ModuleType:
 
 
 def rmse(example: ModuleType, real_data: Path, every: int) -> dict[int, np.ndarray]:
-    """Check-point RMSE (n, 3) of each set in each ``every``-th of the 86 runs, of sets 2 and 10 in twice as many."""
+    """Return check-point RMSE (n, 3) of each set in each ``every``-th of the 86 runs.
+
+    Sets 2 and 10 have twice as many runs.
+    """
     scene = example.Scene(real_data / "geoetrim-pleiades")
     assert len(scene.ids) == 86
     out = {}

@@ -45,13 +45,13 @@ def test_bias_of_pleiades_1_is_removed(real_data: Path) -> None:
 
 
 def _others(block: Block, control: list[int]) -> list[str]:
-    """Return the points of a single image that are no control: nothing intersects there."""
+    """Return the points that are no control; in a single image nothing intersects there."""
     return [name for j, name in enumerate(block.points.ids) if j not in control]
 
 
 @pytest.fixture(scope="module")
 def searched(real_data: Path) -> fg.Solution:
-    """The Neo pair, all points as control, by the default search with unknown sigmas: nothing of it is chosen here."""
+    """Return the Neo pair with all points as control, after the default search with unknown sigmas."""
     return fg.adjust(pleiades_neo(real_data), snoop=True, rpc_compensation="affine", variance_components=COMPONENTS)
 
 

@@ -40,13 +40,13 @@ NORMALISED = {method: table for table, method in tables_spot6.NORMALISED.items()
 
 @pytest.fixture(scope="module")
 def twin() -> ControlPoints:
-    """99 points of the twin's left image."""
+    """Return 99 points of the twin's left image."""
     return rfm_points(zonguldak_block()[0].images[0].sensor, 1)
 
 
 @pytest.fixture(scope="module")
 def computed(twin: ControlPoints) -> dict[CellKey, np.ndarray]:
-    """Return the degrees 1 and 2, three permutations."""
+    """Return the cells of degrees 1 and 2 with three permutations."""
     with one_blas_thread():
         return tables_spot6.compute(tables_spot6.TABLES, twin, permutations=3, degrees=(1, 2))
 
@@ -124,7 +124,7 @@ def test_printed_coefficients_give_the_printed_kappas(printed: dict[str, Publish
 
 
 def judged(value: float, text: str, runs: list[float], **key: str) -> str:
-    """Return the kind of CellComparison of a made-up cell."""
+    """Return the kind of judgement on a made-up cell."""
     cell = PublishedCell(
         CellKey(**{"table": "4.44", "stage": "rfm degree 2", "quantity": "m0", "method": "x"} | key), value, text, text
     )
@@ -236,14 +236,14 @@ def points(real_data: Path) -> ControlPoints:
 
 @pytest.fixture(scope="module")
 def verdicts(points: ControlPoints, printed: dict[str, PublishedTables]) -> Verdicts:
-    """Return the degrees 1 and 2 with five permutations."""
+    """Return the judgements on the cells of degrees 1 and 2 with five permutations."""
     with one_blas_thread():
         values = tables_spot6.compute(tables_spot6.TABLES, points, permutations=5, degrees=(1, 2))
     return {c.key: spot6.assess(c, values) for c in printed["terlemezoglu2019"].cells if c.key in values}
 
 
 def firm(found: Verdicts, degrees: tuple[int, ...]) -> None:
-    """Assert what must be met digit by digit."""
+    """Assert that the cells that must agree digit by digit do so."""
     kinds = {key: verdict.kind for key, verdict in found.items() if int(key.stage[-1]) in degrees}
     wanted = []
     for degree in degrees:
@@ -311,7 +311,10 @@ def test_all_degrees_with_fifty_permutations(
 
 
 def validated(points: ControlPoints, degree: int, capsys: pytest.CaptureFixture[str]) -> np.ndarray:
-    """Leave-one-out RMS per axis of the true image residuals, kappa chosen in each fold, with the choice printed."""
+    """Return the leave-one-out RMS per axis of the image residuals; print it.
+
+    Kappa is chosen in each fold.
+    """
     form = RfmForm(degree)
     with one_blas_thread():
         found = cross_validate(points, lambda p: fit_selected(p, form, "ridge_l_curve"))

@@ -305,7 +305,7 @@ def test_a_wrong_value_is_refused_with_its_place(case: str) -> None:
 
 
 def as_given(values: Any) -> Any:
-    """Other arrays with the same values: every second column of a larger one, in Fortran order, read-only."""
+    """Return a read-only view with the same values, in Fortran order and every second column of a larger array."""
     values = np.asarray(values)
     wide = np.zeros((*values.shape, 2), values.dtype, order="F")
     wide[..., 0] = values

@@ -149,7 +149,7 @@ def swap_all(folder):
 
 
 def swap_easting_and_northing(folder):
-    """The classic: a table of a CRS whose definition says north first."""
+    """Exchange easting and northing, in a table of a CRS that puts easting first."""
     to_plane = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:32636", always_xy=True)
     east, north = to_plane.transform([31.60, 32.05], [41.20, 41.22])
     rows = [f"{n},control,{b},{a},100,1,1,1\n" for n, a, b in zip(("01", "1"), east, north, strict=True)]

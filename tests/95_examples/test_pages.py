@@ -149,14 +149,14 @@ ALONE = {
 
 @pytest.fixture(scope="module")
 def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder of files that pages without data of their own speak of."""
+    """Return the folder of files to which pages without own data refer."""
     folder = tmp_path_factory.mktemp("pages")
     page_files.satellite_files(folder)
     return folder
 
 
 def listed(table: dict[tuple[str, str], Any], item: Command | Fence) -> bool:
-    """Tell whether a command or block stands in a table, or is run elsewhere."""
+    """Return whether a command or block is in a table, or is run elsewhere."""
     if any(fnmatchcase(item.page, page) for page in RUN_ELSEWHERE):
         return True
     return any(fnmatchcase(item.page, page) and part in item.text for page, part in table)

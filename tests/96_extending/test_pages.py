@@ -72,7 +72,7 @@ def files(
 
 
 def fences_of(repository: Path, page: str) -> list[Fence]:
-    """Return the blocks of a page on extending, or of the one above them."""
+    """Return the blocks of a page on extending, or of the overview page."""
     path = repository / "docs" / ("extending.md" if page == "extending" else f"extending/{page}.md")
     return pages.fences(path, page)
 
@@ -93,7 +93,10 @@ def block(twin: Path) -> Block:
 
 
 def check_jacobians(equation: _contract.Equation, record: np.ndarray, setup: np.ndarray, *unknowns: np.ndarray) -> None:
-    """Complex step has no truncation error: a few roundings of the largest element remain."""
+    """Assert that Jacobians equal the complex step within a few roundings of the largest element.
+
+    The complex step has no truncation error.
+    """
     value, *jacobians = equation.kernel(record, setup, *unknowns, True)
     for k, jacobian in enumerate(jacobians):
         for c in range(jacobian.shape[1]):
@@ -180,7 +183,10 @@ def test_rpc_format_of_a_user(tmp_path: Path, registries: pytest.MonkeyPatch) ->
 
 @pytest.fixture(scope="module")
 def parallel(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
-    """Folder of the images that the page simulates, and what its block calls by name: shifts, matrices, place."""
+    """Return the folder of the images that the page simulates, and the names that its block defines.
+
+    They are shifts, matrices, place.
+    """
     folder, names = tmp_path_factory.mktemp("parallel"), dict[str, Any]()
     with contextlib.chdir(folder):
         pages.run_python(python_of(repository, "sensor")[1], names)

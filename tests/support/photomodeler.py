@@ -38,15 +38,16 @@ def points_of(export: FrameModel) -> dict[int, np.ndarray]:
 
 
 def shift_of(export: FrameModel, control: dict[int, np.ndarray]) -> np.ndarray:
-    """What leads from the export's system to that of the control points: mean difference of the control points."""
+    """Return the shift from the export's system to that of the control points, their mean difference."""
     points = points_of(export)
     return np.mean([control[i][:3] - points[i] for i in control], axis=0)
 
 
 def block(export: FrameModel, control: dict[int, np.ndarray], sigma_px: float, centres: dict[str, np.ndarray]) -> Block:
-    """Block of a run: the camera held; control points held or with their sigmas, and so observed centres by photo.
+    """Return the block of a run.
 
-    Coordinates are those of the export's system, as in the reports.
+    The camera is held, control points are held or have their sigmas, and so have observed centres by photo. Coordinates
+    are those of the export's system, as in the reports.
     """
     shift = shift_of(export, control)
     (interior,) = export.cameras.values()
