@@ -55,7 +55,7 @@ def look_angles_read_once() -> Iterator[None]:
     """Read and write the same look angles once in each worker.
 
     The 12 000 detectors of a SPOT-5 file take 0.2 s, the half of most commands, and hundreds of tests read the same
-    ones. What is kept hangs on the text of the elements, as read; a fault in them is found again each time.
+    ones. The cache uses the text of the elements as its key; a fault in them is found again each time.
     """
     from lxml import etree
 
@@ -148,7 +148,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Tell the process that started this worker what was counted: it collects nothing itself."""
+    """Send the counts of a worker to the process that started it, which collects nothing itself."""
     if hasattr(session.config, "workeroutput"):
         session.config.workeroutput["kinds"] = session.config.stash.get(NUMBERS, {})
 

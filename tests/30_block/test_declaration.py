@@ -58,7 +58,7 @@ def read(values: dict[str, dict[str, Any]]) -> dict[str, Any]:
 
 
 def given_on_the_command_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, *words: str) -> dict[str, Any]:
-    """Return the options that ``adjust`` hands on."""
+    """Return the options that ``adjust`` passes to the run."""
     given: dict[str, Any] = {}
 
     def run_project(*arguments: Any, options: dict[str, Any], **more: Any) -> None:

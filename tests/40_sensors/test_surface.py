@@ -67,7 +67,10 @@ def transformer(source: str, target: str) -> pyproj.Transformer:
 
 
 def fine_march(p: np.ndarray, u: np.ndarray, heights: np.ndarray, crs: str, corner: tuple[float, float]) -> Grid:
-    """Return the first crossing of one ray in steps of 0.5 m, and the number of crossings; nothing of the package."""
+    """Return the first crossing of one ray in steps of 0.5 m, and the number of crossings.
+
+    No code of the package's intersection is used.
+    """
     from scipy.interpolate import RegularGridInterpolator
 
     step_x, step_y = GRIDS[crs]

@@ -33,10 +33,10 @@ def without(block: Block, row: int) -> Block:
 
 
 def assert_equal(found: Problem, expected: Problem) -> None:
-    """Start values to 1e-8 m: they are intersected with other rays beside them.
+    """Assert that two problems are equal, with start values to 1e-8 m.
 
-    The whitening is a numerical derivative over a pixel: what 1e-9 m does to a difference of look angles of 1e-6 rad
-    from 8e5 m is 1e-9 of it.
+    Start values are intersected with other rays in one call. The whitening is a numerical derivative over a pixel: 1e-9
+    m changes a difference of look angles of 1e-6 rad from 8e5 m by 1e-9 of it.
     """
     np.testing.assert_allclose(found.start.ground, expected.start.ground, rtol=0, atol=1e-8)
     whitening = slice(22, 26)

@@ -27,7 +27,7 @@ FIGURES = {"n", "ce90_m", "le90_m"} | {f"{kind}_{axis}_m" for kind in ("rmse", "
 
 
 def absent(record: dict[str, Any], figure: str) -> str:
-    """Return the code of the finding that says why a figure is null."""
+    """Return the code of the finding that explains why a figure is null."""
     (code,) = [found["code"] for found in record["findings"] if figure in found["data"].get("figures", [])]
     return str(code)
 

@@ -24,7 +24,7 @@ def reason() -> str:
 
 
 def reports(*words: str) -> list[dict[str, Any]]:
-    """Run the harness in a process of its own, which no test has given threads."""
+    """Run the harness in a separate process, in which no test has started threads."""
     if reason():
         pytest.skip(reason())
     done = subprocess.run([sys.executable, "-m", "tests.faults", *words], capture_output=True, text=True, timeout=3600)

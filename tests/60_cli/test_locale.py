@@ -119,8 +119,8 @@ def test_numbers_keep_their_point_in_this_process(
 ) -> None:
     """Commands write the same files and messages under the Turkish locale as under C.
 
-    GDAL compares names by the locale's case, and complains of its own options where i is not the small form of I. This
-    is the fast version of the tests in other processes.
+    GDAL compares names by the locale's case, and rejects its own options where i is not the small form of I. This is
+    the fast version of the tests in other processes.
     """
     environment = locales(tmp_path, "tr_TR.UTF-8")
     if "LOCPATH" in environment:

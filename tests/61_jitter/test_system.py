@@ -53,7 +53,7 @@ def dense(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
     """Return the whitened rows of image and control points by numpy, from the equations with curves as unknowns.
 
-    Returns the design of the ground points, the design of the orientation and curves in prior sigmas, the residuals,
+    They are the design of the ground points, the design of the orientation and curves in prior sigmas, the residuals,
     the means of the latter, and the first column of the curves of the left image.
     """
     names = []

@@ -72,9 +72,10 @@ def test_planted_errors_are_found_in_order(backend: str, test: str) -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("test", ["t", *(pytest.param(name, marks=pytest.mark.slow) for name in ("pope", "baarda"))])
 def test_several_in_a_round_are_those_of_single_rounds(test: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ten errors are found in at most four rounds with the observations and statistics of single rounds.
+    """Rounds with several suspects find the observations of single rounds, in at most four rounds.
 
-    They are 5 to 50 px, in ten blocks. Rays that cannot be told apart are one suspect.
+    The statistics agree within 2 %. Ten blocks have ten errors of 5 to 50 px each. Rays that cannot be separated are
+    one suspect.
     """
     for seed in range(10):
         block, rng = twin(seed), np.random.default_rng(seed)

@@ -27,7 +27,7 @@ def line(seed: int, n: int = 40, bad: int = 8) -> tuple[Array, Array]:
 
 
 def fitted(a: Array, b: Array, dimension: int, rule: Rule = least_absolute) -> Array:
-    """Return the unknowns by the cycles; rows of one observation stand together."""
+    """Return the unknowns by reweighting; rows of one observation follow one another."""
 
     def fit(groups: tuple[Array, ...], last: Array | None) -> Array:
         root = np.sqrt(np.repeat(groups[0], dimension)) if groups else np.ones(len(b))

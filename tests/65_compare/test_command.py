@@ -46,7 +46,7 @@ def rows_of(path: Path) -> list[dict[str, str]]:
 
 
 def same(text: str, value: Any) -> bool:
-    """Tell whether a cell holds a value to its last digit."""
+    """Return whether a cell has a value to its last digit."""
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return text == ""
     if isinstance(value, bool):

@@ -28,10 +28,11 @@ def interval(runs: int, level: float = LEVEL) -> tuple[int, int]:
 
 
 def alarms(runs: int, seed: int, monkeypatch: pytest.MonkeyPatch) -> dict[str, tuple[int, int]]:
-    """Return the alarms of one preselected observation of each part: with its freedom, and with that of its own group.
+    """Return the numbers of alarms of one preselected observation of each part.
 
-    Linear model at a solution, errors of the stated sigmas; one round of Helmert's equations gives the components, and
-    the variance of each error is the mixture of them.
+    The first uses its own freedom, the second that of its group. The model is linear at a solution, with errors of the
+    stated sigmas; one round of Helmert's equations gives the components, and the variance of each error is the mixture
+    of them.
     """
     block = planted_large().draw(np.random.default_rng(seed))
     solution = fg.adjust(block)

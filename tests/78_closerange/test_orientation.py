@@ -156,7 +156,7 @@ def likeness(own: float, other: float, redundancy: int, *, known: bool = False) 
 def test_known_sigmas_tell_minima_apart_by_the_difference() -> None:
     """With known sigmas two minima are alike by the difference of squares, and large squares by their ratio.
 
-    Squares of 0.01 and 0.2 both fit sigmas of 1; a ratio of 20 alone says otherwise.
+    Squares of 0.01 and 0.2 both fit sigmas of 1, although their ratio is 20.
     """
     assert likeness(0.01, 0.2, 2) is None and likeness(0.01, 0.2, 2, known=True) == pytest.approx(20.0)
     assert likeness(0.01, 3.9, 2, known=True) is None

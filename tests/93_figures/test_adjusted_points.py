@@ -48,7 +48,7 @@ def read_las(path: Path) -> tuple[np.ndarray, Columns, str, str]:
 
 
 def read_ply(path: Path) -> tuple[np.ndarray, Columns, str, str]:
-    """Return the same of binary PLY, as its header says."""
+    """Return coordinates, columns, CRS and last comment of a binary PLY file."""
     head, _, body = path.read_bytes().partition(b"end_header\n")
     lines = head.decode("ascii").splitlines()
     assert lines[:2] == ["ply", "format binary_little_endian 1.0"]

@@ -107,7 +107,7 @@ FOCAL, SIDE_MM = 8.0, 8.0
 
 
 def write_projects(folder: Path) -> None:
-    """Write projects under the names that docs/how-to/photomodeler.md has for DBAT's, and one of its own."""
+    """Write projects under the names that docs/how-to/photomodeler.md gives DBAT's, and one under another name."""
     aerial = [f"{n}.jpg" for n in (8811, 8936, 8937, 8938, 9111)]
     control = [317, 375, 403, 410]
     for name, files, others in (

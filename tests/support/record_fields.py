@@ -202,7 +202,7 @@ class Program:
                         function.fixed |= {first: RECORD, **dict.fromkeys(others, FREE)}
 
     def resolve(self, module: Module, name: ast.expr) -> Function | None:
-        """Return the function that a name or an attribute of a module means."""
+        """Return the function to which a name or an attribute of a module refers."""
         if isinstance(name, ast.Name):
             if name.id in module.functions:
                 return module.functions[name.id]
