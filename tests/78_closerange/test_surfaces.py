@@ -381,10 +381,7 @@ def test_refusals(code: str, points: Array, options: dict[str, object]) -> None:
 
 @pytest.mark.oracle
 def test_deviations_are_the_adjustment_of_conditions_alone(land: Array) -> None:
-    """Deviations are one linearised adjustment of conditions without unknowns (eqs.
-
-    155-171), and near the distances.
-    """
+    """Deviations are the linearised adjustment of conditions without unknowns (eqs. 155-171), near the distances."""
     surface = fit_surface(land, "spheroid", method="algebraic").surface
     deviations = surface.deviations(land)
     slope = surface.conditions.slope(land - surface.centre)

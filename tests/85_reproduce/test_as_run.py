@@ -57,7 +57,7 @@ def test_bundles_of_topan_2009_have_the_printed_order(printed: Printed, as_run: 
 def test_corrections_of_set_1_are_noise_as_printed(as_run: Cells) -> None:
     """As run, corrections of set 1 are noise below 1e-7 m; one cycle of step 1 would leave more than 1e-5 m.
 
-    4.3 to 4.23 follow a step 1 that ends at rounding.
+    Tables 4.3 to 4.23 follow a step 1 that ends at rounding.
     """
     assert "4.17" in STEP_1_CLOSED
     key = CellKey("4.17", "1", "pre-left", quantity="dP", method="gauss_inverse", parameter="X0")

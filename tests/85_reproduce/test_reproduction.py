@@ -46,9 +46,9 @@ def test_every_published_cell_is_computed_or_a_fact(name: str, printed: Printed,
 
 @pytest.mark.truth
 def test_counts_sets_and_members_agree_to_the_digit(printed: Printed, computed: Computed) -> None:
-    """Counts and sets agree with print in every digit, except for two misprints of the source. These are eq.
+    """Counts and sets agree with print in every digit, except for two misprints of the source.
 
-    4.5 (188 for 198) and eq. 4.6 (18 for 14).
+    The misprints are in eq. 4.5 (188 for 198) and eq. 4.6 (18 for 14).
     """
     rows = [r for r in rows_of("terlemezoglu2019", printed["terlemezoglu2019"], computed) if r.printed]
     counted = [r for r in rows if r.table.startswith("eq") or r.table in {"4.1", "4.2"} or "n_" in r.cell]
