@@ -134,13 +134,13 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
 
 def pytest_collection_finish() -> None:
-    """Leave what was imported and collected out of every later search for garbage: a tenth of the run."""
+    """Exclude imported and collected objects from all later garbage collections; they took a tenth of the run."""
     gc.collect()
     gc.freeze()
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Refuse a test without its kind, or that reads real files without saying so; count the kinds."""
+    """Refuse a test without its kind or with unmarked use of real files; count the kinds."""
     config.stash[NUMBERS] = kinds.counted(items)
     for item in items:
         if "real_data" in getattr(item, "fixturenames", ()) and item.get_closest_marker("real_data") is None:

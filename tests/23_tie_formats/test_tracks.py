@@ -100,7 +100,7 @@ def test_a_hundred_thousand_matches_are_joined_as_arrays() -> None:
 
 
 def joined(n: int) -> int:
-    """Join points of three images, and give the calls of functions that it took."""
+    """Join points of three images; return the number of function calls."""
     rng = np.random.default_rng(3)
     image, point = np.repeat(np.arange(3), n), np.tile(np.arange(n), 3)
     pair = np.column_stack([np.arange(n), np.arange(n) + n])

@@ -32,7 +32,7 @@ UNDULATION = (20.0 + 3.0 * np.sin(LON[None] / 1.3) + 2.0 * np.cos(LAT[:, None]))
 
 @pytest.fixture
 def geoid(tmp_path: Path) -> Iterator[None]:
-    """Let PROJ find a grid with the name of EGM96 in the folder of the test."""
+    """Put a grid with the name of EGM96 into a folder where PROJ finds it."""
     rasterio = pytest.importorskip("rasterio")
     folder = tmp_path / "grids"
     folder.mkdir()

@@ -97,7 +97,7 @@ ANGLES = ("right_ascension", "declination", "twist")
 
 
 def _rejected(block: Block, unknowns: tuple[str, ...]) -> tuple[Solution, set[tuple[str, str]]]:
-    """Adjust with the rule of jigsaw; rejected points with their images."""
+    """Adjust with the rule of jigsaw; return the rejected points with their images."""
     solution = fg.adjust(block, median_rejection=3.0, image_unknowns=unknowns)
     names = {image.id: image.sensor.serial for image in block.images}
     assert solution.result.record["median_rejection"] == list(solution.rejected)

@@ -54,7 +54,7 @@ def problem_of(kind: str, **options: object) -> Problem:
 
 @pytest.fixture(autouse=True)
 def always(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Use fronts, and blocks of the inverse, for the smallest blocks."""
+    """Set the limits so that the smallest blocks use fronts and blocks of the inverse."""
     monkeypatch.setattr(cofactors, "WHOLE_LIMIT", 0)
     monkeypatch.setattr(dissection, "HELD", 0.0)
     monkeypatch.setattr(dissection, "SMALLER", 0.0)

@@ -22,7 +22,7 @@ MANIFEST, RECORD = "manifest.json", "result.json"
 
 
 def _text(name: str, old: str, new: str) -> Callable[[Path, Path], object]:
-    """Replace a text in a file; of the same length, so that sizes do not show it."""
+    """Return a function that replaces a text in a file by one of the same length, so that its size is unchanged."""
     assert len(old) == len(new)
 
     def change(folder: Path, other: Path) -> None:
@@ -177,7 +177,7 @@ def test_damaged_folder_is_refused_by_each_command(
 def refused_by(
     run: Any, result: Path, other: Path, twin: Path, dem: Path, tmp_path: Path, case: str, *, each: bool
 ) -> None:
-    """Damage a result, and give it to the command ``report`` or to each command."""
+    """Damage a result, and assert that the command ``report`` or each command refuses it and writes nothing."""
     damage, code = DAMAGED[case]
     damage(result, other)
     before, out = content(result), tmp_path / "out"

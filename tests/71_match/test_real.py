@@ -27,7 +27,7 @@ def nmad(values: np.ndarray) -> float:
 
 
 def adjusted(project: Path) -> tuple[Any, np.ndarray, float]:
-    """Adjust with defaults; the solution, longitude, latitude and height of its points, and the y-parallax RMS."""
+    """Adjust with defaults; return the solution, longitude, latitude and height of its points, and y-parallax RMS."""
     solution = fg.adjust(fg.read_project(project))
     problem = solution.problem
     parallax = rms_px(y_parallaxes(problem, solution.state)[1])

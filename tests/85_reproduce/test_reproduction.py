@@ -104,7 +104,7 @@ def key_of(record: dict[str, str]) -> CellKey:
 
 
 def alter(path: Path, row: int) -> CellKey:
-    """Move the value of one record by 40 decades, in place; give its key."""
+    """Change the value of one record by 40 decades, in place; return its key."""
     columns, records = records_of(path)
     of = records[row]
     of["value"] = repr(float(of["value"]) * 1e40 + 1e40) if of["value"] not in ("", "nan") else "1e-40"

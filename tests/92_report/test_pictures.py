@@ -32,7 +32,7 @@ WRONG, ERROR_PX = "7", np.array([9.0, -6.0])
 
 
 def adjusted(project: Path) -> Path:
-    """Adjust a project; its result folder."""
+    """Adjust a project; return its result folder."""
     out = project.parent / "result"
     assert (
         in_process("adjust", project, "--out", out, "--json", "--overwrite").code == 4

@@ -216,7 +216,7 @@ def test_pictures_are_drawn_again(tmp_path: Path) -> None:
 
 
 def start(name: str, prepared: Path, folder: Path) -> dict[str, Any]:
-    """Fill the folder of a page and give the names that it begins with."""
+    """Fill the folder of a page and return the names with which its code begins."""
     import fg_orient as fg
 
     names: dict[str, Any] = {"__name__": "page", "fg": fg, "np": np, "folder": folder}

@@ -83,7 +83,7 @@ def killer(kills: int, longest_s: float, seed: int) -> Iterator[Counter[str]]:
 
 
 def trial(problem: Problem, pool: Pool, expected: State) -> str:
-    """Adjust once: "same bits", "exit 3" with its code, or what went wrong."""
+    """Adjust once; return "same bits", "exit 3" with its code, or the failure."""
     try:
         found = adjusted(problem, pool)
     except NoSolutionError as error:

@@ -88,7 +88,7 @@ def _watched(name: str, seed: int, cases: int, share: float, keep: Path) -> dict
 
 
 def _wait(pid: int, now: Path) -> str:
-    """Wait for a process; "" if it ended well, else what happened."""
+    """Wait for a process; return "" if it ended well, else a word for its end."""
     last = time.time()
     while True:
         done, status = os.waitpid(pid, os.WNOHANG)

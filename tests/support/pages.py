@@ -160,7 +160,7 @@ def takes_overwrite(command: Command) -> bool:
 
 
 def parse_command(command: Command) -> None:
-    """Let the command line read the options of a command, without running it."""
+    """Parse the options of a command by the command line, without running it."""
     leaf, words = _leaf(command)
     context = leaf.make_context(leaf.name, [], resilient_parsing=True)
     with context.scope(), contextlib.suppress(click.exceptions.Exit):  # --help ends here

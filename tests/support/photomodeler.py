@@ -33,7 +33,7 @@ def read_centres(path: Path) -> dict[str, np.ndarray]:
 
 
 def points_of(export: FrameModel) -> dict[int, np.ndarray]:
-    """Start coordinates of all points by number."""
+    """Return the start coordinates of all points by number."""
     return {int(name): at for name, at in zip(export.point_ids, export.points_m, strict=True)}
 
 
@@ -66,7 +66,7 @@ def block(export: FrameModel, control: dict[int, np.ndarray], sigma_px: float, c
 
 
 def _points(export: FrameModel, ids: np.ndarray, control: dict[int, np.ndarray], shift: np.ndarray) -> GroundPoints:
-    """Hold the control points, or observe them with sigmas.
+    """Return the ground points with control points held or with their sigmas.
 
     The others begin at the export's coordinates.
     """

@@ -285,7 +285,7 @@ class _Walk:
         self.nodes = [n for n in ast.walk(function.node) if n not in inner and isinstance(n, kinds)]
 
     def run(self) -> None:
-        """Take in what the function assigns, passes on and gives back."""
+        """Analyse what the function assigns, passes on and returns."""
         f, results = self.function, []
         for node in self.nodes:
             match node:
@@ -499,7 +499,7 @@ def sources() -> dict[str, str]:
 
 
 def main() -> int:
-    """Print all findings; 1 if there are any."""
+    """Print all findings; return 1 if there are any."""
     found = list(dict.fromkeys(Program(sources()).findings(FOLDERS)))
     print("\n".join(found) or "records of constants are indexed by name")
     return 1 if found else 0
