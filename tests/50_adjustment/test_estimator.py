@@ -101,7 +101,7 @@ def test_solution_equals_scipy(twin: Block) -> None:
 @pytest.mark.parametrize("eop_set", [1, 10, 15, 20])
 @pytest.mark.parametrize("look", [None, 2])
 def test_own_optimisers_and_those_of_gtsam_agree(twin: Block, eop_set: int, look: int | None) -> None:
-    """All our optimisers on graph and Schur backend end at one solution, within 1e-9 prior sigma and 1e-7 m."""
+    """GTSAM's optimisers (graph) and our own (Schur) end at one solution, within 1e-9 prior sigma and 1e-7 m."""
     base = fg.adjust(twin, eop_set=eop_set, look_polynomial=look)
     for optimizer, backend in itertools.product(OWN, ("graph", "schur")):
         other = fg.adjust(twin, eop_set=eop_set, look_polynomial=look, optimizer=optimizer, backend=backend)

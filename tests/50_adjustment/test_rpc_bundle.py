@@ -117,7 +117,7 @@ def test_images_of_different_kinds_keep_their_own_unknowns() -> None:
 
 @pytest.mark.oracle
 def test_optimisers_agree() -> None:
-    """Levenberg-Marquardt and dogleg end at the solution of Gauss-Newton for a mixed block, within 1e-9 prior sigma."""
+    """GTSAM's Levenberg-Marquardt and Dogleg end at the solution of Gauss-Newton within 1e-9 prior sigma."""
     block = mixed()
     base = fg.adjust(block)
     for optimizer in ("levenberg-marquardt", "dogleg"):
