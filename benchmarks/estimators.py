@@ -34,11 +34,10 @@ import fg_orient as fg
 from factors.arrays import Array
 from fg_orient.adjustment.problem import State, compile_problem
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
+from fg_orient.model.distributions import INSIDE_95
 from fg_orient.model.names import EOP_SETS
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 
-#: A two-sided interval of 95 % has this normal quantile.
-INSIDE: Final = 1.959964
 NOISE_PX: Final = 0.5
 SPREADS: Final = (0.1, 1.0, 3.0)
 _FREE: Final[dict[str, Any]] = {"priors": False, "max_iterations": 50}
@@ -134,8 +133,9 @@ def run(seed: int, eop_set: int, spread: float, method: str) -> dict[str, Any] |
     sigma = unknowns["sigma"].to_numpy(float) / unit
     return {
         "squares": np.mean(away**2, axis=0), "mean": away.mean(axis=0),
-        "inside": float(np.mean(np.abs(away) <= INSIDE * stated)), "orientation": float(np.mean((x - true_x) ** 2)),
-        "share": float(x @ true_x / (true_x @ true_x)), "covered": float(np.mean(np.abs(x - true_x) <= INSIDE * sigma)),
+        "inside": float(np.mean(np.abs(away) <= INSIDE_95 * stated)), "orientation": float(np.mean((x - true_x) ** 2)),
+        "share": float(x @ true_x / (true_x @ true_x)),
+        "covered": float(np.mean(np.abs(x - true_x) <= INSIDE_95 * sigma)),
     }  # fmt: skip
 
 

@@ -55,7 +55,7 @@ def look_angles_read_once() -> Iterator[None]:
     """Read and write the same look angles once in each worker.
 
     The 12 000 detectors of a SPOT-5 file take 0.2 s, the half of most commands, and hundreds of tests read the same
-    ones. What is kept hangs on the text of the elements, as read; a fault in them is found again each time.
+    ones. The cache uses the text of the elements as its key; a fault in them is found again each time.
     """
     from lxml import etree
 
@@ -134,13 +134,13 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
 
 def pytest_collection_finish() -> None:
-    """Leave what was imported and collected out of every later search for garbage: a tenth of the run."""
+    """Exclude imported and collected objects from all later garbage collections; they took a tenth of the run."""
     gc.collect()
     gc.freeze()
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Refuse a test without its kind, or that reads real files without saying so; count the kinds."""
+    """Refuse a test without its kind or with unmarked use of real files; count the kinds."""
     config.stash[NUMBERS] = kinds.counted(items)
     for item in items:
         if "real_data" in getattr(item, "fixturenames", ()) and item.get_closest_marker("real_data") is None:
@@ -148,7 +148,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Tell the process that started this worker what was counted: it collects nothing itself."""
+    """Send the counts of a worker to the process that started it, which collects nothing itself."""
     if hasattr(session.config, "workeroutput"):
         session.config.workeroutput["kinds"] = session.config.stash.get(NUMBERS, {})
 

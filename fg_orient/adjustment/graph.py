@@ -1,10 +1,11 @@
-"""The graph backend: image vectors as variables, groups of ground points eliminated inside GTSAM factors.
+"""The graph backend: image vectors as variables, ground points eliminated (:mod:`fg_orient.adjustment.eliminated`).
 
-Each factor contains a group of ground points with all their rays
-(:mod:`fg_orient.adjustment.eliminated`) and links the images that see them. Priors are
-GTSAM's prior factors; an extra observation of images is a separate factor. GTSAM's
-Gauss-Newton, Levenberg-Marquardt or Dogleg solve this graph
-(:mod:`fg_orient.adjustment.optimisers`).
+In the public graph and for iSAM2, each factor contains a group of ground points with all
+their rays and links the images that see them (:func:`group_factor`). In ``adjust``,
+GTSAM's Gauss-Newton, Levenberg-Marquardt or Dogleg get the sums over all points instead,
+as a new graph for each iteration (:mod:`fg_orient.adjustment.reduced_graph`). The normal
+equations are the same. Priors are GTSAM's prior factors; an extra observation of images
+is a separate factor.
 
 In long sequences points and shared unknowns form one variable, the border, and images are
 eliminated (:class:`ImagesGraph`). For given unknowns x of this border

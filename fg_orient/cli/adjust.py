@@ -93,7 +93,7 @@ def adjust(
 
     target = out or project.parent / "result"
     require_free(target, overwrite=overwrite)
-    require_files(project, **options)
+    given = require_files(project, **options)
     load(options.get("backend"))
     from fg_orient.orientation.run import checkpoint_path, run_project
 
@@ -104,7 +104,7 @@ def adjust(
             project, target, overwrite=overwrite, options=options, callback=watch.iteration,
             command=command_line(), execution=execution, stage=watch.stage,
             checkpoint_every_s=checkpoint_every, resume=resume,
-            dem_control=_dem_control(dem_control, dem_sigma, dem_vertical_crs, options.get("memory_limit_gb")),
+            dem_control=_dem_control(dem_control, dem_sigma, dem_vertical_crs, given.memory_limit_gb),
             start=from_result, start_prior=from_prior,
         )  # fmt: skip
     for found in folded([read(one) for one in record.get("errors", [])]):

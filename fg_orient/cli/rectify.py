@@ -24,6 +24,7 @@ from fg_orient.cli.log import session
 from fg_orient.cli.output import answer, note, number, say, table, tell, tell_findings
 from fg_orient.cli.progress import progress_bar
 from fg_orient.model.errors import InputError
+from fg_orient.model.names import EXIT_CODE, Status
 from fg_orient.rectification.options import AccuracyOptions, OrthoOptions, PointOptions, StudyOptions
 
 if TYPE_CHECKING:
@@ -35,8 +36,6 @@ app = typer.Typer(help="Rectify images by points or on a DEM; accuracy of a map,
 POINTS: Final = "CSV: id,line,sample,easting_m,northing_m (or lon_deg,lat_deg); optional: height_m, role, sigmas."
 Points = Annotated[Path, argument("POINTS", POINTS)]
 PROJECTIONS: Final = "utm:36, gauss-krueger:30, lambert-cylindrical:R, lambert-polar:R, som:5,180 or PROJ."
-#: Exit code of a map that fails a standard.
-FAILED: Final = 4
 
 
 @app.command("fit")
@@ -135,7 +134,7 @@ def check(
     }  # fmt: skip
     answer(record, _show_check)
     if any(one.passed is False for one in assessed):
-        raise typer.Exit(FAILED)
+        raise typer.Exit(EXIT_CODE[Status.NOT_TRUSTWORTHY])
 
 
 def _show_check(record: dict[str, Any]) -> None:

@@ -27,6 +27,7 @@ from factors.arrays import Mask
 from fg_orient.formats.arrow_sizes import decoded_sizes
 from fg_orient.formats.columns import Cells, CodedCells, NumberCells
 from fg_orient.formats.faults import Faults
+from fg_orient.formats.parquet_sizes import largest_group_bytes
 from fg_orient.formats.table_write import WHOLE, WORDS, Column, are_numbers, comment_lines, texts
 from fg_orient.formats.text_files import read_data
 from fg_orient.model.errors import InputError
@@ -183,7 +184,7 @@ def _opened(pa: Any, path: Path) -> _Opened:
         rows = [group.num_rows for group in groups]
         if min(rows, default=0) < 0 or sum(rows) != meta.num_rows:
             raise ValueError("the numbers of rows are wrong")
-        largest = max((group.total_byte_size for group in groups), default=0)
+        largest = largest_group_bytes(path)
         read = partial(file.read_row_groups, use_threads=False)
         return _Opened(schema, meta.num_rows, largest, len(rows), read)
     sizes = decoded_sizes(path)

@@ -201,6 +201,11 @@ class Contents:
     mark: str
     names: tuple[str, ...]
 
+    def folders(self, folder: Path) -> list[Path]:
+        """Return the folders inside an output folder that the output has."""
+        inside = {PurePath(name).parent for name in self.names} - {PurePath()}
+        return [folder / one for one in sorted(inside) if not (folder / one).is_symlink()]
+
     def first_foreign(self, folder: Path) -> str:
         """Return the first file or folder that does not belong to the output; "" if all belong to it."""
         for path in sorted(folder.rglob("*")):
@@ -245,7 +250,7 @@ def require_free(out: Path, *, overwrite: bool, contents: Contents = RESULT) -> 
     InputError
         The folder exists and must not be replaced. The message names the first foreign file.
     """
-    for folder in (out.absolute().parent, out):
+    for folder in (out.absolute().parent, out, *contents.folders(out)):
         sweep(folder)
     if not (out.exists() or out.is_symlink()):
         return

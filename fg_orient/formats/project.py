@@ -204,8 +204,8 @@ def checked_project(path: str | Path, **overrides: object) -> tuple[Block | None
     return block, list(remarks)
 
 
-def require_files(path: str | Path, **overrides: object) -> None:
-    """Refuse a project that names a missing file.
+def require_files(path: str | Path, **overrides: object) -> Options:
+    """Refuse a project that names a missing file; return its options, which the overrides replace.
 
     This check is done before the modules of the sensors are loaded, which takes time.
 
@@ -223,6 +223,7 @@ def require_files(path: str | Path, **overrides: object) -> None:
         problems += _tables(project, path.parent, str(path), {})[2]
     if problems:
         raise InputError(*problems)
+    return _options(project, str(path), overrides)[0]
 
 
 def _missing(project: ProjectFile, k: int, path: Path) -> Finding | None:

@@ -18,6 +18,8 @@ from factors.arrays import Array
 
 #: Standard deviation of a normal distribution in median absolute deviations.
 MAD: Final = 1.4826
+#: Half width of the interval that contains 95 % of a normal distribution, in standard deviations.
+INSIDE_95: Final = 1.959964
 
 
 def _of_arrays(function: Callable[..., Any]) -> Callable[..., Array]:

@@ -38,7 +38,7 @@ def conclude(
     estimate: Estimate,
     structure_s: float,
 ) -> Solution:
-    """Return the statistics after convergence. Only this function opens the coordinates of check points."""
+    """Return the statistics after convergence, with the accuracy at the check points, whose coordinates are opened."""
     start = working_clock()
     weighted = compiled if estimate.weights is None else weighted_problem(compiled, estimate.weights)
     cofactors, unavailable = cofactors_at(weighted, estimate)

@@ -140,7 +140,7 @@ def replay(
         changes.update(changed_sources(block, path.parent, recorded))
         _refuse(changes, allow_changed)
 
-    surface = None if dem is None else _open(path.parent, dem)
+    surface = None if dem is None else _open(path.parent, dem, repeat["options"].get("memory_limit_gb"))
     new = run_project(
         path,
         out,
@@ -235,13 +235,13 @@ def _execution(repeat: Mapping[str, Any]) -> dict[str, Any]:
     return {"parts": repeat["parts"], "workers": 1} if repeat["in_parts"] else {}
 
 
-def _open(folder: Path, dem: Mapping[str, Any]) -> RasterDem:
+def _open(folder: Path, dem: Mapping[str, Any], memory_limit_gb: float | None) -> RasterDem:
     path = folder / dem["file"]
     if not path.is_file():
         raise InputError.of("replay.dem", file=path)
     from fg_orient.sensors.surface import RasterDem
 
-    return RasterDem(path, vertical_crs=dem["vertical_crs"])
+    return RasterDem(path, vertical_crs=dem["vertical_crs"], memory_limit_gb=memory_limit_gb)
 
 
 def _versions(kept: Mapping[str, Any]) -> tuple[Record, ...]:

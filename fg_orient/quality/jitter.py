@@ -47,9 +47,8 @@ SETTLED, NEGLIGIBLE = 1e-2, 4.0
 PER_CYCLE: Final = 3.0
 #: Number of intervals at which the shares absorbed by points and orientation are computed.
 ABSORBED_AT: Final = 8
-#: Number of lines of a band; quantile of the normal distribution for its half-width.
+#: Number of lines of a band.
 LINES: Final = 201
-QUANTILE: Final = 1.959964
 #: Normal quantile of a one-sided bound of 95 %. At this bound, the log likelihood is lower than its
 #: maximum by ``DROP``.
 ONE_SIDED: Final = 1.644854

@@ -10,9 +10,10 @@ import numpy as np
 
 from factors.arrays import Array
 from fg_orient.model.block import Block
+from fg_orient.model.distributions import INSIDE_95
 from fg_orient.model.errors import Finding, finding
 from fg_orient.model.jitter import JitterCurve
-from fg_orient.quality.jitter import LEVEL, PER_CYCLE, QUANTILE, Band, JitterChoice
+from fg_orient.quality.jitter import LEVEL, PER_CYCLE, Band, JitterChoice
 
 Verdict = Literal["found", "not found", "cannot be told"]
 #: Columns of the table ``jitter``.
@@ -103,7 +104,7 @@ class AngleJitter:
         """Return the rows of the table ``jitter``."""
         if self.band is None:
             return []
-        value, half = self.band.value, QUANTILE * self.band.sd
+        value, half = self.band.value, INSIDE_95 * self.band.sd
         px = np.stack([value, self.band.sd, value - half, value + half], axis=1)
         both = np.hstack([self.line[:, None], px, px / self.px_per_rad])
         return [(self.image, self.angle, *row) for row in both.tolist()]

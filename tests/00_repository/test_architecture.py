@@ -33,7 +33,7 @@ def test_module_sizes(repository: Path, package: str) -> None:
 
 
 def test_the_library_never_prints(repository: Path) -> None:
-    """Only the command line writes to the terminal."""
+    """No module outside ``fg_orient/cli`` calls ``print``."""
     found = []
     for path in modules(repository, "factors", "fg_orient"):
         name, text = str(path.relative_to(repository)), path.read_text("utf-8")
@@ -149,7 +149,7 @@ PLANTED = [
 
 @pytest.fixture(scope="module")
 def planted(copied_tree: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
-    """Return what import-linter says of a copy with all violations; they do not hide one another."""
+    """Return import-linter's output for a copy with all violations; they do not hide one another."""
     folder = tmp_path_factory.mktemp("planted") / "tree"
     shutil.copytree(copied_tree, folder)
     for module, line, _, _ in PLANTED:
@@ -170,7 +170,7 @@ def test_planted_violation_is_caught(planted: str, module: str, line: str, contr
 
 
 def test_one_module_knows_the_distributions(repository: Path) -> None:
-    """Quantiles and tails have names and a fixed order of arguments; no other module calls scipy for them."""
+    """Only ``fg_orient/model/distributions.py`` imports scipy's special functions and statistics."""
     found = [
         str(path.relative_to(repository))
         for path in modules(repository, "factors", "fg_orient")

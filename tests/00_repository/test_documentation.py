@@ -27,6 +27,15 @@ def test_eop_table_of_the_concepts_page_lists_the_published_sets(repository: Pat
     assert table == {number: EOP_SETS[number].name for number in PUBLISHED_SETS}
 
 
+def test_page_of_bad_input_lists_each_limit_of_files(repository: Path) -> None:
+    """The table of limits in docs/bad-input.md names all limits that ``FG_ORIENT_LIMITS`` can change."""
+    from fg_orient.model.limits import LIMITS
+
+    page = (repository / "docs" / "bad-input.md").read_text("utf-8")
+    rows = [line.split("|")[1] for line in page.splitlines() if line.startswith("| `")]
+    assert set(re.findall(r"`(\w+)`", " ".join(rows))) >= set(LIMITS)
+
+
 def test_prior_sigmas_of_the_concepts_page_are_the_defaults(repository: Path) -> None:
     from fg_orient.model.block import Options
 
@@ -43,7 +52,7 @@ def test_prior_sigmas_of_the_concepts_page_are_the_defaults(repository: Path) ->
 
 
 def test_commands_of_the_readme_exist(repository: Path) -> None:
-    """Every command shown in README and quick start is one of the command line, and the other way round."""
+    """README and quick start show every command of the command line, and no command that does not exist."""
     import typer.main
 
     from fg_orient.cli import app

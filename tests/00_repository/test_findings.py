@@ -54,7 +54,7 @@ def test_no_module_outside_the_command_line_names_a_flag(repository: Path) -> No
 
 @pytest.mark.repository
 def test_only_the_record_writes_and_reads_warnings(repository: Path) -> None:
-    """The key ``warnings`` of a result is written by ``as_record`` and read by ``findings_of``."""
+    """Only ``model/errors.py`` contains the keys ``warnings`` and ``findings`` of a result."""
     named = {
         name
         for name, own in library(repository)
@@ -66,7 +66,7 @@ def test_only_the_record_writes_and_reads_warnings(repository: Path) -> None:
 
 @pytest.mark.repository
 def test_no_sentence_is_given_as_a_warning_or_as_its_data(repository: Path) -> None:
-    """Neither ``warnings=``, ``notes=``, ``unavailable=`` nor a datum of a finding holds text of four words or more."""
+    """No call outside the catalogue passes a text of four words or more as a warning or as data of a finding."""
     given = []
     for name, own in library(repository):
         if name.startswith(SHOWING):
@@ -85,7 +85,7 @@ def test_no_sentence_is_given_as_a_warning_or_as_its_data(repository: Path) -> N
 
 
 def planted(**data: object) -> Finding:
-    """Return the code, severity, sentence, remedy and data of a warning, all in the one place that raises it."""
+    """Return a warning whose code, severity, sentence and remedy are stated where it is raised."""
     return finding(
         "outside.planted (warning): image {image} is upside down + , like {others:2} "
         "-> turn it with <turn_by> {angle:g}",
@@ -128,7 +128,7 @@ def test_a_code_has_one_entry() -> None:
 
 @pytest.mark.behaviour
 def test_results_of_earlier_and_later_versions_are_read() -> None:
-    """The sentences of the record are kept if it has only sentences, or if its code is unknown or has other data."""
+    """A record keeps its sentences if it has no code, if its code is unknown or if its data do not fit the code."""
     first, second = findings_of({"warnings": ["few points", "no fit"], "reason": "no fit"})
     assert [(str(one), one.severity) for one in (first, second)] == [("few points", "warning"), ("no fit", "doubt")]
     assert findings_of({}) == ()

@@ -35,7 +35,7 @@ def write(file: Path, text: str = "") -> None:
 
 
 def dist_info(site: Path, name: str, version: str, files: list[str], direct_url: object = None) -> None:
-    """Records of an installed distribution."""
+    """Write the records of an installed distribution."""
     folder = site / f"{name.replace('-', '_')}-{version}.dist-info"
     write(folder / "METADATA", f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
     write(folder / "RECORD", "".join(f"{file},,\n" for file in files))
@@ -57,7 +57,7 @@ def copy_packages(repository: Path, site: Path) -> None:
 
 @pytest.fixture
 def site(repository: Path, tmp_path: Path) -> Path:
-    """fg_orient as pip installs it from a wheel."""
+    """Return a folder with fg_orient as pip installs it from a wheel."""
     folder = tmp_path / "site"
     copy_packages(repository, folder)
     files = ["fg_orient/__init__.py", "factors/__init__.py", "factors/_contract.py"]
@@ -98,7 +98,10 @@ def test_our_own_is_accepted(site: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("content", ["", "import pandas_of_another\n", "raise SystemExit(0)\n"])
 def test_overwritten_by_another_distribution(site: Path, tmp_path: Path, content: str) -> None:
-    """The order of the remedy matters, because uninstalling the other distribution removes the file."""
+    """If another distribution overwrites our ``__init__``, the error names it and both commands in their order.
+
+    Uninstalling the other distribution removes the file, so fg_orient must be reinstalled afterwards.
+    """
     write(site / "factors" / "__init__.py", content)
     dist_info(site, "factors", "0.1.1", ["factors/__init__.py", "factors/models.py"])
     text = refusal(site)
@@ -114,7 +117,7 @@ def test_the_command_ends_with_one_line(site: Path) -> None:
 
 
 def test_file_gone_with_another_distribution(site: Path, tmp_path: Path) -> None:
-    """After the other distribution is uninstalled, our folder has no ``__init__``."""
+    """If our ``factors/__init__.py`` is missing, the error names the file and ends with the command to reinstall."""
     (site / "factors" / "__init__.py").unlink()
     leftover = tmp_path / "script" / "factors"
     leftover.mkdir(parents=True)
@@ -141,7 +144,10 @@ def test_file_of_the_user_beside_the_script(site: Path, tmp_path: Path) -> None:
 
 
 def test_script_of_the_user_that_has_the_name(site: Path, tmp_path: Path) -> None:
-    """Without the check the script would be imported by fg_orient and run twice."""
+    """A user's script ``factors.py`` runs once, and the import error names it.
+
+    Without the check fg_orient would import the script, and it would run twice.
+    """
     script = tmp_path / "factors.py"
     write(script, f"import sys; sys.path.append({str(site)!r}); print('RUN'); import fg_orient\n")
     done = subprocess.run([sys.executable, "-S", script], capture_output=True, text=True, timeout=60)
@@ -151,7 +157,7 @@ def test_script_of_the_user_that_has_the_name(site: Path, tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("old_copy", [False, True])
 def test_folder_of_the_user(repository: Path, site: Path, tmp_path: Path, old_copy: bool) -> None:
-    """The folder may be an old copy of ours with other code of the same version."""
+    """A user's folder ``factors`` is named with the remedy to rename it, even if it is an old copy of ours."""
     folder = tmp_path / "script" / "factors"
     text = (repository / "factors" / "__init__.py").read_text("utf-8") if old_copy else "print('RUN')\n"
     write(folder / "__init__.py", text)
@@ -167,7 +173,10 @@ def test_folder_on_pythonpath(site: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("editable", [False, True])
 def test_another_distribution_that_is_found_first(site: Path, tmp_path: Path, editable: bool) -> None:
-    """As with an editable fg_orient, whose folder comes last, our files exist and nothing must be installed again."""
+    """If another distribution is found first, the error names it and does not ask to reinstall fg_orient.
+
+    Our files still exist then, for example behind an editable installation.
+    """
     first = tmp_path / "first"
     write(first / "src" / "factors" / "__init__.py", "print('RUN')\n")
     if editable:
@@ -220,7 +229,10 @@ def test_remains_of_an_interrupted_installation_do_not_disturb(site: Path) -> No
 
 
 def test_doctor_warns_of_a_file_with_two_owners(site: Path) -> None:
-    """fg_orient works if it was installed last, but the file is removed when the other distribution is uninstalled."""
+    """``shared_file`` names another distribution that contains our ``__init__``, although the import still succeeds.
+
+    Uninstalling the other distribution would remove the file.
+    """
     code = "from fg_orient.model.installation import shared_file; print(shared_file() or '', end='')"
     for expected in ("", f"{site / 'factors' / '__init__.py'}: the distribution factors 0.1.1 has this file too"):
         text = f"import sys; sys.path.insert(0, {str(site)!r}); {code}"

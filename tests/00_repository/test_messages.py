@@ -28,7 +28,7 @@ CODE = re.compile(r"^[a-z0-9_]+\.[a-z0-9_]+$|^internal$")
 
 @functools.cache
 def sources(repository: Path) -> dict[str, list[ast.AST]]:
-    """Every node of the modules of fg_orient but the catalogue itself: name of the module, its nodes."""
+    """Return all nodes of each module of fg_orient by the module's name, but not those of the catalogue."""
     return {
         path.relative_to(repository).as_posix(): nodes(path)
         for path in sorted((repository / "fg_orient").rglob("*.py"))
@@ -62,7 +62,10 @@ def entries(repository: Path) -> dict[str, Entry]:
 
 @functools.cache
 def calls(repository: Path) -> list[tuple[str, str, set[str] | None]]:
-    """Every ``finding("code", ...)`` and ``SomeError.of("code", ...)``: place, code, keywords (None = ``**``)."""
+    """Return place, code and keywords of each ``finding("code", ...)`` and ``SomeError.of("code", ...)``.
+
+    Keywords are None if a call has ``**``.
+    """
     found = []
     for module, own in sources(repository).items():
         for node in own:
@@ -90,7 +93,7 @@ def fields(code: str) -> set[str]:
 
 @functools.cache
 def literals(repository: Path) -> set[str]:
-    """Every string literal of the sources but places: codes also travel as variables."""
+    """Return every string literal of the sources but places, as codes are also passed in variables."""
     found = set()
     for own in sources(repository).values():
         places = {
@@ -113,7 +116,7 @@ def test_every_code_in_the_sources_is_in_the_catalogue(repository: Path) -> None
 
 @pytest.mark.repository
 def test_every_literal_that_looks_like_a_code_is_in_the_catalogue(repository: Path) -> None:
-    """``domain.word`` of a known domain, unless the word is the suffix of a file name."""
+    """Each literal ``domain.word`` of a known domain is a code of the catalogue, unless it is a file name."""
     known = entries(repository)
     domains = {code.split(".")[0] for code in known}
     alike = {
@@ -154,7 +157,7 @@ def test_entries_are_well_formed(repository: Path) -> None:
 
 @pytest.mark.behaviour
 def test_entries_format_with_values_of_their_fields(repository: Path) -> None:
-    """Each field accepts a value of its format, and all other words of the entry are kept."""
+    """Every entry of the catalogue accepts values for its fields, shows each value once and keeps its other words."""
     for code in entries(repository):
         parts = [p for text in texts(code) for p in FORMAT.parse(OPTION.sub(r"option \1", text))]
         values: dict[str, object] = {name: 1.5 if kind else "WORD" for _, name, kind, _ in parts if name}
@@ -181,7 +184,7 @@ def test_no_code_has_two_entries() -> None:
 
 @pytest.mark.repository
 def test_an_entry_has_parts_a_remedy_and_a_severity() -> None:
-    """Lines are joined; parts begin with +, the remedy with ->. Failures that follow each other share a remedy."""
+    """The parser joins lines, begins a part at +, a remedy at ->, and shares a remedy among consecutive codes."""
     table = "a.b (note): one\n    two: three\n    + , {four}\n    -> do\n    it\n"
     table += "c.c: last\nc.d: five\n    -> six\ne.e (note): x"
     assert words(table) == {
@@ -194,7 +197,7 @@ def test_an_entry_has_parts_a_remedy_and_a_severity() -> None:
 
 @pytest.mark.repository
 def test_choices_are_offered_in_the_same_words(repository: Path) -> None:
-    """The same words introduce every list of known values."""
+    """No entry of the catalogue introduces a list of known values with other words than the standard ones."""
     others = re.compile(r"choose among|use one of|give one of \{|^known: \{known\}$|choose one of: ")
     assert [code for code in entries(repository) if any(others.search(text) for text in texts(code))] == []
 

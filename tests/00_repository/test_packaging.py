@@ -83,12 +83,18 @@ def imports(repository: Path, *folders: str) -> dict[str, str]:
 
 
 def undeclared(found: dict[str, str], known: set[str]) -> dict[str, str]:
-    """Imported modules of which no distribution is declared; one that is not installed has its module's name."""
+    """Return the imported modules, with a file, of which no distribution is declared.
+
+    A module of no installed distribution counts under its own name.
+    """
     return {name: file for name, file in found.items() if not {normal(d) for d in owners().get(name, [name])} & known}
 
 
 def test_every_import_of_the_packages_is_declared(repository: Path, declared: dict[str, Any]) -> None:
-    """An undeclared package that another distribution installs may be missing later."""
+    """``pyproject.toml`` declares every distribution that the packages import.
+
+    An undeclared package may be missing later if another distribution no longer installs it.
+    """
     project = declared["project"]
     known = names(project["dependencies"]).union(*map(names, project["optional-dependencies"].values()))
     found = imports(repository, *PACKAGES)
@@ -104,7 +110,7 @@ def test_every_import_of_tests_and_documents_is_declared(repository: Path, decla
 
 
 def test_what_is_declared_is_imported(repository: Path, declared: dict[str, Any]) -> None:
-    """Every user would have to install a dependency that nothing imports."""
+    """The packages import every declared dependency, so that no user installs one that nothing uses."""
     project = declared["project"]
     wanted = names(project["dependencies"]).union(
         *(names(r) for name, r in project["optional-dependencies"].items() if name != "all")
@@ -133,7 +139,10 @@ def test_make_installs_all_extras_and_groups(repository: Path, declared: dict[st
 
 
 def test_every_dependency_is_constrained(repository: Path, declared: dict[str, Any]) -> None:
-    """make installs exact versions, also of pip, which must support dependency groups."""
+    """``constraints.txt`` states an exact version of each dependency and of pip, which must be 25.1 or newer.
+
+    Older versions of pip do not support dependency groups.
+    """
     lines = (repository / "constraints.txt").read_text("utf-8").splitlines()
     exact = {normal(name): version for name, _, version in (line.partition("==") for line in lines if "==" in line)}
     project = declared["project"]
@@ -144,7 +153,10 @@ def test_every_dependency_is_constrained(repository: Path, declared: dict[str, A
 
 
 def test_numba_is_bounded_above(declared: dict[str, Any]) -> None:
-    """fg_orient uses internals of numba: the cache of kernels, and intrinsics that write LLVM instructions."""
+    """The dependencies numba and llvmlite have upper bounds, because fg_orient uses their internals.
+
+    The internals are the cache of kernels, and intrinsics that write LLVM instructions.
+    """
     bounds = {name: text for text in declared["project"]["dependencies"] for name in ("numba", "llvmlite")
               if text.startswith(name)}  # fmt: skip
     assert set(bounds) == {"numba", "llvmlite"} and all("<" in text for text in bounds.values())

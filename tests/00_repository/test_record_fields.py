@@ -58,7 +58,7 @@ def test_numbers_in_an_equation(text: str) -> None:
 )  # fmt: skip
 @pytest.mark.parametrize("folder", ["factors", "fg_orient"])
 def test_a_record_under_another_name(name: str, text: str, folder: str) -> None:
-    """A record is passed to a function that indexes it, or that passes an offset on."""
+    """The check finds a record that a function indexes by number under another parameter name."""
     more = f"""
 def three(a, i, n):
     return a[i], a[i + n]

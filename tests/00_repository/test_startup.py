@@ -60,7 +60,7 @@ def run(code: str, folder: Path) -> str:
 
 @pytest.mark.repository
 def test_import_loads_nothing_but_itself(repository: Path) -> None:
-    """The import loads three modules and the standard library, so that it takes some hundredths of a second."""
+    """``import fg_orient`` loads only four modules of its own and modules of the standard library."""
     code = (
         "import sys; before = set(sys.modules); import fg_orient\n"
         "found = set(sys.modules) - before\n"
@@ -79,7 +79,10 @@ def twin(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.repository
 @pytest.mark.parametrize("name", FORBIDDEN)
 def test_a_command_loads_only_what_it_uses(name: str, repository: Path, twin: Path, tmp_path: Path) -> None:
-    """Kernels are not counted: they may be compiled in advance or not, and need numba and scipy.linalg."""
+    """Each command runs without loading the modules that are forbidden for it.
+
+    Kernels are not counted: they may be compiled in advance or not, and they need numba and scipy.linalg.
+    """
     words, forbidden = FORBIDDEN[name]
     places = {"left": twin / "left.DIM", "project": twin / "project.toml", "out": tmp_path / "out"}
     words = [word.format(**places) for word in words]
@@ -100,7 +103,7 @@ def test_a_command_loads_only_what_it_uses(name: str, repository: Path, twin: Pa
 @pytest.mark.repository
 @pytest.mark.parametrize("name", ["right.DIM", "points.csv"])
 def test_a_missing_file_is_refused_without_numba(name: str, repository: Path, twin: Path, tmp_path: Path) -> None:
-    """Sensors, kernels and backends are loaded only once all files are there."""
+    """``adjust`` refuses a missing file with exit code 2 before it loads numba, scipy, GTSAM or jinja2."""
     project = shutil.copytree(twin, tmp_path / "project")
     (project / name).unlink()
     code = (

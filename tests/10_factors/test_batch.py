@@ -39,7 +39,7 @@ class Case:
         )
 
     def run(self, *ends: int, want: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-        """Return the residuals, Jacobians, and the first observation that is not finite, range by range."""
+        """Return residuals, Jacobians, and the largest of the ranges' numbers of an observation that is not finite."""
         value, d_image, d_ground = np.full((N, 2), 7.0), np.full((N, 2, self.c), 7.0), np.full((N, 2, 3), 7.0)
         bad = [
             self.rows(lo, hi, self.members, self.records, self.row, self.image, self.point, self.columns.setup,
@@ -49,7 +49,7 @@ class Case:
         return value, d_image, d_ground, max(bad)
 
     def scalar(self, a: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the kernel of the factors at one observation, components as unknowns."""
+        """Return the value and Jacobians of the kernel at one observation, by its coefficients."""
         w, c = self.wide[self.image[a]], self.c
         x = sum(self.basis[a, b] * w[b * c : (b + 1) * c] for b in range(self.n_basis))
         kernel = pushbroom.LOOK_ANGLE_COLLINEARITY.kernel

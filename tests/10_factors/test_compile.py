@@ -145,7 +145,10 @@ def test_a_change_two_imports_away_gives_the_new_result(chain: Chain) -> None:
 
 
 def test_stamps_do_not_depend_on_the_order_of_sets(repository: Path) -> None:
-    """Python hashes strings differently in each process, and literals such as ``{"a", "b"}`` are sets."""
+    """The stamps of all kernels are equal in two processes with different hash seeds.
+
+    Python hashes strings differently in each process, and literals such as ``{"a", "b"}`` are sets.
+    """
     code = """
 import sys
 from fg_orient.kernels import batch, batch_cofactors, batch_pairs
@@ -218,7 +221,7 @@ def test_stamp_sees_what_a_function_is_bound_to() -> None:
 
 
 def test_stamp_of_a_kernel_follows_functions_and_intrinsics() -> None:
-    """A changed callee changes the stamp; a function that the kernel does not call does not change it."""
+    """A changed function changes the stamps of the kernels that call it, and of no other kernel."""
     kernels: list[Any] = [batch_pairs.pair_blocks, batch.rows_of_form, pushbroom.fill]
     before = [stamp(kernel.py_func) for kernel in kernels]
 
@@ -240,7 +243,7 @@ def test_stamp_of_a_kernel_follows_functions_and_intrinsics() -> None:
 
 
 def test_a_function_that_numba_compiles_may_call_kernels() -> None:
-    """A loop of the user over an equation is compiled with all that the kernel calls."""
+    """A user's ``numba.njit`` loop may call a kernel, and its sum equals that of the kernel called from Python."""
     e = look_angle_collinearity(np.random.default_rng(5))
     fill: Any = pushbroom.fill
 
@@ -278,7 +281,10 @@ def test_a_kernel_is_compiled_whole_and_its_parts_are_not(tmp_path: Path) -> Non
 
 
 def test_a_part_that_becomes_a_kernel_gives_arrays(chain: Chain) -> None:
-    """The code that converts an array to Python belongs to the kernel, not to one that has it as a part."""
+    """A kernel returns arrays to Python after another process compiled it as a part of a second kernel.
+
+    The code that converts an array to Python belongs to the kernel itself.
+    """
     code = """
 import json, sys
 import numpy as np
@@ -308,7 +314,10 @@ json.dump([value, []], sys.stdout)
 
 
 def test_a_function_does_not_take_the_rounding_of_its_first_caller() -> None:
-    """numba passes fastmath and forceinline of a caller on to functions without such options."""
+    """Each compiled function states its own fastmath and forceinline.
+
+    numba passes these options of the first caller on to functions that do not state them.
+    """
     for compile_ in (_compile.compiled, _compile.inlined, _compile.exact, _compile.threaded):
         options = compile_(lambda x: x * x).targetoptions  # type: ignore[attr-defined]
         assert {"fastmath", "forceinline"} <= options.keys()
@@ -317,7 +326,10 @@ def test_a_function_does_not_take_the_rounding_of_its_first_caller() -> None:
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="rights of POSIX")
 @pytest.mark.parametrize("opened", ["folder", "index", "data"])
 def test_files_that_others_can_write_are_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, opened: str) -> None:
-    """Such kernels are compiled again; writing removes the permission of others, and the next run reads the files."""
+    """A cached kernel that others can write is compiled again, and the new files are not writable by others.
+
+    The run after it reads the new files.
+    """
     monkeypatch.setattr(numba.core.config, "CACHE_DIR", str(tmp_path))
 
     def runs() -> int:

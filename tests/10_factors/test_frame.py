@@ -24,7 +24,7 @@ def camera_of(rng: np.random.Generator, distortion: np.ndarray) -> np.ndarray:
 @pytest.mark.oracle
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-4, 9.9e-3, 1.01e-2, 0.5, 3.1, 6.0])
 def test_rotation_equals_scipy(angle: float) -> None:
-    """Series and closed form are tested on both sides of their limit at 0.01 rad, up to nearly a full turn."""
+    """Rotation and derivative of a frame camera equal scipy's on both sides of the limit of the series, 0.01 rad."""
     rng = np.random.default_rng(1)
     axis, start = rng.normal(size=3), Rotation.random(random_state=2)
     w = angle * axis / np.linalg.norm(axis)
@@ -41,7 +41,7 @@ def test_rotation_equals_scipy(angle: float) -> None:
 
 @pytest.mark.oracle
 def test_residual_equals_the_printed_formulas() -> None:
-    """OpenCV's documentation, and Brown's correction of what was measured, written with numpy: 16 digits of pixels."""
+    """The frame residual equals OpenCV's formulas or Brown's correction, written with numpy, within 1e-11."""
     rng = np.random.default_rng(3)
     for _ in range(40):
         e = frame_collinearity(rng)
@@ -66,7 +66,7 @@ def test_residual_equals_the_printed_formulas() -> None:
 
 
 def with_nothing_more(camera: np.ndarray) -> np.ndarray:
-    """Return the camera with all corrections of ``frame_corrections``, the further ones 0."""
+    """Return the camera of ``frame_corrections`` whose further corrections are all neutral."""
     further = np.zeros(frame_corrections.CAMERA.size - CAMERA.size)
     further[-3:] = 1.0  # sign, nominal principal distance, radius
     return np.append(camera, further)
@@ -95,7 +95,7 @@ def test_ideal_directions_invert_the_distortion_and_stop_at_its_fold() -> None:
 
 
 def rows_of(parts: list[tuple[int, int]], corrects: bool = False, spoil: bool = False) -> tuple[np.ndarray, list[int]]:
-    """Return the value and Jacobians of 30 rays of 3 images in one array, computed in parts; what each part reports."""
+    """Return values and Jacobians of 30 rays of 3 images, computed in parts, and what each part returns."""
     rng = np.random.default_rng(5)
     e = frame_collinearity(rng)
     while e.setup.shape[1] != 9:

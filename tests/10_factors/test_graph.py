@@ -51,7 +51,7 @@ def gradient_of_error(f: gtsam.CustomFactor, values: gtsam.Values, length: int) 
 
 @pytest.mark.oracle
 def test_linearisation_equals_the_kernel() -> None:
-    """The factor has the kernel's numbers in the order of its keys; differences of the error give the gradient."""
+    """The linearised factor has the kernel's Jacobian and residual; the gradient equals differences of the error."""
     e, values = example()
     f = image_point(e, pushbroom.LOOK_ANGLE_COLLINEARITY)
     value, j_image, j_ground = pushbroom.LOOK_ANGLE_COLLINEARITY.kernel(e.record, e.setup, *e.unknowns, True)
@@ -72,7 +72,7 @@ def test_error_is_half_the_weighted_square() -> None:
 
 @pytest.mark.oracle
 def test_constant_ground_point_is_no_unknown() -> None:
-    """Only the unknowns of the image change the error; differences of the error give the gradient of the rows."""
+    """A factor with a constant ground point has the key and Jacobian of its image only, and the right gradient."""
     e, values = example()
     f = image_point(e, pushbroom.LOOK_ANGLE_COLLINEARITY, ground=e.unknowns[1])
     assert list(f.keys()) == [E0]
@@ -84,7 +84,7 @@ def test_constant_ground_point_is_no_unknown() -> None:
 
 @pytest.mark.behaviour
 def test_image_of_three_unknowns_and_a_fixed_point() -> None:
-    """A vector of length 3 must not be mistaken for a ground point."""
+    """A factor does not mistake an image's vector of three unknowns for a ground point."""
     e, _ = example()
     setup = np.ascontiguousarray(e.setup[:, :3])
     values = gtsam.Values()
@@ -113,7 +113,10 @@ WRONG = {
 @pytest.mark.behaviour
 @pytest.mark.parametrize("fault", WRONG)
 def test_faulty_kernels_are_named(fault: str) -> None:
-    """GTSAM accepts a (2, 5) Jacobian for 36 unknowns, and nan, without a message; fg_orient refuses both."""
+    """A kernel that returns a Jacobian of wrong size or nan is refused with its name and the factor's label.
+
+    GTSAM accepts both without a message.
+    """
     e, values = example()
 
     def kernel(record: np.ndarray, setup: np.ndarray, x: np.ndarray, g: np.ndarray, want: bool) -> tuple:
@@ -130,7 +133,7 @@ def test_faulty_kernels_are_named(fault: str) -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize("size", [5, 35, 37])
 def test_wrong_sizes_are_named_with_a_constant_ground_point(size: int) -> None:
-    """The error has the words of the fast path; the kernel itself returns nan, not old content of the memory."""
+    """A vector of wrong size is refused with both sizes, and the kernel itself returns nan for it."""
     e, _ = example()
     values = gtsam.Values()
     values.insert(E0, np.zeros(size))
@@ -185,7 +188,7 @@ def test_float32_and_missing_blocks_are_refused() -> None:
 
 @pytest.mark.consistency
 def test_general_wrapper_checks_too() -> None:
-    """Equations of one argument take the general path."""
+    """An equation of one argument gives the kernel's numbers, and one without a Jacobian is refused by name."""
     rng = np.random.default_rng(8)
     e = control_point(rng)
     values = gtsam.Values()
@@ -205,7 +208,7 @@ def test_general_wrapper_checks_too() -> None:
 
 @pytest.mark.oracle
 def test_priors_equal_gtsams_own() -> None:
-    """The control equations and GTSAM's prior factors give the same normal equations."""
+    """The control point equation has the normal matrix of GTSAM's prior factor, and priors have the error by hand."""
     rng = np.random.default_rng(9)
     e = control_point(rng)
     values = gtsam.Values()

@@ -41,7 +41,10 @@ def test_slopes_by_complex_step(rng: np.random.Generator) -> None:
 
 @pytest.mark.oracle
 def test_displacements_are_orthogonal_on_the_disk() -> None:
-    """Gauss's quadrature is exact for the products: degree 15 in r."""
+    """The scaled radial terms are orthogonal on the disk of the image within 1e-14.
+
+    Gauss's quadrature is exact for their products, which have degree 15 in r.
+    """
     at, weight = np.polynomial.legendre.leggauss(12)
     r = RADIUS * 0.5 * (at + 1.0)
     rows = np.array([variants.terms(v, 0.0, RADIUS)[0, [0, 4, 5, 6]] for v in r])

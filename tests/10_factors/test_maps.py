@@ -25,7 +25,7 @@ def state(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.oracle
 def test_orbital_frame_is_convention_b(rng: np.random.Generator) -> None:
-    """X = V x Z right of flight, Y forward, Z outward, as columns, determinant +1."""
+    """The columns of the orbital frame are X = V x Z, right of flight, Y forward and Z outward, with determinant +1."""
     for _ in range(20):
         p, v = state(rng)
         r = rotations.orbital_frames(p[None], v[None])[0]
@@ -39,7 +39,7 @@ def test_orbital_frame_is_convention_b(rng: np.random.Generator) -> None:
 
 @pytest.mark.oracle
 def test_attitude_equals_scipy(rng: np.random.Generator) -> None:
-    """Active Rx(pitch) Ry(roll) Rz(yaw): scipy's intrinsic XYZ sequence."""
+    """The attitude matrix Rx(pitch) Ry(roll) Rz(yaw) equals scipy's intrinsic XYZ sequence."""
     for roll, pitch, yaw in rng.uniform(-1.0, 1.0, (20, 3)):
         ours = rotations.attitude_matrices(np.array([[roll, pitch, yaw]]), False)[0]
         theirs = Rotation.from_euler("XYZ", [pitch, roll, yaw]).as_matrix()
@@ -155,7 +155,10 @@ def test_intersection_lies_at_the_height_and_is_the_nearest() -> None:
 
 @pytest.mark.truth
 def test_look_direction_points_to_the_earth(rng: np.random.Generator) -> None:
-    """Third component -1 (erratum of both sources): with +1 both roots of the ellipsoid are negative."""
+    """The look direction has the third component -1 and meets the ellipsoid; with +1 it meets no ground.
+
+    Both sources print +1, which is an erratum.
+    """
     d = look.direction(np.array([0.01]), np.array([0.3]))
     assert np.allclose(d, [[-np.tan(0.3), np.tan(0.01), -1.0]], rtol=1e-15, atol=0.0)
     p, v = state(rng)
@@ -179,7 +182,7 @@ def test_look_table_is_linear_in_the_tangent() -> None:
 
 @pytest.mark.oracle
 def test_sines_equal_those_of_extended_precision(rng: np.random.Generator) -> None:
-    """Over many turns the error is a rounding of 1, and for small angles a rounding of the angle."""
+    """Sine and cosine - 1 are accurate to one rounding of 1 over many turns, and relatively for small angles."""
     for size in (1e-9, 1e-4, 0.5, 0.78, 2.0, 10.0, 1e6):
         x = rng.uniform(-size, size, 2000)
         sine, less = np.array([sine_cosine(v) for v in x]).T
@@ -228,7 +231,7 @@ def test_frame_difference_equals_the_plain_one_and_keeps_digits(rng: np.random.G
 @pytest.mark.oracle
 @pytest.mark.parametrize("follows", [0.0, 1.0])
 def test_derivatives_of_orbital_coordinates(follows: float, rng: np.random.Generator) -> None:
-    """Against complex step of the plain product."""
+    """The derivatives of orbital coordinates equal complex steps of the plain product within 1e-14."""
     for _ in range(10):
         p, v = state(rng)
         g, c = p * (6.371e6 / 7.2e6) + rng.normal(size=3) * 1e5, rng.normal(size=3)
@@ -266,7 +269,7 @@ def test_pair_rotation_sums_to_the_plain_product(rng: np.random.Generator) -> No
 
 @pytest.mark.consistency
 def test_few_rows_give_the_bits_of_many(rng: np.random.Generator) -> None:
-    """Few rows run in Python and many are compiled, but a result does not depend on the number of rows."""
+    """A row has the same bits whether it is computed among few rows in Python or among many in compiled code."""
 
     def require_equal(function: Callable[..., np.ndarray], arrays: tuple[np.ndarray, ...], times: int) -> np.ndarray:
         few = function(*arrays)

@@ -117,7 +117,10 @@ def test_scaled_rank_of_a_system_without_design(rng: np.random.Generator) -> Non
 
 @pytest.mark.truth
 def test_fewer_observations_than_unknowns_are_singular(rng: np.random.Generator) -> None:
-    """N has zero eigenvalues, which are not among the singular values of a wide A."""
+    """A system with fewer rows than columns gets zero singular values and the rank of its rows.
+
+    N has these zero eigenvalues, which are not among the singular values of a wide A.
+    """
     design = rng.normal(size=(3, 5))
     assert singular_values(design)[3:].tolist() == [0.0, 0.0]
     found = diagnose(design)

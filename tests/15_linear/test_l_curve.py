@@ -38,7 +38,7 @@ def test_every_point_is_a_tikhonov_solution(system: LinearSystem) -> None:
 
 @pytest.mark.oracle
 def test_rules_have_their_places(system: LinearSystem) -> None:
-    """Each rule that needs the system alone, with the kappa that its own solver takes, and on the curve."""
+    """Each rule that needs only the system has the kappa of its own solver, and its norms lie on the L-curve."""
     curve = l_curve_of(system)
     assert {c.rule for c in curve.choices} == {name for name, rule in kappa_rules().items() if not rule.needs}
     found = {c.rule: c for c in curve.choices if not c.failure}
@@ -64,7 +64,7 @@ def test_any_kappa_has_its_place(system: LinearSystem) -> None:
 
 @pytest.mark.oracle
 def test_the_corner_bends_most(system: LinearSystem) -> None:
-    """The curvature of the recorded curve, computed by differences, is largest at the chosen kappa."""
+    """The L-curve rule chooses the kappa of largest curvature, which equals differences of the curve within 2 %."""
     curve = l_curve_of(system)
     at, x, y = np.log(curve.kappa), np.log(curve.residual_norm), np.log(curve.solution_norm)
     dx, dy = np.gradient(x, at), np.gradient(y, at)
@@ -78,7 +78,7 @@ def test_the_corner_bends_most(system: LinearSystem) -> None:
 
 @pytest.mark.behaviour
 def test_a_rule_that_finds_nothing_says_why_and_the_others_stay() -> None:
-    """Without redundancy HKB and LW have no s0, and there are no residuals."""
+    """Without redundancy HKB fails with its reason, and GCV and the curve are still computed."""
     curve = l_curve_of(LinearSystem.from_design(np.diag([3.0, 0.1]), np.array([1.0, 1.0])))
     found = {c.rule: c for c in curve.choices}
     assert np.isnan(found["hkb"].kappa) and "more observations than unknowns" in found["hkb"].failure

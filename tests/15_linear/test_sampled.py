@@ -39,7 +39,7 @@ def sampled(system: LinearSystem, probes: Array | None = None) -> SampledRidge:
 
 @pytest.mark.oracle
 def test_true_trace_lies_within_3_standard_errors() -> None:
-    """Of 200 seeds of the probes at least 99 %, for a small, a middle and a large kappa."""
+    """The sampled trace is within 3 standard errors of the true one for 99 % of 200 seeds, at each of three kappas."""
     system = system_of(1)
     values = np.linalg.svd(system.require_design("test")[0], compute_uv=False)
     known: dict[float, Array] = {k: np.linalg.inv(system.normal + k * np.eye(64)) for k in (1e-2, 1.0, 1e2)}
@@ -56,7 +56,10 @@ def test_true_trace_lies_within_3_standard_errors() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("seed", range(3))
 def test_curves_are_those_of_the_decomposition(seed: int) -> None:
-    """All columns of a Hadamard matrix as probes: the mean over them is the exact trace."""
+    """With exact probes the sampled curves equal those of the singular value decomposition.
+
+    The probes are all columns of a Hadamard matrix; their mean is the exact trace.
+    """
     system = system_of(seed)
     one, other = sampled(system, hadamard(64).astype(float)), Ridge.of(system, "test")
     for kappa in (1e-2, 1.0, 1e2):
@@ -80,7 +83,10 @@ def test_kappas_are_those_of_the_decomposition(rule: str) -> None:
 
 @pytest.mark.oracle
 def test_interval_of_gcv_contains_the_exact_kappa() -> None:
-    """Of 40 systems with the random probes of the program; fewer than 32 have a probability of 1e-4 at 95 %."""
+    """The 95 % interval of GCV contains the exact kappa for at least 32 of 40 systems.
+
+    Fewer than 32 have a probability of 1e-4.
+    """
     inside = 0
     for seed in range(40):
         system = system_of(seed)

@@ -32,7 +32,10 @@ def least_squares(system: LinearSystem) -> tuple[Array, float, int]:
 
 @pytest.mark.oracle
 def test_generalised_ridge_is_the_limit_of_its_iteration(system: LinearSystem) -> None:
-    """Hoerl & Kennard (1970): the iteration starts at least squares and computes k_i = s0^2 / alpha_i^2 anew."""
+    """Generalised ridge equals the limit of the iteration of Hoerl & Kennard (1970).
+
+    The iteration starts at least squares and computes k_i = s0^2 / alpha_i^2 in each step.
+    """
     x, variance, _ = least_squares(system)
     size, axes = np.linalg.eigh(system.normal)
     first = axes.T @ x
@@ -66,9 +69,10 @@ def test_combined_estimator_shrinks_a_partial_ridge(system: LinearSystem) -> Non
 
 @pytest.mark.truth
 def test_stein_has_less_mean_square_error_than_least_squares() -> None:
-    """James & Stein (1961): this holds for every truth with three unknowns or more.
+    """Stein's estimate has less than 0.8 of the mean square error of least squares over 4000 draws.
 
-    Here it has the size of the noise; 4000 draws.
+    James & Stein (1961) prove less error for every truth with three unknowns or more; here the truth has the size of
+    the noise.
     """
     rng = np.random.default_rng(1)
     design = np.linalg.qr(rng.standard_normal((30, 8)))[0]

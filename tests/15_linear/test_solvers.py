@@ -75,7 +75,10 @@ def test_modern_solver_equals_lstsq(name: str, seed: int, u: int, log_cond: floa
 
 @pytest.mark.truth
 def test_column_scaling_rescues_what_units_break() -> None:
-    """With units 1, 1e8 and 1e16, N has cond 1e32; with columns of unit length it has that of the random design."""
+    """Solvers that scale columns are exact to 1e-12 for units of 1, 1e8 and 1e16; the pseudo-inverse fails.
+
+    N has cond 1e32 in these units, and that of the random design with columns of unit length.
+    """
     rng = np.random.default_rng(2)
     design = rng.normal(size=(12, 3)) * [1.0, 1e8, 1e16]
     truth = np.array([3.0, 2e-8, -1e-16])
@@ -120,7 +123,7 @@ def test_singular_systems_are_reported(name: str, kind: str, as_run: bool) -> No
 @EXAMPLES
 @given(seed=st.integers(0, 2**32 - 1), u=st.integers(2, 12))
 def test_numerically_singular_systems_are_never_silent(name: str, seed: int, u: int) -> None:
-    """Rounding hides the defect: a breakdown, a lower rank or a remark, and no nan without a message.
+    """A solver breaks down or adds a note if rounding hides a rank defect, and returns nan only with a failure.
 
     The last unknown depends on the others, which are well determined, so its pivot is a few roundings.
     """
@@ -168,7 +171,7 @@ def test_truncating_solvers_give_the_minimum_norm_solution(name: str) -> None:
 
 @pytest.mark.truth
 def test_zero_leading_pivot() -> None:
-    """Row exchange and complete pivoting go on, elimination without pivoting cannot."""
+    """Solvers that exchange rows solve a system whose first pivot is zero; plain elimination names the step."""
     system = LinearSystem(np.array([[0.0, 2.0], [2.0, 3.0]]), np.array([2.0, 5.0]))
     for name in ("gauss_partial_pivot_elimination", "pivot_inverse", "cramer_inverse", "moore_penrose_inverse"):
         assert np.abs(solve(name, system).x - 1.0).max() <= 1e-14, name
@@ -225,7 +228,7 @@ def test_four_penrose_conditions(rank: int) -> None:
 
 @pytest.mark.truth
 def test_tolerance_of_the_pseudo_inverse() -> None:
-    """u eps(d_1): three spacings of the largest value at u = 3."""
+    """The pseudo-inverse counts a singular value above u eps(d_1), which is three spacings of the largest at u = 3."""
     limit = 3 * np.spacing(1.0)
     assert pseudo_inverse(np.diag([1.0, 0.5, 0.9 * limit]))[1] == 2
     assert pseudo_inverse(np.diag([1.0, 0.5, 1.1 * limit]))[1] == 3
@@ -233,7 +236,7 @@ def test_tolerance_of_the_pseudo_inverse() -> None:
 
 @pytest.mark.truth
 def test_cramer_does_not_overflow() -> None:
-    """Determinants of 1e-600 and 1e600 are outside the range of doubles."""
+    """Cramer's inverse is exact to 1e-12 if determinants are outside the range of doubles, 1e-600 or 1e600."""
     for unit in (1e-100, 1e100):
         normal = unit * np.diag([1.0, 2.0, 4.0, 5.0, 8.0, 10.0])
         assert relative(invert_cramer(normal) * unit, np.diag([1.0, 0.5, 0.25, 0.2, 0.125, 0.1])) <= 1e-12
@@ -251,7 +254,10 @@ def test_results_that_overflow_are_breakdowns() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("name", ["cholesky_inverse", "cholesky_elimination"])
 def test_as_run_takes_complex_roots_and_the_real_part(name: str) -> None:
-    """C^T C = N without conjugation, so for an indefinite N the exact result is that of any other method."""
+    """With ``as_run`` Cholesky solves an indefinite N by complex roots, with a note, as LAPACK does.
+
+    C^T C = N holds without conjugation, so the exact result is that of any other method.
+    """
     rng = np.random.default_rng(4)
     system = LinearSystem(positive_definite(rng, 6, 2.0) - 10.0 * np.eye(6), rng.normal(size=6))
     with pytest.raises(Breakdown):
@@ -265,7 +271,7 @@ def test_as_run_takes_complex_roots_and_the_real_part(name: str) -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("name", ["cholesky_inverse", "cholesky_elimination"])
 def test_as_run_changes_nothing_on_a_positive_definite_matrix(name: str) -> None:
-    """The solution is that of LAPACK, and the switch changes no bit of it."""
+    """For a positive definite N the switch ``as_run`` changes no bit of the solution, which is LAPACK's."""
     rng = np.random.default_rng(6)
     system = LinearSystem(positive_definite(rng, 6, 3.0), rng.normal(size=6))
     found = solve(name, system, as_run=True).x
@@ -290,7 +296,10 @@ def test_check_sums_hold_on_good_and_ill_conditioned_systems() -> None:
 @pytest.mark.truth
 @pytest.mark.parametrize("size", [1e-3, 1e-9])
 def test_injected_error_is_found_by_the_check_sums(size: float) -> None:
-    """The sums are computed when N is formed; then one element and its mirror image are changed."""
+    """The check sums name both rows of an element of N that was changed after the sums were formed.
+
+    The element's mirror image is changed too.
+    """
     rng = np.random.default_rng(9)
     normal, rhs = positive_definite(rng, 7, 2.0), rng.normal(size=7)
     sums = normal.sum(axis=1) + rhs

@@ -29,7 +29,7 @@ def diagonal(*values: float) -> LinearSystem:
 @pytest.mark.parametrize("penalty", ["identity", "first_difference", "second_difference"])
 @pytest.mark.parametrize("solver", ["svd", "gauss_partial_pivot_elimination"])
 def test_solution_minimises_the_penalised_sum(system: LinearSystem, penalty: str, solver: str) -> None:
-    """A general minimiser from scipy, with the difference operators written down here."""
+    """The Tikhonov solution is the minimum that scipy finds for the penalised sum, for each difference operator."""
     matrix = {
         "identity": np.eye(5),
         "first_difference": np.eye(5)[1:] - np.eye(5)[:-1],
@@ -90,7 +90,10 @@ def test_hkb_and_lw_are_their_formulas(system: LinearSystem) -> None:
 
 @pytest.mark.consistency
 def test_start_solver_of_hkb_is_named_by_the_caller() -> None:
-    """kappa follows the large errors of plain least squares, but not those of a truncated solution."""
+    """HKB computes kappa from the start solver that the caller names.
+
+    With plain least squares kappa follows its large errors, with a truncated solution it does not.
+    """
     system, _, _ = vandermonde(0)
     wild = choose_kappa("hkb", system).kappa
     tame = choose_kappa("hkb", system, Given(start_solver="moore_penrose_inverse")).kappa
@@ -113,7 +116,10 @@ def test_clamping_as_published(value: float, kappa: float, note: str) -> None:
 
 @pytest.mark.behaviour
 def test_clamped_solver_and_unclamped_rule() -> None:
-    """With large residuals and tiny unknowns HKB is far above 1, because it depends on the unit of the unknowns."""
+    """The solver clamps kappa of HKB to 1 with a note, while the rule returns the larger value in any unit.
+
+    Large residuals and tiny unknowns make kappa of HKB far above 1.
+    """
     rng = np.random.default_rng(1)
     system = LinearSystem.from_design(rng.normal(size=(10, 2)), rng.normal(size=10))
     assert choose_kappa("hkb", system).kappa > 1.0
@@ -131,7 +137,7 @@ def no_residual() -> LinearSystem:
 
 
 def one_unknown() -> LinearSystem:
-    """Return an exact observation, and one that no unknown explains."""
+    """Return the system of one unknown with an exact observation and one that the unknown does not affect."""
     return LinearSystem.from_design(np.array([[1.0], [0.0]]), np.array([1e-6, 1.0]))
 
 
@@ -152,7 +158,7 @@ def test_rules_without_a_usable_kappa_are_breakdowns(rule: str, system: LinearSy
 
 @pytest.mark.oracle
 def test_curves_are_the_quantities_they_name() -> None:
-    """|x|^2, |A x - l|^2, GCV and the likelihood from solutions and matrices formed outright."""
+    """|x|^2, |A x - l|^2 and GCV of the decomposition equal those from matrices that the test forms."""
     system, _, _ = vandermonde(2)
     design, observed = system.require_design("test")
     ridge = Ridge.of(system, "test")
@@ -193,7 +199,10 @@ def test_slopes_and_curvature_by_finite_differences() -> None:
 
 @pytest.mark.oracle
 def test_maximum_is_the_largest_likelihood(system: LinearSystem) -> None:
-    """Differences of the log-likelihood equal those of the normal density of l, sigma estimated."""
+    """The rule ``maximum`` chooses the largest likelihood, whose differences equal those of the normal density of l.
+
+    Sigma is estimated.
+    """
     design, observed = system.require_design("test")
     ridge = Ridge.of(system, "test")
 
@@ -227,14 +236,17 @@ def test_rule_comes_near_the_best_kappa(rule: str) -> None:
 
 @pytest.mark.truth
 def test_gcv_comes_near_the_best_kappa_but_for_its_known_exceptions() -> None:
-    """The minimum of GCV is flat: now and then it lies far too low (Wahba 1990); in 100 seeds here 10 times."""
+    """GCV has at most five times the least possible error in 16 of 20 seeds.
+
+    The minimum of GCV is flat: sometimes it lies far too low (Wahba 1990), in 100 seeds here 10 times.
+    """
     good = sum(error_over_best("gcv", seed) <= 5.0 for seed in range(20))
     assert good >= 16
 
 
 @pytest.mark.truth
 def test_plain_least_squares_is_far_from_the_best_kappa() -> None:
-    """Otherwise the tests above could not fail."""
+    """Least squares has 50 times the error of the best kappa, so that the tests above can fail."""
     for seed in range(6):
         system, truth, _ = vandermonde(seed)
         best = min(float(np.linalg.norm(Ridge.of(system, "test").solution(k) - truth)) for k in np.logspace(-9, 0, 50))
@@ -253,7 +265,10 @@ def test_cc_has_the_largest_correlation_with_the_truth() -> None:
 
 @pytest.mark.oracle
 def test_creso_is_the_first_local_maximum() -> None:
-    """Two singular values far apart: each raises the function after its square, the smaller one comes first."""
+    """CRESO chooses the first local maximum of its function, and its curve equals the formula.
+
+    Two singular values far apart each make a maximum after their square; that of the smaller value is first.
+    """
     design = np.diag([1.0, 1e-3])
     system = LinearSystem.from_design(np.vstack([design, np.zeros(2)]), np.array([1.0, 1e-3, 0.1]))
     choice = choose_kappa("creso", system)
@@ -261,7 +276,7 @@ def test_creso_is_the_first_local_maximum() -> None:
     s, b = np.array([1.0, 1e-3]), np.array([1.0, 1e-3])
 
     def function(kappa: float) -> float:
-        """|x|^2 + 2 kappa d|x|^2/dkappa of x = s b / (s^2 + kappa)."""
+        """Return |x|^2 + 2 kappa d|x|^2/dkappa of x = s b / (s^2 + kappa)."""
         x = s * b / (s**2 + kappa)
         return float(np.sum(x**2 - 4.0 * kappa * x**2 / (s**2 + kappa)))
 
@@ -288,7 +303,7 @@ def test_discrepancy_and_zero_crossing_satisfy_their_equations() -> None:
 
 @pytest.mark.behaviour
 def test_discrepancy_at_the_very_end_of_its_range() -> None:
-    """Noise of the length of l: the residual meets it where x is zero within rounding, in every seed."""
+    """If the noise is as long as l, the discrepancy rule gives an x near zero, or breaks down and names residuals."""
     for seed in range(40):
         rng = np.random.default_rng(seed)
         observed = rng.normal(size=8)

@@ -111,7 +111,7 @@ def line_of(problem: Finding) -> int:
 def test_file_with_one_fault(
     request: pytest.FixtureRequest, refused: Refused, name: str, old: str, new: str, code: str, place: str, value: str
 ) -> None:
-    """SPOT 5 and Pléiades; no entity is resolved, no XInclude followed."""
+    """A SPOT 5 or Pléiades file with one fault is refused in one line with code, place, value and line number."""
     problem = refused(change(request.getfixturevalue(name), old, new), code, place, value)
     assert line_of(problem) >= 1
 
@@ -149,7 +149,10 @@ def test_missing_file_and_folder(tmp_path: Path, refused: Refused) -> None:
 
 
 def test_unreadable_file(dim1: Path, refused: Refused, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Root may read everything; therefore the test simulates the refusal of the system."""
+    """A file that the system refuses to open is refused with the system's message.
+
+    The refusal is simulated, because root may read everything.
+    """
 
     def refuse(*_: object, **__: object) -> None:
         raise PermissionError(13, "Permission denied")
@@ -223,7 +226,7 @@ ATTACKS = {
 @pytest.mark.parametrize("attack", ATTACKS)
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
 def test_doctype_and_entities_are_refused(dim1: Path, refused: Refused, attack: str, encoding: str) -> None:
-    """In UTF-8 they are refused before parsing, in other encodings after it; no entity is resolved."""
+    """A file with a DOCTYPE is refused with its prolog as place, in UTF-8 and in UTF-16."""
     change(dim1, r"<LINE_PERIOD>.*?<", "<LINE_PERIOD>&e;<" if "ENTITY e" in ATTACKS[attack] else "<LINE_PERIOD>1<")
     head, body = dim1.read_text().replace('encoding="UTF-8"', f'encoding="{encoding}"').split("\n", 1)
     dim1.write_bytes(f"{head}\n{ATTACKS[attack]}\n{body}".encode(encoding))
@@ -241,10 +244,7 @@ junk = st.one_of(
 
 @pytest.mark.parametrize("name", ["dim1", "dim2", "dim6"])
 def test_any_changed_value_is_refused_in_one_line_or_read(name: str, request: pytest.FixtureRequest) -> None:
-    """One value is replaced or one line removed.
-
-    The reader returns metadata or raises an InputError, never another exception.
-    """
+    """After any change of a value or loss of a line the reader returns metadata or raises an InputError of one line."""
     path: Path = request.getfixturevalue(name)
     text = path.read_text("utf-8")
     leaves = [m.span(1) for m in re.finditer(r">([^<>\n]+)</", text)]

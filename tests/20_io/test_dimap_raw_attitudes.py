@@ -45,7 +45,7 @@ def angles(metadata: PushbroomMetadata) -> AngleAttitude:
 
 @pytest.mark.truth
 def test_constant_speeds_give_straight_angles(dim1: Path) -> None:
-    """angle = first absolute angle + speed times (t - its time), with the sign step."""
+    """With constant speeds, angle = first absolute angle + speed times (t - its time), with the signs of the step."""
     path = spot4(dim1, [sample("Angles", 7.0, 1e-5, 2e-5, 3e-5)], steps(7.1, 6, lambda _: 1e-6))
     metadata = read_dimap(path)
     attitude = angles(metadata)
@@ -59,7 +59,7 @@ def test_constant_speeds_give_straight_angles(dim1: Path) -> None:
 
 @pytest.mark.truth
 def test_a_speed_belongs_to_the_interval_before_its_time(dim1: Path) -> None:
-    """Only the speed at tag 3 is not zero: the angle changes from tag 2 to tag 3 and nowhere else."""
+    """A speed changes the angle only in the interval before its time tag."""
     speeds = [sample("Angular_Speeds", 7.0 + 0.125 * k, 8e-6 * (k == 3), 0.0, 0.0) for k in range(7)]
     attitude = angles(read_dimap(spot4(dim1, [sample("Angles", 7.0, 0.0, 0.0, 0.0)], speeds)))
     np.testing.assert_allclose(-attitude.angles_rad[:, 0], [0, 0, 0, 1e-6, 1e-6, 1e-6, 1e-6], rtol=0, atol=1e-20)
@@ -75,9 +75,9 @@ def test_the_first_absolute_angle_may_lie_inside_the_list(dim1: Path) -> None:
 
 @pytest.mark.behaviour
 def test_holding_is_noted_with_its_length_and_the_closing_error(dim1: Path) -> None:
-    """The list covers 7.25 ..
+    """Notes state how long the speeds are held at both ends, the closing error, and frame points without attitudes.
 
-    7.40, the image 7.317 .. 7.346, absolute angles are at 7.15 and 7.50. Both ends are held.
+    The list covers 7.25 to 7.40 s, the image 7.317 to 7.346 s; absolute angles are at 7.15 and 7.50 s.
     """
     absolute = [sample("Angles", 7.15, 0.0, 0.0, 0.0), sample("Angles", 7.5, 1.35e-6, 7e-7, -1.05e-6)]
     speeds = [sample("Angular_Speeds", t, 1e-6, 2e-6, -3e-6) for t in (7.25, 7.40)]
@@ -93,7 +93,7 @@ def test_holding_is_noted_with_its_length_and_the_closing_error(dim1: Path) -> N
 
 @pytest.mark.behaviour
 def test_speeds_are_never_held_longer_than_the_limit(dim1: Path) -> None:
-    """The image ends at 7.346 s; a list that ends 0.25 s before is refused, 0.15 s before is not."""
+    """A list of speeds that ends 0.15 s before the image is read; one that ends 0.25 s before is refused."""
     absolute = [sample("Angles", 6.9, 0.0, 0.0, 0.0)]
     text = dim1.read_text()
     end = CENTRE_S + 19 * 7.5199643612e-4
@@ -132,7 +132,10 @@ def test_raw_attitudes_that_do_not_do_are_refused(
 
 
 def tilted_line(mirror_rad: float, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Detectors of a straight line of +-2.06 degrees, turned across track by a mirror: sample, psi_x, psi_y."""
+    """Return sample, psi_x, psi_y of a straight line of detectors that a mirror turns across track.
+
+    Its field of view is +-2.06 degrees.
+    """
     sample_ = np.arange(float(n))
     field = np.tan(np.radians(2.06)) * (2 * sample_ / (n - 1) - 1)
     forward = np.full(n, 0.01)
@@ -153,7 +156,10 @@ def test_two_detectors_give_all_of_a_straight_line(mirror_deg: float) -> None:
 
 @pytest.mark.oracle
 def test_tangents_about_the_nadir_would_be_far_off() -> None:
-    """The rule is needed: at 27 degrees the centre detector would move by more than 500 m at 830 km."""
+    """Interpolation about the nadir would move the centre detector by more than 500 m at 27 degrees.
+
+    Therefore the reader needs the rule that is tested above.
+    """
     sample_, _, psi_y = tilted_line(np.radians(27.0), 601)
     tangent = np.interp(300.0, sample_[[0, -1]], np.tan(psi_y[[0, -1]]))
     assert abs(tangent - np.tan(psi_y[300])) * 830e3 > 500.0

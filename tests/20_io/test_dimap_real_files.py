@@ -116,7 +116,10 @@ def test_line_periods_follow_the_unit_attribute(real_data: Path, name: str, peri
 
 @pytest.mark.truth
 def test_spot5_frame_points_are_met_to_the_print(real_data: Path) -> None:
-    """Five points are printed with 1e-6 degree = 0.1 m; the measured differences are 0.005 to 0.053 m."""
+    """The SPOT 5 model locates the five frame points of the file within 0.15 m.
+
+    The file prints 1e-6 degree = 0.1 m; the measured differences are 0.005 to 0.053 m.
+    """
     assert frame_distances_m(read_dimap(real_data / COSI / "SPOT5.DIM"), 0.0).max() <= 0.15
 
 
@@ -125,7 +128,7 @@ def test_spot5_frame_points_are_met_to_the_print(real_data: Path) -> None:
     ("SPOT1.DIM", 9.0), ("SPOT2.DIM", 5.0), ("SP2_METADATA.DIM", 3.0), ("SPOT4.DIM", 26.0),
 ])  # fmt: skip
 def test_spot124_frame_points(real_data: Path, name: str, limit_m: float) -> None:
-    """Corners and centre are within the limits with detectors on a straight line.
+    """Models of SPOT 1, 2 and 4 locate corners and centre within the limit of each file, with three notes.
 
     With the attitudes set to zero all five points agree to 3 m, because the producer left the attitudes out.
     """
@@ -143,7 +146,7 @@ def test_spot124_frame_points(real_data: Path, name: str, limit_m: float) -> Non
 
 @pytest.mark.truth
 def test_spot6_frame_points_lie_at_terrain_height(real_data: Path) -> None:
-    """The file has no height, but with one height near 830 m all five points agree within 2 m."""
+    """The SPOT 6 model locates all five frame points within 2 m at a height of 830 m, which the file does not state."""
     m = read_dimap(real_data / COSI / "SPOT6.XML")
     assert all(p.height_m is None for p in m.frame_points)
     assert frame_distances_m(m, 830.0).max() <= 2.0
@@ -163,7 +166,10 @@ def test_an_independent_program_finds_the_same_ground(real_data: Path, name: str
 
 @pytest.mark.truth
 def test_rugged_finds_the_same_ground_for_spot5(real_data: Path) -> None:
-    """Documented difference 5 mm, rounded to the millimetre by its print; measured 6.1 mm."""
+    """The SPOT 5 model agrees with Rugged within 0.01 m.
+
+    The documented difference is 5 mm, rounded to the millimetre by its print; 6.1 mm are measured.
+    """
     rows = np.loadtxt(real_data / "reference-outputs/rugged_SPOT5_h0.csv", delimiter=",", skiprows=1)
     distances = reference_distances_m(read_dimap(real_data / COSI / "SPOT5.DIM"), rows[:, [0, 1, 3, 4, 2]])
     assert distances.max() <= 0.01

@@ -67,7 +67,10 @@ finite = st.floats(-1e-2, 1e-2, allow_nan=False)
 def test_any_float_survives_the_print(
     tmp_path_factory: pytest.TempPathFactory, seconds: float, roll: float, psi: float, period: float
 ) -> None:
-    """Any time of day (lists cross midnight on both sides) and any digits are read back unchanged."""
+    """A written DIMAP 1 file is read back unchanged for any digits and any time of day.
+
+    Its lists cross midnight on both sides.
+    """
     around = seconds + 30.0 * np.arange(-4, 5)
     angles = np.stack([np.full(9, roll), np.linspace(-roll, roll, 9), np.zeros(9)], axis=1)
     sample = np.arange(3.0)
@@ -92,7 +95,7 @@ def orbit_like(time_s: np.ndarray) -> object:
 
 @pytest.mark.behaviour
 def test_first_pixel_is_one_in_the_file_and_zero_in_the_records(spot5: PushbroomMetadata, tmp_path: Path) -> None:
-    """One pixel round trip: line, sample and detector 0 are written as 1."""
+    """The writer adds 1 to line, sample and detector, and the reader subtracts it."""
     path = tmp_path / "one.dim"
     write_dimap1(path, spot5)
     text = path.read_text()
@@ -135,7 +138,10 @@ def test_the_sign_step_negates_roll_and_pitch_and_keeps_yaw(spot5: PushbroomMeta
 def test_line_period_follows_its_unit(
     request: pytest.FixtureRequest, name: str, text: str | None, factor: float
 ) -> None:
-    """Without the attribute milliseconds in version 2, the unit of the format."""
+    """The line period is read in the unit of its attribute; without it in the unit of the format.
+
+    That is milliseconds in version 2.
+    """
     path, period = request.getfixturevalue(name), {"dim1": 7.5e-4, "dim2": 7.35e-5}[name]
     unit = f' unit="{text}"' if text else ""
     old = path.read_text()
@@ -147,7 +153,7 @@ def test_line_period_follows_its_unit(
 
 @pytest.mark.oracle
 def test_sign_jumps_of_quaternions_are_turned_back(spot6: PushbroomMetadata, tmp_path: Path) -> None:
-    """Each row of the file with the sign that makes its product with the row before positive, by numpy."""
+    """The reader gives each quaternion the sign that makes its product with the row before positive."""
     assert isinstance(spot6.attitude, QuaternionList)
     jumping = spot6.attitude.quaternion * np.array([1.0, -1.0, -1.0, 1.0, -1.0])[:, None]
     path = tmp_path / "jump.xml"
@@ -200,7 +206,10 @@ def test_a_file_without_frame_points_is_read(spot5: PushbroomMetadata, tmp_path:
 
 @pytest.mark.behaviour
 def test_frame_points_keep_their_height_rule(dim1: Path, dim2: Path) -> None:
-    """DIMAP 1.1 frame points lie on the ellipsoid; those of version 2 on the terrain, unknown here."""
+    """Frame points of DIMAP 1.1 have the height 0 on the ellipsoid; those of version 2 have no height.
+
+    They lie on the terrain, whose height the file does not state.
+    """
     assert {p.height_m for p in read_dimap(dim1).frame_points} == {0.0}
     assert {p.height_m for p in read_dimap(dim2).frame_points} == {None}
     assert read_dimap(dim1).frame_points[4] == FramePoint("centre", 20.0, 12.0, 30.5, 40.5, 0.0)

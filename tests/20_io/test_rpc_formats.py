@@ -41,7 +41,7 @@ def model() -> RpcModel:
 
 
 def assert_same(found: RpcModel, expected: RpcModel, relative: float = 0.0) -> None:
-    """Equal, by default to the last digit."""
+    """Assert that two models are equal, by default to the last digit."""
     for name in ("offsets", "scales", "coefficients"):
         ours, theirs = getattr(found, name), getattr(expected, name)
         assert np.all(np.abs(ours - theirs) <= relative * np.abs(theirs)), name
@@ -74,7 +74,7 @@ def test_text_formats_round_trip_to_the_last_digit(tmp_path: Path, model: RpcMod
      ("DIMAP 3.0 PNEO_SENSOR", 0), (rpc_dimap.V1_NAME, 1)],
 )  # fmt: skip
 def test_dimap_round_trip_in_every_version(tmp_path: Path, model: RpcModel, form: str, first: int) -> None:
-    """Both models and the validity are read back; whole offsets are exact after the change of origin."""
+    """Each version of DIMAP RPC is read back with both models and the validity, and writes its own pixel origin."""
     direct = synthetic_model(5).coefficients
     stated = RpcValidity((0.0, 19000.0), (0.0, 23000.0), (31.7, 31.9), (41.3, 41.5), (0.0, 1000.0))
     given = replace(model, format=form, direct=direct, stated_validity=stated)
@@ -104,7 +104,7 @@ def test_a_model_of_another_format_becomes_pleiades_dimap_without_direct_model(t
 @pytest.mark.oracle
 @pytest.mark.parametrize("name", ["image.tif", "image.TIFF"])
 def test_geotiff_tags_round_trip_and_pixels_stay(tmp_path: Path, model: RpcModel, name: str) -> None:
-    """GDAL itself reads the written tags as the fields of its RPC."""
+    """The tags written to a GeoTIFF are read back, GDAL reads them as its RPC, and the pixels do not change."""
     import rasterio
 
     path = geotiff(tmp_path / name)
@@ -160,7 +160,10 @@ def test_ossim_keyword_list(tmp_path: Path, model: RpcModel) -> None:
 
 @pytest.mark.behaviour
 def test_ossim_spot_offsets_that_lost_a_pixel_get_it_back(tmp_path: Path) -> None:
-    """Vendor offsets of SPOT 6/7 equal the scales; OSSIM versions differ (docs/rpc.md)."""
+    """For SPOT in OSSIM, offsets one pixel below the scales are corrected with a note; equal ones are kept.
+
+    The vendor's offsets equal the scales; versions of OSSIM differ (docs/rpc.md).
+    """
     scales = synthetic_model().scales
     for lost in (0.0, 1.0):
         offsets = synthetic_model().offsets.copy()
@@ -212,7 +215,7 @@ def vrt_text(model: RpcModel) -> str:
 
 
 def list_text(model: RpcModel) -> str:
-    """90 numbers: latitude before longitude."""
+    """Return the text of a list of 90 numbers with latitude before longitude."""
     order = [0, 1, 3, 2, 4]
     numbers = [*model.offsets[order], *model.scales[order], *model.coefficients.ravel()]
     return "\n".join(repr(float(v)) for v in numbers)
@@ -235,7 +238,7 @@ def test_list_of_numbers_needs_the_origin(tmp_path: Path, model: RpcModel) -> No
 
 @pytest.mark.behaviour
 def test_pixel_origins_are_those_of_the_table() -> None:
-    """docs/rpc.md states how the centre of the first pixel was found for each format."""
+    """The first pixel of each RPC format is that of the table in docs/rpc.md."""
     assert FIRST_PIXEL == 0.0
     assert rpc_dimap.FIRST_PIXEL == {"PHR": (1, 1), "S6": (0, 1), "S7": (0, 1), "PNEO": (0, 0)}
 
@@ -374,7 +377,10 @@ def test_bad_rpb_and_dimap_name_the_place(tmp_path: Path, model: RpcModel) -> No
 
 @pytest.mark.behaviour
 def test_direct_models_are_scaled_to_unit_constants(tmp_path: Path, model: RpcModel) -> None:
-    """Some programs write 0.9996 for the constant, which scales numerator and denominator alike."""
+    """A direct model whose denominator begins with another constant than 1 is read with both parts scaled to 1.
+
+    Some programs write 0.9996.
+    """
     direct = synthetic_model(5).coefficients.copy()
     path = tmp_path / "a.XML"
     write_rpc(path, replace(model, direct=np.concatenate([direct[:2] * 0.5, direct[2:]])))
@@ -435,7 +441,7 @@ def test_each_format_is_told_from_all_others(tmp_path: Path, model: RpcModel) ->
 
 @pytest.mark.behaviour
 def test_damaged_files_are_read_or_refused_in_one_line(tmp_path: Path, model: RpcModel) -> None:
-    """Bytes are changed, cut, doubled and added at random; only an InputError may be raised."""
+    """The reader raises nothing but an InputError of one line if bytes of an RPC file are changed at random."""
     rng = np.random.default_rng(7)
     given = replace(model, direct=model.coefficients)
     for name, form in (

@@ -19,6 +19,7 @@ from fg_orient.formats.atomic import (
     alone,
     made_folder,
     outputs,
+    require_free,
     staged_file,
     staged_folder,
     together,
@@ -87,9 +88,22 @@ def test_a_file_sweeps_its_folder_too(tmp_path: Path) -> None:
     assert hidden(tmp_path) == []
 
 
+def test_a_lock_left_inside_an_output_does_not_protect_it(tmp_path: Path) -> None:
+    """The removal of a lock inside the staging folder failed, so the output contains it; --overwrite sweeps it."""
+    kind = Contents("mark", ("mark", "inner/mark"))
+    (tmp_path / "out" / "inner").mkdir(parents=True)
+    for name in ("mark", "inner/mark", "inner/.mark.0123456789ab.lock"):
+        (tmp_path / "out" / name).write_text("", "utf-8")
+    require_free(tmp_path / "out", overwrite=True, contents=kind)
+    assert sorted(path.name for path in (tmp_path / "out").rglob("*")) == ["inner", "mark", "mark"]
+    (tmp_path / "out" / "inner" / "own").touch()
+    with pytest.raises(InputError, match="inner/own"):
+        require_free(tmp_path / "out", overwrite=True, contents=kind)
+
+
 @pytest.mark.parametrize(("there", "expected"), [(False, "old"), (True, "new")])
 def test_an_output_that_was_being_replaced_is_put_back(tmp_path: Path, there: bool, expected: str) -> None:
-    """The process is killed between two renamings on a system that cannot exchange folders."""
+    """After a kill between two renamings the sweep restores the old folder, unless the new one is in its place."""
     stem = ".out.0123456789ab"
     for name, text in ((f"{stem}.old", "old"), (f"{stem}.tmp", "half"), *([("out", "new")] if there else [])):
         (tmp_path / name).mkdir()
@@ -122,7 +136,10 @@ def test_files_that_only_look_alike_stay(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("exchange", [True, False])
 def test_a_folder_is_replaced_or_as_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, exchange: bool) -> None:
-    """The test includes file systems that cannot exchange two folders, and a second renaming that fails."""
+    """``publish`` replaces a folder, or leaves it as before if replacing is not allowed or a renaming fails.
+
+    This includes file systems that cannot exchange two folders.
+    """
     if not exchange:
         monkeypatch.setattr(staging, "_renamed", lambda *_: False)
     for text in ("one", "two"):
@@ -149,10 +166,7 @@ def test_a_folder_is_replaced_or_as_before(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_writers_at_once_leave_one_whole_output(tmp_path: Path) -> None:
-    """Without permission to overwrite one writer succeeds.
-
-    With it all succeed, and the folder is that of one of them.
-    """
+    """Four writers at once leave one whole folder: one succeeds without ``overwrite``, all four with it."""
     codes: list[str] = []
 
     def write(text: str, overwrite: bool, barrier: threading.Barrier) -> None:
@@ -237,7 +251,10 @@ def test_the_lock_of_a_killed_run_excludes_nobody(tmp_path: Path) -> None:
 
 
 def test_a_hidden_file_that_cannot_be_removed_keeps_its_lock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The next run removes both; without the lock it would not know that the file is its own."""
+    """A hidden file that cannot be removed keeps its lock, and the next run removes both.
+
+    Without the lock the next run could not recognise the file.
+    """
     with monkeypatch.context() as patched, held(tmp_path / "out") as temporary:
         temporary.write_text("half")
         patched.setattr(Path, "unlink", lambda *_, **__: (_ for _ in ()).throw(OSError(5, "error")))

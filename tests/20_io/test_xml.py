@@ -64,7 +64,7 @@ def test_every_printed_float_is_read_exactly(tmp_path_factory: pytest.TempPathFa
 @pytest.mark.behaviour
 @pytest.mark.parametrize("text", ["1.1e30", "-1e31", "1e154", "1e308", "1e400"])
 def test_numbers_of_impossible_size_are_refused(tmp_path: Path, text: str) -> None:
-    """Their squares would overflow in the checks that follow."""
+    """A number of 1e30 or more is refused as too large, because its square would overflow in later checks."""
     with pytest.raises(InputError, match="not a finite number, or it is too large"):
         node(tmp_path, f"<a>{text}</a>").one("a").number()
 
@@ -72,7 +72,10 @@ def test_numbers_of_impossible_size_are_refused(tmp_path: Path, text: str) -> No
 @pytest.mark.behaviour
 @given(text=st.text(st.characters(exclude_characters="<&\r", exclude_categories=("Cs", "Cc")), min_size=1, max_size=12))
 def test_other_text_is_never_a_number(tmp_path_factory: pytest.TempPathFactory, text: str) -> None:
-    """A number means ASCII digits, point and exponent; Python's float() accepts more (underscores, other digits)."""
+    """A text with other characters than ASCII digits, signs, point and exponent is not read as a number.
+
+    Python's float() accepts more, for example underscores and other digits.
+    """
     root = node(tmp_path_factory.mktemp("t"), f"<a>{text}</a>")
     allowed = set("0123456789+-.eE")
     try:
@@ -122,7 +125,10 @@ def test_places_name_line_and_path(tmp_path: Path) -> None:
 
 @pytest.mark.behaviour
 def test_line_numbers_are_right_in_long_files(tmp_path: Path) -> None:
-    """Beyond 65535 lines libxml2 takes the number from the following text; it is right within one line."""
+    """The line number of an element beyond line 65535 is right within one line.
+
+    There libxml2 takes the number from the following text.
+    """
     root = node(tmp_path, "\n" * 70_000 + "<a>\n<b>x</b>\n</a>")
     line = int(root.one("a/b").place.split(",")[0].removeprefix("line "))
     assert abs(line - 70_002) <= 1

@@ -44,7 +44,7 @@ def test_columns_by_hand(file: Path) -> None:
 
 @pytest.mark.oracle
 def test_geocentric_sigmas_are_those_of_drawn_points(file: Path, rng: np.random.Generator) -> None:
-    """Monte Carlo: errors along x, y, z, seen as east, north and up by differences of geodetic coordinates."""
+    """Sigmas along x, y, z become those along East, North, Up that 40 000 drawn points have, within 1.4 %."""
     enu = read((file,), Settings(crs="EPSG:4979")).sigma_enu_m[1]
     place = to_ecef("EPSG:4979", 31.75, 41.6, -3.25)
     lon, lat, height = ecef_to_geodetic(place + rng.normal(size=(40000, 3)) * [0.1, 0.2, 0.4])

@@ -150,7 +150,7 @@ def test_validate_takes_the_files_of_one_survey_together(folder: Path) -> None:
 
 @pytest.mark.behaviour
 def test_validate_takes_several_files_each_for_itself(folder: Path) -> None:
-    """A file that is wrong does not hide the others, and every fault is told with its file."""
+    """``validate`` checks each of several files by itself: a faulty one is named and does not hide the others."""
     for name in ("one", "two"):
         out = folder / f"{name}.geojson"
         assert (
@@ -190,7 +190,10 @@ def test_a_crs_that_is_none_is_refused_by_its_option(tmp_path: Path, option: str
 
 @pytest.mark.truth
 def test_missing_roles_heights_and_sigmas_are_filled(tmp_path: Path) -> None:
-    """Columns and cells; values that are there stay, and without the options the missing ones are named."""
+    """``convert`` fills missing columns and cells by options, and names them if the options are missing.
+
+    Values that exist do not change.
+    """
     (tmp_path / "points.csv").write_text(
         "# crs: EPSG:32636\nid,easting_m,northing_m,height_m\na,400000,4580000,100\nb,400100,4580000,\nt,,,\n", "utf-8"
     )

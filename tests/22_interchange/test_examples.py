@@ -94,7 +94,10 @@ def assert_ground(found: Survey, ids: tuple[str, ...] = ("01", "k 1", "t1")) -> 
 
 
 def assert_pixels(found: Survey) -> None:
-    """The first point: line 1034.25, sample 512 in one image, the centre of the first pixel in the other."""
+    """Assert the pixels of the first point.
+
+    They are line 1034.25, sample 512 in one image, and the centre of the first pixel in the other.
+    """
     assert found.images == ("left.tif", "right.tif")
     o = found.observed
     rows = o.point == found.ids.index("01")
@@ -110,7 +113,7 @@ def test_metashape_csv(tmp_path: Path) -> None:
 
 
 def test_a_crs_that_the_users_replaces_is_told(tmp_path: Path) -> None:
-    """--crs replaces a text that is no CRS of EPSG; an equal CRS needs no note."""
+    """A note states that --crs replaces a CRS text without an EPSG code; an equal CRS gives no note."""
     grid = 'LOCAL_CS["Quarry grid",  UNIT["metre",1]]'
     local = re.sub("(?<=# CoordinateSystem: ).*", grid, METASHAPE_CSV, count=1)
     found = read(tmp_path, "metashape-csv", local, crs="EPSG:32636")

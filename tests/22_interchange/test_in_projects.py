@@ -47,7 +47,7 @@ def folder(source: Path, tmp_path: Path) -> Path:
 
 
 def exported(folder: Path, name: str) -> list[Path]:
-    """Return the tables of a folder in another format, beside them."""
+    """Write the tables of a folder in another format into it; return the new files."""
     own = format_named("csv")
     survey, _ = read_survey([folder / "points.csv", folder / "observations.csv"], own, Settings(crs="EPSG:4979"))
     crs = "EPSG:32636" if name == "odm" else ""
@@ -56,7 +56,7 @@ def exported(folder: Path, name: str) -> list[Path]:
 
 
 def told(folder: Path, points: str, observations: str) -> Path:
-    """Return the project with other tables."""
+    """Replace the tables in the project file of a folder; return the file."""
     path = folder / "project.toml"
     text = path.read_text("utf-8")
     begin, end = text.index("[points]"), text.index("[orientation]")
@@ -155,7 +155,10 @@ def test_another_crs_than_the_file_says_is_one_fault_with_a_remedy_of_projects(f
 
 @pytest.mark.behaviour
 def test_our_points_with_tie_points_of_another_program(folder: Path, own: Block) -> None:
-    """Image points that only the other file knows are tie points; entries of foreign files are refused for our own."""
+    """Image points of another program without a point in our table become tie points.
+
+    Entries for foreign files are refused for our own tables.
+    """
     (gcp,) = exported(folder, "metashape-xml")
     points = folder / "points.csv"
     first = next(line for line in points.read_text("utf-8").splitlines() if ",control," in line)

@@ -36,7 +36,7 @@ LOST = {
 
 @pytest.fixture
 def everything() -> Survey:
-    """Return six points, none of them without a sigma, two unseen, in a compound CRS."""
+    """Return six points in a compound CRS: all known ones have sigmas, and only two are observed."""
     rng = np.random.default_rng(5)
     full = random_survey(rng, formats()["csv"], UTM, plain=True)
     n = 6
@@ -72,7 +72,10 @@ def test_everything_lost_is_named(name: str, everything: Survey, tmp_path: Path)
 
 @pytest.mark.behaviour
 def test_what_is_lost_is_counted(everything: Survey, tmp_path: Path) -> None:
-    """b, e and f are located and unseen; c and d are tie points, of which only d is unseen."""
+    """``write_survey`` counts each kind of content that the format cannot contain.
+
+    Points b, e and f are located and unseen; c and d are tie points, of which only d is unseen.
+    """
     _, lost = write_survey(everything, [tmp_path / "gcp_list.txt"], formats()["odm"], Settings())
     counts = {p.code: p.value for p in lost}
     assert counts["lost.unmeasured"] == "3 points" and counts["lost.ties"] == "2 points"
@@ -187,7 +190,10 @@ def test_we_read_geojson_of_gdal(tmp_path: Path) -> None:
 
 @pytest.mark.truth
 def test_geopackage_of_points_without_our_columns(tmp_path: Path) -> None:
-    """A layer drawn in QGIS has an id, two dimensions and nothing else."""
+    """A GeoPackage layer with only an id and two dimensions is read as control points without heights.
+
+    QGIS draws such layers; a file without the layer is refused.
+    """
     pyogrio, shapely = pytest.importorskip("pyogrio"), pytest.importorskip("shapely")
     geometry = shapely.to_wkb(shapely.points([[4e5, 458e4]]))
     pyogrio.raw.write(
@@ -239,7 +245,7 @@ def test_formats_are_told_by_the_end_of_the_name() -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize("name", ["csv", "gpkg", "metashape-xml", "pix4d", "geojson"])
 def test_tie_points_alone_need_no_crs(name: str, everything: Survey, tmp_path: Path) -> None:
-    """Matches of other programs have no CRS and do not need one."""
+    """Tie points without a CRS are written and read back as tie points, as matches of other programs need."""
     format_ = formats()[name]
     ties = replace(taken(everything, (2,)), crs="")
     out = tmp_path / f"a{format_.suffixes[0]}"

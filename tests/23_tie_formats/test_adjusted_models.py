@@ -21,7 +21,7 @@ NOISE_PX = 0.3
 
 
 def shaken(model: FrameModel) -> FrameModel:
-    """Start values that are off by centimetres."""
+    """Return start values that are off by centimetres."""
     rng = np.random.default_rng(8)
     poses = tuple(Pose(p.name, p.camera, p.rotation, p.centre_m + rng.normal(scale=0.02, size=3)) for p in model.poses)
     return replace(model, poses=poses, points_m=model.points_m + rng.normal(scale=0.02, size=model.points_m.shape))

@@ -37,7 +37,10 @@ BUNDLE = """# Bundle file v0.3
 
 
 def snavely() -> tuple[float, float]:
-    """As printed: P = R X + t, p = -P / P_z, p' = f (1 + k1 |p|^2 + k2 |p|^4) p; x right, y up from the middle."""
+    """Return x (right) and y (up from the middle) by the printed formulas.
+
+    P = R X + t, p = -P / P_z, p' = f (1 + k1 |p|^2 + k2 |p|^4) p.
+    """
     p = MATRIX @ POINT + T
     x, y = -p[:2] / p[2]
     r2 = x * x + y * y
@@ -80,7 +83,10 @@ def model_numbers(data: BalData) -> list[np.ndarray]:
 @pytest.mark.oracle
 @pytest.mark.parametrize("name", ["bundle.txt", "bundle.txt.gz", "bundle.txt.bz2"])
 def test_bal_is_written_and_read_again(name: str, tmp_path: Path) -> None:
-    """The file has the published order: counts, image points, nine numbers of each camera, points."""
+    """A BAL file has the published order and is read unchanged.
+
+    The order is counts, image points, nine numbers of each camera, points.
+    """
     data, lost = bal_data_of(frame_model(("none", "k1", "radial")))
     assert lost == ("names of images, points and cameras; sizes of images; principal points",)
     write_bal(tmp_path / name, data)
@@ -100,7 +106,10 @@ def test_bal_is_written_and_read_again(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.oracle
 def test_bundler_is_written_and_read_again(tmp_path: Path) -> None:
-    """Cameras as published: focal length and k1, k2, rotation (scipy's) row by row, translation; then the points."""
+    """A Bundler file has the published order and is read unchanged, with rotations to 1e-14.
+
+    A camera has the focal length, k1, k2, the rotation row by row (as scipy's) and the translation; the points follow.
+    """
     data, _ = bal_data_of(frame_model(("none", "k1", "radial")))
     write_bundler(tmp_path / "bundle.out", data)
     numbers = np.array((tmp_path / "bundle.out").read_text().split("\n", 1)[1].split(), float)

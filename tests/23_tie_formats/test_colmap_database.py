@@ -18,7 +18,7 @@ SIZES = {"left.tif": (1000, 1500), "middle.tif": (1000, 1500), "right.tif": (900
 
 
 def pair_id(a: int, b: int) -> int:
-    """As documented by COLMAP."""
+    """Return the number of a pair of images as COLMAP documents it."""
     return min(a, b) * 2147483647 + max(a, b)
 
 
@@ -35,7 +35,10 @@ CREATE TABLE two_view_geometries (pair_id INTEGER PRIMARY KEY, rows INTEGER, col
 
 
 def published(path: Path, *, geometry: bool = True) -> None:
-    """A database with the tables as COLMAP documents them: two images of affine keypoints, a third of plain ones."""
+    """Write a database with the tables that COLMAP documents.
+
+    Two of its images have affine keypoints, a third has plain ones.
+    """
     with closing(sqlite3.connect(path)) as db:
         db.executescript(TABLES)
         if geometry:
@@ -87,7 +90,7 @@ def test_verified_matches_come_first(tmp_path: Path) -> None:
 
 
 def survey_of(n: int, seed: int = 2) -> Survey:
-    """Return the points in two or three images, in an order of their own."""
+    """Return a survey of ``n`` points in two or three images each, with the rows in random order."""
     rng = np.random.default_rng(seed)
     sees = rng.random((n, 3)) < 0.7
     sees[:, 1] |= sees.sum(axis=1) < 2

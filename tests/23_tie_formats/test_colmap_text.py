@@ -38,7 +38,7 @@ POINT = (0.3, -0.4, 0.5)
 
 
 def rotated(q: tuple[float, ...], v: tuple[float, ...]) -> np.ndarray:
-    """v turned by a quaternion w x y z (Hamilton): v + 2 u x (u x v + w v)."""
+    """Return v turned by a Hamilton quaternion w x y z: v + 2 u x (u x v + w v)."""
     u, w = np.array(q[1:]), q[0]
     return np.array(v) + 2.0 * np.cross(u, np.cross(u, v) + w * np.array(v))
 
@@ -46,7 +46,7 @@ def rotated(q: tuple[float, ...], v: tuple[float, ...]) -> np.ndarray:
 def colmap_pixel(
     line: str, pose: Sequence[float] = tuple(map(float, POSE.split())), point: tuple[float, ...] = POINT
 ) -> tuple[float, float]:
-    """x, y of a point by COLMAP's documented models, written out for each, from a line of cameras.txt."""
+    """Return x, y of a point by COLMAP's documented models, written out for each, from a line of cameras.txt."""
     _, model, _, _, *numbers = line.split()
     p = [float(n) for n in numbers]
     x, y, z = rotated(tuple(pose[:4]), point) + pose[4:]
@@ -96,7 +96,7 @@ def test_the_first_pixel_is_at_one_half(tmp_path: Path) -> None:
 
 @pytest.mark.oracle
 def test_what_is_written_is_read_again(tmp_path: Path) -> None:
-    """By COLMAP's formulas the numbers of the three files give the residuals of the model."""
+    """A COLMAP model is read unchanged, and COLMAP's formulas applied to its three files give the model's residuals."""
     model = frame_model()
     assert write_colmap_text(tmp_path / "new" / "model", model) == ()
     again = read_colmap_text(tmp_path / "new" / "model")

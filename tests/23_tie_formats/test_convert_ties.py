@@ -50,7 +50,7 @@ def test_matches_become_tables_and_a_database(tmp_path: Path) -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize("wanted", ["bundler", "bal", "colmap-text"])
 def test_points_are_no_model(wanted: str, tmp_path: Path) -> None:
-    """Formats that are written only from a model state this, and name the formats that contain one."""
+    """Converting matches to a format of models is refused and names the formats that contain a model."""
     words = ["convert", matches(tmp_path), "--accept-unverified", "--to", wanted, "--out", tmp_path / "out"]
     ended = in_process(*words)
     assert ended.code == 2 and "needs cameras and poses, which asp-match does not" in ended.stderr

@@ -75,7 +75,10 @@ def arrays(path: Path) -> tuple[Array, ...]:
 @pytest.mark.oracle
 @pytest.mark.real_data
 def test_the_published_problem_has_the_costs_that_scipy_finds(real_data: Path) -> None:
-    """The cost is half the sum of squares. It is compared at the start and at the minimum over all poses and points."""
+    """The published problem has the cost of scipy at the start and at the minimum over all poses and points.
+
+    The cost is half the sum of squares.
+    """
     path = real_data / "libmv-ba" / "problem_01.bin"
     (f, *principal), start, t, ground, image, point, xy = arrays(path)
     n, m, k = len(t), len(ground), len(xy)
@@ -90,7 +93,10 @@ def test_the_published_problem_has_the_costs_that_scipy_finds(real_data: Path) -
         return (f * q[:, :2] / q[:, 2:] + principal - xy).ravel()
 
     def jacobian(x: Array) -> coo_array:
-        """By the translation, which q is linear in; a turn of the camera moves q by w x (q - t)."""
+        """Return the derivatives by the unknowns.
+
+        q is linear in the translation; a turn of the camera moves q by w x (q - t).
+        """
         q, w = camera_points(x), x[: 3 * n].reshape(-1, 3)
         by_q = np.zeros((k, 2, 3))
         by_q[:, 0, 0] = by_q[:, 1, 1] = f / q[:, 2]

@@ -17,7 +17,10 @@ from tests.support.format_files import PHOTOMODELER as EXPORT
 
 
 def ideal_from_printed_formulas(x_px: float, y_px: float) -> tuple[float, float]:
-    """Brown's correction of a mark as DBAT documents it (mm, y up from the principal point), as image coordinates."""
+    """Return the image coordinates of a mark by Brown's correction as DBAT documents it.
+
+    They are in mm with y up from the principal point.
+    """
     u, v = x_px / 100.0 - 5.0, -(y_px / 100.0 - 4.0)  # 100 pixels per mm
     r2 = u * u + v * v
     radial = 1e-3 * r2 - 1e-5 * r2 * r2

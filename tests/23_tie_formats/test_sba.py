@@ -41,7 +41,10 @@ def pixels(k: np.ndarray, kc: np.ndarray) -> list[list[list[float]]]:
 
 
 def written(folder: Path, before: str = "", k: np.ndarray = K, kc: np.ndarray = NONE, each: str = "") -> Path:
-    """Return the cameras, with other numbers before each, and points with more cells after each image point."""
+    """Write the files of three cameras and some points; return their folder.
+
+    ``before`` are further numbers in front of each camera, ``each`` further cells after each image point.
+    """
     seen = pixels(k, kc)
     rows = zip(QUATERNIONS.tolist(), TRANSLATIONS.tolist(), strict=True)
     lines = [f"{before} {' '.join(map(repr, q + t))}" for q, t in rows]
@@ -61,7 +64,10 @@ def read(folder: Path, *, calib: bool = True) -> FrameModel:
 
 @pytest.mark.oracle
 def test_pixels_are_those_of_the_formula(tmp_path: Path) -> None:
-    """Cameras have a common matrix with an aspect, own numbers, or own numbers with distortion."""
+    """Each kind of sba camera has the pixels of the formula within 1e-9 px.
+
+    The kinds are a common matrix with an aspect, own numbers, and own numbers with distortion.
+    """
     plain = read(written(tmp_path))
     assert np.abs(plain.residuals_px()).max() < 1e-9 and len(plain.cameras) == 1
     assert np.array_equal(plain.points_m, POINTS) and plain.image.tolist() == [1, 0] * 3
@@ -75,7 +81,10 @@ def test_pixels_are_those_of_the_formula(tmp_path: Path) -> None:
 
 @pytest.mark.oracle
 def test_residuals_of_the_block_are_pixels_of_the_image(tmp_path: Path) -> None:
-    """The equation has stretched samples; with the sigmas of the block its sum of squares is that of the formula."""
+    """The residuals of an sba model are pixels of the image, and the block's sigma of samples contains the aspect.
+
+    The equation uses stretched samples.
+    """
     folder = written(tmp_path)
     lines = (folder / "pts.txt").read_text().splitlines()
     moved = np.array([[0.5, -0.25], [0.3, 0.2], [-0.4, 0.1]])
@@ -111,7 +120,10 @@ PRINTED = {
 @pytest.mark.real_data
 @pytest.mark.parametrize("n", PRINTED)
 def test_the_published_examples_have_the_printed_errors(n: int, real_data: Path) -> None:
-    """The error is the sum of squares over the number of image points."""
+    """The published examples of sba have the printed errors at the start and after the adjustment.
+
+    The error is the sum of squares over the number of image points; with free cameras it is at most the printed value.
+    """
     count, initial, fixed, varied = PRINTED[n]
     files = [real_data / "sba" / name for name in (f"{n}cams.txt", f"{n}pts.txt", "calib.txt")]
     model = read_sba(*files)

@@ -130,7 +130,7 @@ def test_columns_that_nobody_can_guess(tmp_path: Path, header: bool, columns: st
 
 
 def test_words_for_pixels_that_are_exchanged(tmp_path: Path) -> None:
-    """The images show that the column named samples contains lines."""
+    """``new`` finds by the images that line and sample are exchanged in a table, states it and corrects it."""
     there = place("tr")
     write_images(tmp_path / "in", there)
     rows: Grid = [["No", "East", "North", "Ellipsoidal height"]]
@@ -151,7 +151,10 @@ def marks_table(there: Place, names: tuple[str, str] = ("left", "right"), ids: s
 
 
 def test_images_of_tie_points_are_told_by_rays_that_meet(tmp_path: Path) -> None:
-    """The images are nearly alike: after an exchange the rays also meet, at mirrored heights, but not elsewhere."""
+    """``new`` asks which image is which if rays of tie points meet both ways, and decides if they meet one way only.
+
+    The two images are nearly alike, so that after an exchange the rays meet at mirrored heights.
+    """
     there = place("fr")
     write_images(tmp_path / "in", there)
     (tmp_path / "in" / "ties.csv").write_text(marks_table(there, ("A", "B")), "utf-8")

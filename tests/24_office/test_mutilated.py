@@ -154,7 +154,7 @@ def repacked(path: Path, change: Callable[[str, bytes], bytes]) -> None:
 
 
 def test_bombs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Small files that unpack to much data, or state a huge sheet, are refused before they are in memory."""
+    """A workbook that unpacks to too much data, states a huge sheet or has a DOCTYPE is refused in one line."""
     monkeypatch.setenv("FG_ORIENT_LIMITS", "workbook_bytes=4e6 workbook_cells=1e5")
     path = folder / "a.xlsx"
     write_xlsx(path, A=points())

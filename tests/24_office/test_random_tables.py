@@ -43,7 +43,10 @@ def wrong(survey: Survey, written: Written) -> str:
 
 
 def run(folder: Path, seed: int) -> tuple[int, int]:
-    """Return the number of projects and of questions of a table, without and with what its owner knows."""
+    """Return how often a random table becomes a project and how often a question.
+
+    It is read without and with what its owner can state.
+    """
     written = random_table(folder / str(seed), seed)
     counts = [0, 0]
     known = {"first_pixel": written.first_pixel, "heights": "ellipsoidal"} if written.ellipsoidal else {}

@@ -39,7 +39,7 @@ def new(folder: Path, *words: object) -> Ended:
 
 
 def turkey(folder: Path, there: Place) -> None:
-    """Windows-1254, semicolons, decimal commas, TM 33."""
+    """Write Turkish tables in Windows-1254 with semicolons, decimal commas and TM 33."""
     rows: Grid = [["Nokta Adı", "Sağa Değer (m)", "Yukarı Değer (m)", "Elipsoidal Yükseklik (m)"]]
     rows += [[i, *(number(v, ",") for v in p)] for i, p in zip(there.ids, there.map(), strict=True)]
     (folder / "YKN listesi.csv").write_bytes(text(rows).encode("cp1254"))
@@ -48,7 +48,7 @@ def turkey(folder: Path, there: Place) -> None:
 
 
 def turkey_utf16(folder: Path, there: Place) -> None:
-    """UTF-16 with tabs and two header lines, UTM; standard deviations in cm."""
+    """Write Turkish tables in UTF-16 with tabs, two header lines, UTM and standard deviations in cm."""
     rows: Grid = [["Nokta", "Koordinatlar (m)", "", "", "Standart sapma (cm)", "", ""],
                   ["No", "Doğu", "Kuzey", "Elipsoidal yükseklik", "Doğu", "Kuzey", "Yükseklik"]]  # fmt: skip
     rows += [
@@ -62,7 +62,7 @@ def turkey_utf16(folder: Path, there: Place) -> None:
 
 
 def germany(folder: Path, there: Place) -> None:
-    """Windows-1252, Hochwert before Rechtswert."""
+    """Write German tables in Windows-1252 with Hochwert before Rechtswert."""
     rows: Grid = [["Punkt-Nr.", "Hochwert", "Rechtswert", "Ellipsoidische Höhe"]]
     rows += [
         [i, number(n, ","), number(e, ","), number(h, ",")] for i, (e, n, h) in zip(there.ids, there.map(), strict=True)
@@ -73,7 +73,7 @@ def germany(folder: Path, there: Place) -> None:
 
 
 def france(folder: Path, there: Place) -> None:
-    """A workbook with title rows and a last row of means."""
+    """Write a French workbook with title rows and a last row of means."""
     points = there.map()
     rows: Grid = [["Points d'appui, campagne 2024"], ["Projection : Lambert-93 (RGF93)"], [],
                   ["N° point", "Est (m)", "Nord (m)", "Hauteur ellipsoïdale (m)", "Nature"]]  # fmt: skip
@@ -86,7 +86,7 @@ def france(folder: Path, there: Place) -> None:
 
 
 def spain(folder: Path, there: Place) -> None:
-    """An OpenDocument workbook, one sheet for each image."""
+    """Write a Spanish OpenDocument workbook with one sheet for each image."""
     rows: Grid = [["Nombre", "X UTM", "Y UTM", "Altura elipsoidal"]]
     rows += [[f"P{i}", *map(float, p)] for i, p in zip(there.ids, there.map(), strict=True)]
     sheets = {
@@ -97,7 +97,7 @@ def spain(folder: Path, there: Place) -> None:
 
 
 def degrees(folder: Path, there: Place) -> None:
-    """Degrees, minutes and seconds, latitude first, hemispheres in Turkish."""
+    """Write degrees, minutes and seconds with latitude first and hemispheres in Turkish."""
     rows: Grid = [["Nokta No", "Enlem", "Boylam", "Elipsoidal h (m)"]]
     rows += [
         [i, dms(lat, "KG"), dms(lon, "DB"), number(h, ",")]
@@ -110,7 +110,7 @@ def degrees(folder: Path, there: Place) -> None:
 
 
 def ireland(folder: Path, there: Place) -> None:
-    """Units in the header that differ, commas."""
+    """Write tables with commas whose headers state different units."""
     rows: Grid = [["Point ID", "Easting [km]", "Northing [km]", "Ellipsoidal height [cm]"]]
     rows += [[i, number(e / 1000.0, digits=7), number(n / 1000.0, digits=7), number(h * 100.0, digits=2)]
              for i, (e, n, h) in zip(there.ids, there.map(), strict=True)]  # fmt: skip
@@ -121,7 +121,7 @@ def ireland(folder: Path, there: Place) -> None:
 
 
 def exchanged(folder: Path, there: Place) -> None:
-    """X is north and Y east, as geodesists have them."""
+    """Write tables in which X is north and Y is east, as in geodesy."""
     rows: Grid = [["Nokta", "X", "Y", "h elipsoidal"]]
     rows += [[i, number(n), number(e), number(h)] for i, (e, n, h) in zip(there.ids, there.map(), strict=True)]
     (folder / "koordinat.csv").write_text(text(rows), "utf-8")
@@ -131,7 +131,7 @@ def exchanged(folder: Path, there: Place) -> None:
 
 
 def no_header(folder: Path, there: Place) -> None:
-    """Blanks between cells, no header, one file for each image."""
+    """Write tables with blanks between cells and without a header, and one file for each image."""
     rows: Grid = [[i, *map(number, p)] for i, p in zip(there.ids, there.map("EPSG:32636"), strict=True)]
     (folder / "points.txt").write_text(text(rows, "   "), "utf-8")
     for k, name in enumerate(("left", "right")):
@@ -140,7 +140,7 @@ def no_header(folder: Path, there: Place) -> None:
 
 
 def combined(folder: Path, there: Place) -> None:
-    """Geocentric coordinates beside the pixels, one table for each image."""
+    """Write one table for each image with geocentric coordinates and pixels in the same rows."""
     for k, name in enumerate(("left", "right")):
         rows: Grid = [["point_id", "line", "col", "X_ecef_m", "Y_ecef_m", "Z_ecef_m"]]
         rows += [[i, number(a + 1.0), number(b + 1.0), *map(number, x)]
@@ -149,7 +149,7 @@ def combined(folder: Path, there: Place) -> None:
 
 
 def layer(folder: Path, there: Place) -> None:
-    """A GeoPackage that states its CRS, roles in Spanish."""
+    """Write a GeoPackage that states its CRS, with roles in Spanish."""
     pyogrio, shapely = pytest.importorskip("pyogrio"), pytest.importorskip("shapely")
     names = np.array(there.ids, object)
     use = np.array(["apoyo" if k % 2 else "chequeo" for k in range(len(names))], object)
@@ -219,7 +219,10 @@ def test_heights_above_a_geoid_are_asked_for(tmp_path: Path) -> None:
 def test_a_grid_that_proj_lacks_is_taken_from_the_folder_or_asked_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Undulations on a plane in longitude and latitude, which a bilinear grid has exactly."""
+    """``new`` uses a geoid file of the folder if PROJ lacks the grid; without the file it asks for --geoid.
+
+    The undulations lie on a plane in longitude and latitude, which a bilinear grid has exactly.
+    """
     rasterio = pytest.importorskip("rasterio")
     monkeypatch.delenv("PROJ_DATA", raising=False)
     there = place("tr")

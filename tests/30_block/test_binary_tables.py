@@ -69,7 +69,7 @@ def test_written_observations_are_read_bit_by_bit(tmp_path: Path, suffix: str, m
 @pytest.mark.oracle
 @pytest.mark.parametrize("suffix", [".csv", *BINARY])
 def test_written_points_are_read_bit_by_bit(tmp_path: Path, suffix: str) -> None:
-    """Fixed points and tie points have text and nothing in columns of numbers."""
+    """A written table of points is read with the same bits of coordinates and sigmas, and the same roles."""
     rng = np.random.default_rng(4)
     roles = [Role.CONTROL, Role.CONTROL, Role.TIE, Role.CHECK, Role.CONTROL]
     xyz, sigma, fixed = rng.normal(4e6, 1e5, (5, 3)), rng.uniform(0.1, 1.0, (5, 3)), np.array([0, 1, 0, 0, 0], bool)
@@ -100,7 +100,7 @@ def text(values: list[str], kind: str) -> Any:
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "uncompressed"])
 @pytest.mark.parametrize("kind", ["string", "large", "dictionary", "view"])
 def test_types_of_other_programs(tmp_path: Path, suffix: str, compression: str, kind: str) -> None:
-    """Ids are texts of any kind or whole numbers; pixels are single precision, decimal, whole numbers or text."""
+    """Ids may be text or whole numbers, and pixels may be single precision, decimal, whole numbers or text."""
     table = {
         "id": pa.array([7, 8, 7], pa.int32()), "image": text(["left", " left ", "right"], kind),
         "line": pa.array([0.1, 2.5, 3.0], pa.float32()), "sample": pa.array([4, 5, 6], pa.uint16()),
@@ -202,7 +202,10 @@ def test_missing_files_folders_and_binary_tables_named_csv(tmp_path: Path, suffi
 @pytest.mark.behaviour
 @pytest.mark.parametrize("suffix", BINARY)
 def test_damaged_bytes_are_faults_or_leave_the_values(tmp_path: Path, suffix: str) -> None:
-    """Parquet has sums of its pages; of an Arrow file only the structure is checked."""
+    """A damaged table gives no values and an error, or is read; values of Parquet then do not change.
+
+    Parquet has sums of its pages; of an Arrow file only the structure is checked.
+    """
     rng = np.random.default_rng(6)
     path = tmp_path / f"o{suffix}"
     write_observations(path, ["left", "right"] * 5, np.repeat(IDS, 2).tolist(), rng.uniform(1, 99, (10, 2)), (0.1, 0.2))
@@ -223,7 +226,10 @@ def test_damaged_bytes_are_faults_or_leave_the_values(tmp_path: Path, suffix: st
 def test_a_table_larger_than_the_memory_is_refused_before_it_is_read(
     tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A column that repeats one value has a few bytes in the file."""
+    """A table above the memory limit is refused with rows and columns before a cell is read.
+
+    A column that repeats one value has only a few bytes in the file.
+    """
     words = {"image": ["a"] * 100_000, "id": ["b"] * 100_000}
     columns = good(**words, **{name: np.zeros(100_000) for name in COLUMNS[2:]})
     path = store(tmp_path / f"o{suffix}", columns, compression="zstd")
@@ -236,7 +242,7 @@ def test_a_table_larger_than_the_memory_is_refused_before_it_is_read(
 
 @pytest.mark.behaviour
 def test_without_pyarrow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The error is one line with the remedy, before anything is computed."""
+    """Without pyarrow each command on binary tables ends with exit code 2 and names the package to install."""
     project = simulate_block(tmp_path / "block", BlockOptions(points=20))
     path = store(tmp_path / "o.parquet", good())
     monkeypatch.setitem(sys.modules, "pyarrow", None)
@@ -254,7 +260,7 @@ def test_without_pyarrow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 @pytest.mark.behaviour
 @pytest.mark.parametrize("suffix", [".parquet", ".arrow"])
 def test_a_table_is_read_by_row_groups(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """All cells of all groups are read, of which only one is in the memory of pyarrow at a time."""
+    """All cells of all row groups are read, and each call converts the cells of one group only."""
     monkeypatch.setattr(arrow, "ROW_GROUP", 4)
     path, faults, sizes = tmp_path / f"t{suffix}", Faults("t"), []
     columns = {"id": [f"p{k % 3 + k // 6}" for k in range(10)], "x_m": np.arange(10.0), "n_rays": [*range(9), None]}
@@ -270,7 +276,7 @@ def test_a_table_is_read_by_row_groups(tmp_path: Path, suffix: str, monkeypatch:
 
 @pytest.mark.behaviour
 def test_written_types(tmp_path: Path) -> None:
-    """Text, whole numbers, floating-point numbers and truth values; an empty cell is a null."""
+    """A table has the types text, whole number, floating-point number and truth value; an empty cell is null."""
     columns = {"id": ["a", ""], "degree": [1.0, float("nan")], "x_m": np.array([0.5, np.inf]), "yes": [True, None]}
     write_table(tmp_path / "t.parquet", columns, ["crs: EPSG:4979"])
     table = parquet.read_table(tmp_path / "t.parquet")
@@ -291,7 +297,7 @@ def projects(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 @pytest.mark.consistency
 def test_a_block_and_its_results_are_those_of_csv(projects: dict[str, Path], tmp_path: Path) -> None:
-    """Blocks agree bit by bit, and the tables of the result folders, which are read again, and the page agree."""
+    """A block of binary tables equals that of CSV bit by bit, and so do the result tables that are read again."""
     blocks = {form: fg.read_project(path) for form, path in projects.items()}
     first = blocks["csv"]
     for block in blocks.values():
@@ -317,7 +323,7 @@ def test_a_block_and_its_results_are_those_of_csv(projects: dict[str, Path], tmp
 @pytest.mark.consistency
 @pytest.mark.parametrize("form", ["parquet", "arrow"])
 def test_commands_on_result_folders(projects: dict[str, Path], tmp_path: Path, form: str) -> None:
-    """Adjusted, replaced, repeated, started from, and compared with the truth: the figures are those of CSV."""
+    """``adjust``, ``report``, ``replay`` and ``--from`` work on binary result tables, with the figures of CSV."""
     figures = {}
     for one in ("csv", form):
         project, out = projects[one], projects[one].parent / "result"
@@ -343,7 +349,7 @@ def test_commands_on_result_folders(projects: dict[str, Path], tmp_path: Path, f
 @pytest.mark.consistency
 @pytest.mark.parametrize("suffix", BINARY)
 def test_conversion_to_and_fro(projects: dict[str, Path], tmp_path: Path, suffix: str) -> None:
-    """The conversion keeps the comment with the CRS."""
+    """A table that is converted to a binary format and back has the same bytes, including the comment with the CRS."""
     folder = projects["csv"].parent
     tables = (folder / "points.csv", folder / "observations.csv")
     steps = [("--from", "csv", *tables, "--to", "csv", "--out", tmp_path / "a.csv"),

@@ -58,7 +58,7 @@ def read(values: dict[str, dict[str, Any]]) -> dict[str, Any]:
 
 
 def given_on_the_command_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, *words: str) -> dict[str, Any]:
-    """Return the options that ``adjust`` hands on."""
+    """Return the options that ``adjust`` passes to the run."""
     given: dict[str, Any] = {}
 
     def run_project(*arguments: Any, options: dict[str, Any], **more: Any) -> None:
@@ -66,7 +66,7 @@ def given_on_the_command_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, *
         raise InputError.of("options.value", place="stopped", expected="nothing")
 
     monkeypatch.setattr(fg_orient.orientation.run, "run_project", run_project)
-    monkeypatch.setattr("fg_orient.formats.project.require_files", lambda *arguments, **more: None)
+    monkeypatch.setattr("fg_orient.formats.project.require_files", lambda *arguments, **more: Options())
     project = tmp_path / "project.toml"
     project.touch()
     ended = in_process("adjust", project, *words)
@@ -127,7 +127,7 @@ def test_options_replace_those_of_the_block_and_arguments_replace_both() -> None
 
 @pytest.mark.repository
 def test_the_reference_page_is_made_from_the_declaration(repository: Path) -> None:
-    """``python docs/options.py`` writes it again."""
+    """The reference page of the options is the output of ``python docs/options.py`` and has a row for each flag."""
     made = runpy.run_path(str(repository / "docs" / "options.py"))
     assert made["PAGE"].read_text("utf-8") == made["page"](Options, Reading)
     assert all(f"| `{name}` | `{option.flag}`" in made["PAGE"].read_text("utf-8") for name, option in ALL.items())
@@ -145,7 +145,7 @@ def test_every_default_is_allowed_and_documented(record: type) -> None:
 
 @pytest.mark.repository
 def test_flags_are_different() -> None:
-    """Flags have no units, so that two names could become the same flag."""
+    """No two options have the same flag. Flags have no units, so that two names could become one flag."""
     for records in ((Options, Reading), (ZonguldakOptions,), (BlockOptions,), (MixedOptions,)):
         flags = [option.flag for option in declared(*records).values()]
         assert len(set(flags)) == len(flags)
@@ -244,7 +244,7 @@ print(len(PUBLISHED_SETS))
 
 @pytest.mark.repository
 def test_a_further_eop_set_is_one_row(repository: Path, tmp_path: Path) -> None:
-    """Options, names, both commands, the comparison and the reference page have it; the published tables do not."""
+    """One row adds an EOP set to options, names, commands and the reference page, but not to published tables."""
     lines = run_edited(ONE_ROW, repository, tmp_path)
     assert lines[:2] == ["True", "21 (20, 21) 21"]
     assert "give a whole number from 1 to 21" in lines[2]

@@ -36,7 +36,7 @@ def closed_ecef(lon_deg, lat_deg, height):
 
 
 def closed_utm(lon_deg, lat_deg, meridian_deg):
-    """Krüger's series to n^4 (Karney 2011, equations 8-10, 35), northern hemisphere."""
+    """Return UTM coordinates (northern hemisphere) by Krüger's series to n^4 (Karney 2011, equations 8-10, 35)."""
     n = F / (2.0 - F)
     alpha = (
         n / 2 - 2 * n**2 / 3 + 5 * n**3 / 16 + 41 * n**4 / 180,
@@ -77,7 +77,10 @@ def test_ecef_to_geodetic_inverts_the_closed_formula(lon, lat, height):
 
 @pytest.mark.oracle
 def test_satellite_positions_convert_as_well():
-    """At this height PROJ's own inverse has an error of 7 mm."""
+    """The inverse conversion at a height of 832 km is exact to rounding.
+
+    PROJ's own inverse has an error of 7 mm there.
+    """
     lat = np.linspace(-90.0, 90.0, 181)
     _, back, height = geodesy.ecef_to_geodetic(closed_ecef(31.8, lat, 832e3))
     np.testing.assert_allclose(height, 832e3, rtol=0, atol=ROUNDING_M)
@@ -101,7 +104,7 @@ def test_projected_coordinates_are_the_kruger_series():
 
 @pytest.mark.truth
 def test_easting_comes_first_even_where_the_crs_says_north_first():
-    """EPSG:5254 (TUREF / TM30) defines x as north; the caller gives easting first all the same."""
+    """The easting is the first coordinate also for a CRS that defines x as north (EPSG:5254, TUREF / TM30)."""
     lon, lat, _ = geodesy.ecef_to_geodetic(geodesy.to_ecef("EPSG:5254", 580_000.0, 4_570_000.0, 0.0))
     # 80 km east of 30 E is 0.95 degrees at latitude 41
     assert lon[0] == pytest.approx(30.95, abs=0.02) and lat[0] == pytest.approx(41.25, abs=0.05)
@@ -124,7 +127,10 @@ def test_the_operation_and_its_accuracy_are_recorded():
 
 @pytest.mark.behaviour
 def test_one_operation_serves_all_points_and_only_the_deciding_ones_choose_it():
-    """ED50 has other shifts in Turkey than in Norway: the chosen area decides for both points."""
+    """The deciding points choose one operation of PROJ for all points.
+
+    ED50 has other shifts in Turkey than in Norway, so both choices differ.
+    """
     lon, lat = [31.8, 10.0], [41.3, 60.0]
     chosen = [
         geodesy.to_ecef_with_operation("EPSG:4230", lon, lat, [0.0, 0.0], deciding=np.array(mask))
@@ -222,7 +228,7 @@ def test_raster_coordinates_follow_the_kruger_series_and_end_at_the_domain():
 @pytest.mark.truth
 @pytest.mark.real_data
 def test_real_survey_points_agree_in_both_representations(real_data):
-    """The 86 points of Zonguldak are given as ECEF (0.1 mm) and as latitude, longitude, height."""
+    """The 86 points of Zonguldak agree as ECEF and as latitude, longitude, height within the rounding of both files."""
     folder = real_data / "geoetrim-pleiades"
     xyz = np.genfromtxt(folder / "points_img1.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
     llh = np.genfromtxt(folder / "points_img1_llh.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
@@ -237,9 +243,10 @@ def test_real_survey_points_agree_in_both_representations(real_data):
 @pytest.mark.truth
 @pytest.mark.parametrize(("lon", "lat"), [(10.0, 50.0), (-5.0, 40.0), (25.0, 62.0)])
 def test_shifts_of_a_plate_fixed_system_follow_the_plate(lon: float, lat: float) -> None:
-    """Rotation of Eurasia in ITRF2014: -0.085, -0.531, 0.770 mas a year (Altamimi et al. 2017, table 1).
+    """The shift of ETRS89 between 2000 and 2020 is the motion of the Eurasian plate within 0.028 m.
 
-    ETRF2000 keeps the rotation of ITRF2000 (-0.081, -0.490, 0.792), which differs by up to 1.4 mm a year (0.046 mas).
+    Rotation of Eurasia in ITRF2014: -0.085, -0.531, 0.770 mas a year (Altamimi et al. 2017, table 1). ETRF2000 keeps
+    the rotation of ITRF2000 (-0.081, -0.490, 0.792), which differs by up to 1.4 mm a year (0.046 mas).
     """
     turn = np.radians(np.array([-0.085, -0.531, 0.770]) / 3.6e6)
     velocity = geodesy.enu_from_ecef(lon, lat)[0] @ np.cross(turn, geodesy.geodetic_to_ecef(lon, lat, 0.0)[0])
@@ -250,9 +257,9 @@ def test_shifts_of_a_plate_fixed_system_follow_the_plate(lon: float, lat: float)
 
 @pytest.mark.truth
 def test_shifts_of_known_datums() -> None:
-    """In Germany ED50 agrees within 15 m with Molodensky's formula for Europe (EPSG:1133).
+    """The shift of ED50 in Germany equals Molodensky's formula within 15 m, and in the open sea there is no shift.
 
-    In the open sea no shift exists.
+    The formula has the parameters for Europe (EPSG:1133).
     """
     east, north, _ = geodesy.enu_from_ecef(10.0, 50.0)[0] @ np.array([-87.0, -98.0, -121.0])
     north += (6378388.0 * (F - 1.0 / 297.0) + F * (A - 6378388.0)) * np.sin(np.radians(100.0))

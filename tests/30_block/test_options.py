@@ -57,7 +57,10 @@ def test_the_ends_of_the_ranges_are_allowed(name: str, value: object) -> None:
     ("name", "value"), [(n, v) for n, v in BAD if n != "eop_set" and v is not None and not isinstance(v, tuple)]
 )
 def test_the_project_file_has_the_same_bounds(name: str, value: object) -> None:
-    """What Options refuse the schema refuses too, with the same words; eop_set may be a name there."""
+    """A value that ``Options`` refuses is refused in the project file with the same words.
+
+    Only eop_set may be a name there.
+    """
     table = "orientation" if name in Orientation.model_fields else "adjustment"
     assert table == "orientation" or name in Adjustment.model_fields
     content = {

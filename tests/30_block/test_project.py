@@ -158,7 +158,10 @@ def test_points_seen_once_are_dropped_on_request(folder):
     ],
 )
 def test_the_same_points_in_another_crs(folder, crs, names, kind):
-    """In the CRS by PROJ, called here; the degrees are those of the file in the folder."""
+    """Points of a project in a projected or geocentric CRS have the ECEF coordinates of PROJ within 1 um.
+
+    The block notes CRS and accuracy.
+    """
     degrees = np.array([[31.60, 41.20, 12.5], [32.05, 41.22, 250.0], [31.62, 41.45, 830.0], [32.00, 41.44, 1500.0]])
     to_ecef = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
     expected = np.stack(to_ecef.transform(*degrees.T), axis=1)
@@ -198,7 +201,7 @@ def test_remarks_on_a_small_block(folder):
 
 @pytest.mark.behaviour
 def test_remark_on_control_along_a_line(folder):
-    """Four points are along a diagonal, and the last one is 300 m beside it."""
+    """Four control points within 300 m of a line give a remark that states their number."""
     text = folder.points.read_text()
     for old, new in (("31.60,41.20", "31.60,41.20"), ("32.05,41.22", "31.70,41.28"), ("31.62,41.45", "31.80,41.36"),
                      ("32.00,41.44", "31.90,41.443")):  # fmt: skip
@@ -231,7 +234,10 @@ def test_remarks_on_odd_units_of_sigmas(folder):
 
 @pytest.mark.behaviour
 def test_remark_on_a_better_grid(tmp_path):
-    """OSGB36 has a grid (OSTN15) that does not come with PROJ: a remark, as a coarser operation exists."""
+    """A remark names the missing grid if PROJ uses a coarser operation.
+
+    OSGB36 has a grid (OSTN15) that does not come with PROJ.
+    """
     if not geodesy.to_ecef_with_operation("EPSG:27700", 4e5, 4e5, 10.0)[1].missing_grids:
         pytest.skip("the grid is installed here")
     path = tmp_path / "points.csv"
@@ -246,7 +252,7 @@ def test_remark_on_a_better_grid(tmp_path):
 @pytest.mark.truth
 @pytest.mark.real_data
 def test_the_real_pair_is_read_with_its_real_sensors(real_data, tmp_path):
-    """86 surveyed points in both images; ECEF coordinates arrive unchanged."""
+    """The project of the Pléiades pair has 86 points in both images, and their ECEF coordinates are unchanged."""
     project, ecef = pleiades_project(real_data, tmp_path)
     block = read_project(project)
     assert len(block.points.ids) == 86 and len(block.observations) == 172 and len(block.withheld.ids) == 75
@@ -258,7 +264,7 @@ def test_the_real_pair_is_read_with_its_real_sensors(real_data, tmp_path):
 
 @pytest.mark.behaviour
 def test_the_documented_example_is_a_valid_project(folder, repository):
-    """The first listings of docs/file-formats.md of a project, of points and of image points are read."""
+    """The first listings of project, points and image points in docs/file-formats.md form a valid project."""
     listings = (repository / "docs" / "file-formats.md").read_text(encoding="utf-8").split("```")[1::2]
     project, (points, observations) = listings[0], [text for text in listings if text.startswith("text")]
     project, points, observations = (text.partition("\n")[2] for text in (project, points, observations))
@@ -276,7 +282,7 @@ def test_the_documented_example_is_a_valid_project(folder, repository):
 @pytest.mark.consistency
 @pytest.mark.parametrize("entry", ["", "[points]\n"])
 def test_a_project_without_points_has_tie_points_alone(folder, entry):
-    """Order, ids and pixels are those with a table of tie points."""
+    """A project without a table of points has the tie points, order and pixels of one with such a table."""
     folder.change("project.toml", "max_iterations = 50", 'max_iterations = 50\ndatum = "priors"')
     header, rows = folder.points.read_text().splitlines()[1], ("01", "1", "c3", "c4", "k1", "k2", "t1")
     folder.points.write_text(f"{header}\n" + "".join(f"{name},tie,,,,,,\n" for name in rows), encoding="utf-8")
@@ -301,7 +307,7 @@ def test_a_point_table_without_file_or_records(folder):
 
 @pytest.mark.behaviour
 def test_a_wrong_name_is_one_error(folder):
-    """Seven rows of one image: one line that counts them; a name that stands once is not counted."""
+    """A wrong image name in seven rows is one error that counts the lines and suggests the right name."""
     text = folder.observations.read_text().replace("right,", "rigth,").replace("left,k2,", "left,k3,")
     folder.observations.write_text(text, encoding="utf-8")
     wrong = {p.value: str(p) for p in checked_project(folder.project)[1]}

@@ -35,7 +35,7 @@ def test_every_text_is_read_back(tmp_path: Path) -> None:
 @pytest.mark.behaviour
 @given(st.text(alphabet="'=+-@\t1.ea", max_size=6))
 def test_the_apostrophe_is_removed_exactly_where_it_was_added(text: str) -> None:
-    """Also texts that begin with apostrophes of their own; no escaped text begins as a formula does."""
+    """An escaped text is read back unchanged, also with own apostrophes, and never begins as a formula does."""
     written = own_cell(text)
     assert cell_text(written) == text
     assert re.match(r"[=@\t]|[+-](?![0-9.]+(e[+-]?[0-9]+)?\Z)", written) is None
@@ -43,7 +43,7 @@ def test_the_apostrophe_is_removed_exactly_where_it_was_added(text: str) -> None
 
 @pytest.mark.behaviour
 def test_a_table_with_an_escaped_text_is_not_read_as_slices_of_bytes() -> None:
-    """The fast reader gives the bytes as they are."""
+    """The fast reader leaves a table with an escaped text to the slow one, because it does not change bytes."""
     assert regular("id,x\na,1\n", MAX_LINE) is not None
     assert regular("id,x\n'=a,1\n", MAX_LINE) is None
 
@@ -51,7 +51,7 @@ def test_a_table_with_an_escaped_text_is_not_read_as_slices_of_bytes() -> None:
 @pytest.mark.oracle
 @pytest.mark.skipif(SOFFICE is None, reason="LibreOffice is not installed")
 def test_libreoffice_takes_the_texts_as_text(tmp_path: Path) -> None:
-    """The same texts in quotes only are formulas there, so that the test can fail."""
+    """LibreOffice reads our texts as text, and the same texts in quotes only as formulas."""
     save_table(tmp_path / "ours.csv", {"id": FORMULAS})
     raw = "".join('"' + text.replace('"', '""') + '"\n' for text in ["id", *FORMULAS])
     (tmp_path / "raw.csv").write_text(raw, encoding="utf-8")
@@ -70,7 +70,7 @@ def test_libreoffice_takes_the_texts_as_text(tmp_path: Path) -> None:
 
 
 def _cells(file: Path) -> list[tuple[str, bool]]:
-    """Shown text of each cell of the first column, and whether it is a formula."""
+    """Return the shown text of each cell of the first column, and whether it is a formula."""
     table, found = "urn:oasis:names:tc:opendocument:xmlns:table:1.0", list[tuple[str, bool]]()
     for cell in ElementTree.parse(file).iterfind(".//t:table-row/t:table-cell[1]", {"t": table}):
         text, is_formula = "".join(cell.itertext()).strip(), f"{{{table}}}formula" in cell.attrib

@@ -61,7 +61,7 @@ def test_every_finite_double_is_read_back(value):
 @pytest.mark.behaviour
 @given(st.text(max_size=12))
 def test_only_plain_decimal_numbers_are_numbers(text):
-    """Python also reads each accepted text as a finite float, and the text contains only characters of numbers."""
+    """A text accepted as a number has only digits, signs, point and exponent, and Python reads it as finite."""
     faults = Faults("t.csv")
     value = number(Row(2, {"x": text}), "x", faults)
     assert math.isnan(value) == bool(faults)

@@ -97,7 +97,10 @@ def points() -> tuple[Array, Array]:
 @pytest.mark.oracle
 @pytest.mark.parametrize("end", ["gtx", "tif", "byn", "isg"])
 def test_interpolation_is_that_of_proj(tmp_path: Path, points: tuple[Array, Array], end: str) -> None:
-    """PROJ reads the same numbers from GTX in float32: half a unit is 2^-18 m at 35 m."""
+    """Each geoid format gives the undulations of PROJ within 4 um.
+
+    PROJ reads float32: half a unit is 2^-18 m at 35 m.
+    """
     wanted = by_proj(write_grid(tmp_path / "proj.gtx"), *points)
     found = GeoidFile(write_grid(tmp_path / f"own.{end}")).undulation_m(*points)
     assert np.abs(found - wanted).max() < 4e-6
@@ -119,7 +122,7 @@ def test_a_grid_around_the_earth_has_no_seam(tmp_path: Path) -> None:
 @pytest.mark.real_data
 @pytest.mark.oracle
 def test_egm96_of_the_world(real_data: Path) -> None:
-    """20 000 places; the coarse geoid keeps its limit at each of them."""
+    """At 20 000 places EGM96 of a file equals PROJ, and the coarse geoid is within its stated limit."""
     grid, rng = real_data / "shareloc-ventoux" / "egm96_15.gtx", np.random.default_rng(1)
     lon, lat = rng.uniform(-180.0, 180.0, 20_000), np.degrees(np.arcsin(rng.uniform(-1.0, 1.0, 20_000)))
     found = GeoidFile(grid).undulation_m(lon, lat)
@@ -165,10 +168,7 @@ def test_points_without_a_value(tmp_path: Path) -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize("end", ["gtx", "tif", "byn", "isg"])
 def test_mutilated_files_are_refused_in_one_line(tmp_path: Path, end: str) -> None:
-    """Files are cut, overwritten or empty.
-
-    The reader raises an error of one line, or returns values of intact cells.
-    """
+    """A cut, overwritten or empty geoid file gives an error of one line or finite values."""
     whole, rng = write_grid(tmp_path / f"whole.{end}").read_bytes(), np.random.default_rng(3)
     refused = 0
     for k in range(30):
@@ -220,7 +220,7 @@ def test_a_project_with_its_own_geoid_file(folder: ProjectFolder) -> None:
 
 @pytest.mark.oracle
 def test_undulations_are_above_wgs84_for_an_older_datum(folder: ProjectFolder) -> None:
-    """In UTM on ED50 the ellipsoid of the datum is 70 m away, but the height above WGS84 is still H + N."""
+    """For UTM on ED50 the height above WGS84 is H + N within 0.01 m, although that ellipsoid is 70 m away."""
     grid = write_grid(folder.folder / "n.gtx")
     to_old = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:23036", always_xy=True)
     plane = np.stack(to_old.transform(*PLACES[:, :2].T), axis=1)
@@ -258,7 +258,7 @@ def test_a_constant_and_an_estimated_constant(folder: ProjectFolder) -> None:
 
 @pytest.mark.truth
 def test_an_odd_point_of_both_heights_is_named_and_right_ones_are_not(tmp_path: Path) -> None:
-    """500 tables of 6 points: about 1 % name a point, the level of the test; one wrong by 10 sigma is named."""
+    """A height wrong by 10 sigma is named; of 499 correct tables about 1 % name a point, the level of the test."""
     rng, path, named = np.random.default_rng(5), tmp_path / "both.csv", 0
     for k in range(500):
         n = 36.0 + rng.normal(0.0, 0.02, 6)
@@ -338,7 +338,10 @@ def test_a_grid_of_any_name_and_format_in_proj_data(folder: ProjectFolder, proj_
 def test_real_points_with_heights_above_egm96(
     real_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, way: str
 ) -> None:
-    """The 86 points of the Pléiades pair in UTM 36 with EGM96 heights, made by PROJ, are where they were: 1 um."""
+    """The 86 Pléiades points given in UTM 36 with EGM96 heights have their ECEF coordinates within 1 um.
+
+    PROJ computes the heights.
+    """
     grids = real_data / "shareloc-ventoux"
     project, ecef = pleiades_project(real_data, tmp_path)
     usual = pyproj.datadir.get_data_dir()
@@ -368,7 +371,7 @@ def test_real_points_with_heights_above_egm96(
 
 @pytest.mark.truth
 def test_convert_makes_heights_ellipsoidal(folder: ProjectFolder) -> None:
-    """A compound code without +, whose grid is not there: the constant replaces it, the points keep their places."""
+    """``convert --undulation`` replaces the missing grid of a compound CRS by a constant; only heights change."""
     out = folder.folder / "out.csv"
     given = ("--from", "csv", "--crs", "EPSG:9518", "--undulation", 34.25)
     ended = in_process("convert", folder.points, *given, "--to", "csv", "--out", out)
@@ -380,7 +383,7 @@ def test_convert_makes_heights_ellipsoidal(folder: ProjectFolder) -> None:
 
 @pytest.mark.oracle
 def test_a_dem_above_a_geoid_file(tmp_path: Path) -> None:
-    """Cells by PROJ's interpolation, within the bound between knots."""
+    """Heights of a DEM above a geoid file are ellipsoidal by PROJ's interpolation, within 1 mm."""
     grid, dem = write_grid(tmp_path / "n.gtx"), tmp_path / "dem.tif"
     place = rasterio.Affine(0.01, 0, 31.5, 0, -0.01, 41.8)
     with rasterio.open(

@@ -29,7 +29,10 @@ WEST, NORTH = 29.0, 44.4
 
 
 def write(path: Path, rows: slice, columns: slice, *, size: int = SIZE, **options: Any) -> Path:
-    """Sparse GeoTIFF with heights in a part of it: a plane, 100 m in the west and 1 m higher every 40 cells."""
+    """Write a sparse GeoTIFF with heights in a part of it.
+
+    The heights are a plane, 100 m in the west and 1 m higher every 40 cells.
+    """
     place = rasterio.Affine(STEP, 0.0, WEST, 0.0, -STEP, NORTH)
     settings = {"driver": "GTiff", "count": 1, "dtype": "int16", "crs": "EPSG:4326", "nodata": -9999} | options
     with rasterio.open(
@@ -54,7 +57,7 @@ def plane(lon: np.ndarray) -> np.ndarray:
 
 @pytest.mark.oracle
 def test_heights_of_far_points_equal_the_formula(tmp_path: Path, rng: np.random.Generator) -> None:
-    """One call has points in two squares at opposite ends of a large raster; other squares are not read."""
+    """Heights at opposite ends of a large raster equal the formula, and only the squares in use are read."""
     path = write(tmp_path / "dem.tif", slice(0, 512), slice(0, 512))
     with rasterio.open(path, "r+") as sink:
         line = (100 + (np.arange(SIZE - 512, SIZE) // 40)).astype("int16")
@@ -75,7 +78,7 @@ def test_heights_of_far_points_equal_the_formula(tmp_path: Path, rng: np.random.
 def test_values_do_not_depend_on_blocks_or_on_the_cache(
     tmp_path: Path, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, blocks: dict[str, Any]
 ) -> None:
-    """With only four squares kept and points in groups, values are equal bit by bit to those of the whole array."""
+    """Heights are the same bits for any block size, with four cached squares or the whole array."""
     heights = rng.uniform(0.0, 900.0, (700, 1100)).astype("float32")
     heights[300:310, 400:420] = np.nan
     with rasterio.open(
@@ -100,7 +103,7 @@ def test_values_do_not_depend_on_blocks_or_on_the_cache(
 
 @pytest.mark.consistency
 def test_a_ray_does_not_depend_on_the_others(tmp_path: Path, rng: np.random.Generator) -> None:
-    """A pixel has the same result alone and among others, within the tolerance of the heights."""
+    """A pixel located on a DEM alone and among others is the same point within 1 mm."""
     sensor = zonguldak_block(ZonguldakOptions(seed=1))[0].images[0].sensor
     rows, columns = slice(27_000, 35_000), slice(23_000, 34_000)
     dem = RasterDem(write(tmp_path / "dem.tif", rows, columns))
@@ -114,7 +117,7 @@ def test_a_ray_does_not_depend_on_the_others(tmp_path: Path, rng: np.random.Gene
 
 @pytest.mark.oracle
 def test_a_camera_in_a_valley_sees_the_ground(tmp_path: Path) -> None:
-    """The DEM near the ray is higher than the camera; the ray begins below the highest height."""
+    """A camera below the highest cell of the DEM sees the ground below it within 1 mm."""
     heights = np.full((100, 100), 200.0, "float32")
     heights[:, 60:] = 3000.0
     with rasterio.open(
@@ -131,7 +134,7 @@ def test_a_camera_in_a_valley_sees_the_ground(tmp_path: Path) -> None:
 
 @pytest.mark.behaviour
 def test_values_of_a_file_with_scale_offset_and_holes_of_all_kinds(tmp_path: Path) -> None:
-    """Decimetres with an offset; declared nodata, NaN, infinity and impossible heights are holes."""
+    """Heights are scaled by the file; nodata, NaN, infinity and impossible heights are holes, which a note counts."""
     path, values = tmp_path / "dem.tif", np.full((8, 8), 1234, "float32")
     values[0, :5] = [-1, np.nan, np.inf, -np.inf, 1e30]
     with rasterio.open(
@@ -150,7 +153,7 @@ def test_values_of_a_file_with_scale_offset_and_holes_of_all_kinds(tmp_path: Pat
 @pytest.mark.behaviour
 @pytest.mark.parametrize(("value", "cell", "told"), [(0.0, 1e-3, True), (0.0, 1e-2, False), (850.0, 1e-3, False)])
 def test_cliffs_of_one_value_are_named(tmp_path: Path, value: float, cell: float, told: bool) -> None:
-    """Zero among heights of 900 m makes steps of 900 m. Over 100 m of ground they are named, over 1 km not."""
+    """Cells of 0 m among 900 m are named if the step is within 100 m of ground, but not within 1 km."""
     rng = np.random.default_rng(3)
     heights = rng.uniform(880.0, 920.0, (40, 40)).astype("float32")
     heights[10:14, 20:26] = value
@@ -236,7 +239,7 @@ def sparse_image(path: Path, size: int) -> Path:
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the size of a process is in kB on Linux only")
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 def test_an_image_of_60000_lines_costs_what_is_used(tmp_path: Path, rng: np.random.Generator) -> None:
-    """``rectify ortho`` of a part of it: below 400 MB, and 3 s more than with an image of 4096 lines."""
+    """``rectify ortho`` of a part of a 60 000-line image needs below 400 MB, and at most 3 s more than a small one."""
     pixels = rng.uniform(0.0, 4000.0, (20, 2))
     rows = [f"{k},{a!r},{b!r},{300_000 + 10 * b!r},{4_600_000 - 10 * a!r}" for k, (a, b) in enumerate(pixels.tolist())]
     table = tmp_path / "points.csv"
@@ -259,7 +262,10 @@ def test_an_image_of_60000_lines_costs_what_is_used(tmp_path: Path, rng: np.rand
 @pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the size of a process is in kB on Linux only")
 def test_matching_with_a_raster_of_60000_lines_costs_what_is_used(tmp_path: Path) -> None:
-    """``match --dem``: the same points; at most 50 MB and 3 s more than with the small raster of the same heights."""
+    """``match --dem`` with a 60 000-line raster finds the same points with at most 50 MB and 3 s more.
+
+    The small raster has the same heights.
+    """
     pytest.importorskip("cv2")
     scene = Scene(85.0, 3, relief_m=5.0, walls=3)
     write_pair(tmp_path, scene, (View("a", (0.25, -0.05), 180), View("b", (-0.25, 0.1), 180)), snr=50.0)
@@ -289,8 +295,10 @@ def test_matching_with_a_raster_of_60000_lines_costs_what_is_used(tmp_path: Path
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the size of a process is in kB on Linux only")
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 def test_a_raster_of_60000_lines_costs_what_is_used(tmp_path: Path) -> None:
-    """``locate``, ``accuracy``, ``adjust --dem-control``, ``rectify ortho``, ``rpc check``: below 400 MB, and 3 s more
-    than with a small raster."""
+    """Each command that reads a DEM takes below 400 MB for 60 000 lines, and 3 s more than for a small raster at most.
+
+    The commands are ``locate``, ``accuracy``, ``adjust --dem-control``, ``rectify ortho`` and ``rpc check``.
+    """
     project = simulate_zonguldak(tmp_path / "twin", ZonguldakOptions(seed=1))
     assert command(tmp_path / "size", "adjust", project, "--out", tmp_path / "result", "--quiet").code == 0
     table = tmp_path / "twin/points.csv"

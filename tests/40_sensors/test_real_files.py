@@ -59,7 +59,7 @@ def test_frame_points(real_data: Path, name: str) -> None:
     "name", [f"geocosicorr3d/{n}" for n in [*V1_FILES, "SPOT6.XML"]] + [f"geoetrim-pleiades/{n}" for n in PLEIADES]
 )
 def test_round_trip_over_the_whole_scene(real_data: Path, name: str, height_m: float) -> None:
-    """Located points lie on the rays written apart; project(locate(p)) = p within 1e-6 px; with a correction, too."""
+    """Located pixels lie on independent rays and project back within 1e-6 px, also with a correction."""
     s = sensor(real_data, name)
     line, sample = (
         a.ravel() for a in np.meshgrid(np.linspace(0, s.n_lines - 1, 25), np.linspace(0, s.n_samples - 1, 25))
@@ -77,7 +77,10 @@ def test_round_trip_over_the_whole_scene(real_data: Path, name: str, height_m: f
 
 @pytest.mark.truth
 def test_spot5_equals_two_independent_programs(real_data: Path) -> None:
-    """On the ellipsoid Rugged agrees within 1 cm, geoCosiCorr3D within 5 cm (docs/equations.md 2)."""
+    """Located SPOT 5 pixels agree with Rugged within 1 cm and geoCosiCorr3D within 5 cm on the ellipsoid.
+
+    The limits are explained in docs/equations.md 2.
+    """
     s = sensor(real_data / "geocosicorr3d", "SPOT5.DIM")
     for name, limit, keys in (
         ("rugged_SPOT5_h0.csv", 0.01, ("line_1based", "col_1based", "lon_deg", "lat_deg")),
@@ -93,7 +96,10 @@ def test_spot5_equals_two_independent_programs(real_data: Path) -> None:
 
 @pytest.mark.truth
 def test_spot6_equals_an_independent_program(real_data: Path) -> None:
-    """16 rows of geoCosiCorr3D within 1 cm: sampled quaternions, START-based times, band calibration."""
+    """16 located SPOT 6 pixels agree with geoCosiCorr3D within 1 cm.
+
+    They depend on sampled quaternions, times from START and the band calibration.
+    """
     s = sensor(real_data / "geocosicorr3d", "SPOT6.XML")
     rows = [r for r in read_rows(real_data / "reference-outputs" / "geocosicorr3d_h0.csv") if r["file"] == "SPOT6.XML"]
     line, sample, lon, lat = (np.array([float(r[k]) for r in rows]) for k in ("row_1based", "col_1based", "lon", "lat"))
@@ -122,7 +128,7 @@ def rpc_project(
 
 @pytest.mark.truth
 def test_pleiades_equals_the_vendor_rpc(real_data: Path) -> None:
-    """The rigorous projection of image 1 agrees with the RPC of the same file at all 86 points to 0.01 px."""
+    """The rigorous model of Pléiades image 1 projects all 86 points as the vendor's RPC within 0.01 px."""
     folder = real_data / "geoetrim-pleiades"
     s = sensor(folder, PLEIADES[0])
     rows = read_rows(folder / "points_img1.csv")
@@ -139,7 +145,7 @@ def test_pleiades_equals_the_vendor_rpc(real_data: Path) -> None:
 
 @pytest.mark.oracle
 def test_eop_polynomials_and_their_residuals(real_data: Path) -> None:
-    """A parabola describes position to 3 cm and velocity to 3e-5 m/s over 12000 lines."""
+    """EOP polynomials are numpy's fit, and a parabola leaves below 0.1 m of position and 1e-4 m/s of velocity."""
     s = sensor(real_data / "geocosicorr3d", "SPOT5.DIM")
     per_tau, residuals = fit_eop(s)
     largest = np.abs(residuals).max(axis=0)

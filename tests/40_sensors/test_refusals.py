@@ -64,7 +64,10 @@ def open_end(metadata: PushbroomMetadata, seconds: float) -> PushbroomMetadata:
 
 @pytest.mark.behaviour
 def test_lines_without_attitude_are_refused_one_by_one(metadata: PushbroomMetadata) -> None:
-    """0.15 s are 199.5 lines of 0.7521 ms, so that the centres of 200 lines are beyond the list."""
+    """Lines whose centre is after the last attitude are refused, all others are usable, and a note names them.
+
+    For the 0.15 s of this test they are 200 lines of 0.7521 ms.
+    """
     period = metadata.timing.line_period_s
     assert PushbroomSensor(open_end(metadata, 1e-9)).notes == metadata.notes
     sensor = PushbroomSensor(open_end(metadata, 0.15))
@@ -112,7 +115,7 @@ def test_a_projection_beyond_the_attitudes_goes_on_straight(metadata: PushbroomM
 @pytest.mark.oracle
 @pytest.mark.parametrize(("end_s", "state"), [(0.15, -1), (-0.15, 0)])
 def test_extrapolation_holds_the_last_rate(metadata: PushbroomMetadata, end_s: float, state: int) -> None:
-    """Angles beyond the list: the last sample plus its rate; inside the list nothing changes, bit by bit."""
+    """Attitudes beyond the list are extrapolated with the last rate; inside the list no bit changes."""
     held = PushbroomSensor(open_end(metadata, end_s), extrapolate_attitude_s=0.2)
     assert (held.first_line, held.last_line) == (0.0, 11999.0)
     assert "extrapolated by 0.150 s with the last rate" in str(held.notes[-1])
@@ -140,7 +143,7 @@ def test_extrapolation_stops_at_its_seconds(metadata: PushbroomMetadata) -> None
 
 @pytest.mark.truth
 def test_extrapolated_quaternions_keep_their_rate(metadata: PushbroomMetadata) -> None:
-    """For a rotation of constant rate about one axis, the rate is kept to the cube of the angle."""
+    """Extrapolated quaternions keep a constant rate within 2e-12, the cube of the small rotation."""
     image = open_end(metadata, 0.15)
     listed = metadata.attitude.time_s
     half = 5e-4 * (listed - listed[0])  # 1e-3 rad/s
@@ -178,10 +181,7 @@ def test_pixels_outside_and_surfaces_that_cannot_be_seen(metadata: PushbroomMeta
 
 @pytest.mark.behaviour
 def test_points_outside_or_behind(metadata: PushbroomMetadata) -> None:
-    """Outside the image the projection continues linearly.
-
-    ``is_inside`` flags such points; on the far side of the Earth it is nan.
-    """
+    """A point outside the image projects linearly and is not inside; one behind the Earth projects to nan."""
     sensor = PushbroomSensor(metadata)
     inside = sensor.locate([0.0, 6000.0], [0.0, 6000.0], height_m=0.0)
     beyond = inside[0] + (inside[0] - inside[1]) * 0.01  # a hundredth of the half diagonal further out
@@ -194,7 +194,7 @@ def test_points_outside_or_behind(metadata: PushbroomMetadata) -> None:
 
 @pytest.mark.oracle
 def test_intersection_of_two_images(metadata: PushbroomMetadata) -> None:
-    """Noise-free pixels of a ground point meet in it: 1e-6 m; a single direction is refused."""
+    """Rays of two images intersect in the true point within 1e-6 m; parallel rays and wrong shapes are refused."""
     block, truth = zonguldak_block(ZonguldakOptions(seed=1))
     sensors = [image.sensor for image in block.images]
     pixels = [s.project(truth.ecef_m, c) for s, c in zip(sensors, truth.corrections, strict=True)]
@@ -217,7 +217,10 @@ def test_intersection_of_two_images(metadata: PushbroomMetadata) -> None:
 
 @pytest.mark.behaviour
 def test_rays_that_meet_behind_a_sensor(metadata: PushbroomMetadata) -> None:
-    """Both images rolled outwards by 60 degrees diverge: the lines through the rays meet in space."""
+    """Rays that meet behind a sensor are refused.
+
+    Both images are rolled outwards by 60 degrees, so that their rays diverge.
+    """
     block, _ = zonguldak_block(ZonguldakOptions(seed=1))
     sensors = [image.sensor for image in block.images]
     apart = [Correction(), Correction()]
@@ -236,7 +239,7 @@ def test_rays_that_meet_behind_a_sensor(metadata: PushbroomMetadata) -> None:
 
 @pytest.mark.truth
 def test_convergence_is_the_largest_angle_of_any_two_rays() -> None:
-    """Points with 4, 2, 3, 1 and no rays at known angles in one plane, in mixed order."""
+    """The convergence of a point is the largest angle between any two of its rays, for none to four rays."""
     degrees = {0: [0.0, 1.0, 7.0, 3.0], 1: [0.0, 0.05], 2: [10.0, -20.0, 0.0], 3: [5.0]}
     point = np.array([k for k, angles in degrees.items() for _ in angles])
     angle = np.radians([a for angles in degrees.values() for a in angles])

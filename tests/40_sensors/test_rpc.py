@@ -38,7 +38,7 @@ def grid(sensor: RpcSensor, n: int = 9) -> tuple[np.ndarray, np.ndarray]:
 
 
 def seen(sensor: RpcSensor, lon: np.ndarray, lat: np.ndarray, height_m: Any, terms: np.ndarray | None) -> np.ndarray:
-    """Lines and samples by the evaluation written apart, plus an affine compensation in normalised pixels."""
+    """Return lines and samples by a separate evaluation, plus an affine compensation in normalised pixels."""
     plain = np.array(reference_project(sensor.model, lon, lat, np.broadcast_to(height_m, lon.shape)), float)
     if terms is None:
         return plain
@@ -66,7 +66,7 @@ class Slope:
 def test_locate_and_project_return_the_pixel(
     sensor: RpcSensor, height_m: float, compensation: np.ndarray | None
 ) -> None:
-    """1e-6 px is asked for; geodetic coordinates of an ECEF point leave 1e-8."""
+    """An RPC pixel that is located and projected returns within 1e-7 px, and within 1e-9 px in geodetic coordinates."""
     line, sample = grid(sensor)
     lon, lat = sensor.model.locate(line, sample, height_m, compensation)
     assert np.abs(seen(sensor, lon, lat, height_m, compensation) - [line, sample]).max() < 1e-9
@@ -88,7 +88,7 @@ def test_projection_of_ecef_points_equals_an_independent_one(sensor: RpcSensor) 
 
 @pytest.mark.oracle
 def test_vendor_inverse_serves_as_a_guess_and_is_given_on_request() -> None:
-    """A good guess, a useless one and none give the same point."""
+    """The vendor's inverse, good or useless, does not change the located point, and ``locate_directly`` uses it."""
     model = synthetic_model()
     line, sample = np.array([10.0, 15000.0]), np.array([20.0, 3000.0])
     direct = np.zeros((4, 20))
@@ -122,7 +122,7 @@ def test_location_across_the_date_line() -> None:
 
 @pytest.mark.oracle
 def test_located_on_a_dem(sensor: RpcSensor) -> None:
-    """The pixel is kept to 1e-7 and the DEM is met to 0.2 mm, although lines of sight are bent by a metre."""
+    """A pixel located on a DEM keeps its image coordinates within 1e-7 px and meets the DEM within 0.2 mm."""
     line, sample = grid(sensor, 7)
     dem = Slope()
     ground = sensor.locate(line, sample, dem=dem)
@@ -133,7 +133,10 @@ def test_located_on_a_dem(sensor: RpcSensor) -> None:
 
 @pytest.mark.oracle
 def test_rays_pass_through_the_located_points(sensor: RpcSensor) -> None:
-    """At the lowest and the highest valid height; between them lines of sight are bent."""
+    """The ray of a pixel passes within 1e-6 m of its points at the lowest and the highest valid height.
+
+    Between them lines of sight are bent.
+    """
     line, sample = grid(sensor, 5)
     position, direction = sensor.rays(line, sample)
     assert np.abs(np.linalg.norm(direction, axis=1) - 1.0).max() < 1e-15
@@ -160,7 +163,7 @@ def test_footprint_and_centre(sensor: RpcSensor) -> None:
 
 @pytest.mark.behaviour
 def test_size_of_the_image() -> None:
-    """From the file, from its validity, or from offset and scale."""
+    """The image size of an RPC is that of the file, of its validity, or of offset and scale."""
     assert (RpcSensor(synthetic_model()).n_lines, RpcSensor(synthetic_model()).n_samples) == (20001, 24001)
     sized = RpcSensor(synthetic_model(n_lines=100, n_samples=200))
     assert (sized.n_lines, sized.last_line, sized.last_sample) == (100, 99.0, 199.0)
@@ -189,7 +192,7 @@ def test_ground_points_outside_the_validity_are_flagged_and_refused(sensor: RpcS
 
 @pytest.mark.behaviour
 def test_a_pixel_without_ground_is_refused() -> None:
-    """With l = x^2 + z the pixel is below the lowest value at great heights."""
+    """A pixel that meets no ground at a height is refused with pixel and valid heights."""
     c = np.zeros((4, 20))
     c[1::2, 0], c[0, 7], c[0, 3], c[2, 2] = 1.0, 1.0, 1.0, 1.0
     model = RpcModel(np.array([10.0, 10.0, 30.0, 40.0, 0.0]), np.array([10.0, 10.0, 0.1, 0.1, 100.0]), c)
@@ -241,7 +244,10 @@ def test_wrong_compensation_is_refused(sensor: RpcSensor, compensation: list[flo
     ids=["inside the image", "before a corner", "before another", "before a third"],
 )
 def test_a_pole_is_refused_unless_taken(seed: int, row: int, term: int, value: float) -> None:
-    """Before a corner Newton steps over the pole and finds corners 20 to 130 times the model's range away."""
+    """A denominator that is not positive in the image is refused, unless the caller passes ``poles=True``.
+
+    Before a corner Newton's method steps over the pole and finds corners 20 to 130 times the model's range away.
+    """
     c = synthetic_model(seed).coefficients.copy()
     c[row, term] = value
     model = synthetic_model(coefficients=c)
@@ -255,7 +261,7 @@ def test_a_pole_is_refused_unless_taken(seed: int, row: int, term: int, value: f
 
 @pytest.mark.behaviour
 def test_a_pole_outside_the_image_does_no_harm() -> None:
-    """The cube of normalised coordinates may be wider than the image, so that no pixel sees the pole."""
+    """A pole inside the cube of normalised coordinates but outside the image is accepted."""
     c = np.zeros((4, 20))
     c[1::2, 0], c[0, 2], c[2, 1], c[3, 1] = 1.0, -100.0, 100.0, -1.5  # the image is 2 % of the cube
     model = RpcModel(np.array([100.0, 100.0, 31.8, 41.4, 0.0]), np.array([100.0, 100.0, 1.0, 1.0, 100.0]), c)
@@ -267,7 +273,7 @@ def test_a_pole_outside_the_image_does_no_harm() -> None:
 
 @pytest.mark.oracle
 def test_the_equation_gives_the_projection(sensor: RpcSensor, rng: np.random.Generator) -> None:
-    """Residual = projected + compensation - observed, from references up to 300 m off, to 1e-7 px."""
+    """The RPC residual is projected + compensation - observed within 1e-7 px, from references up to 300 m off."""
     lon, lat, h = ground_points(sensor.model, 50)
     ground = geodetic_to_ecef(lon, lat, h)
     origin = ground.mean(axis=0)

@@ -82,7 +82,10 @@ def metres(lon: np.ndarray, lat: np.ndarray, lon_2: np.ndarray, lat_2: np.ndarra
 
 @pytest.mark.truth
 def test_every_file_is_read_and_equals_gdal(real_data: Path) -> None:
-    """Ground to image on 2000 points of each file's range: 1e-6 px (GDAL counts from the corner, 0.5 px)."""
+    """Each real RPC projects 2000 points of its range as GDAL does, within 1e-6 px.
+
+    GDAL counts from the corner, 0.5 px.
+    """
     rng = np.random.default_rng(1)
     worst = 0.0
     for path in files(real_data):
@@ -105,7 +108,10 @@ def test_every_file_is_read_and_equals_gdal(real_data: Path) -> None:
 
 @pytest.mark.truth
 def test_located_points_equal_gdal_within_its_tolerance(real_data: Path) -> None:
-    """GDAL stops when a pixel is met to 0.1 px; near poles it fails at some points."""
+    """Points located by GDAL project to their pixel within 0.1 px, GDAL's tolerance, and lie near ours.
+
+    GDAL fails at some points near poles.
+    """
     for path in files(real_data):
         model = read(path)
         line, sample, h = pixels_and_heights(model)
@@ -124,7 +130,10 @@ def test_located_points_equal_gdal_within_its_tolerance(real_data: Path) -> None
 
 @pytest.mark.oracle
 def test_located_points_project_to_their_pixels(real_data: Path) -> None:
-    """1e-6 px over every image and height range; the model with poles only where it has ground."""
+    """Located points of each real RPC project to their pixels within 1e-6 px over image and height range.
+
+    The model with poles does so only for pixels that have ground.
+    """
     worst = 0.0
     for path in files(real_data):
         model = read(path)
@@ -151,9 +160,10 @@ def test_the_file_with_poles_is_refused_as_a_sensor(real_data: Path) -> None:
 
 @pytest.mark.truth
 def test_rpcm_projects_alike(real_data: Path) -> None:
-    """Within the rounding of the printed points (1e-10 degree, 0.1 mm); rpcm counts SPOT 6/7 from 1.
+    """Each RPC projects as rpcm within the rounding of the printed points, and locates within 1e-6 m.
 
-    Located points: ours return to the printed ones; rpcm's own tolerance is printed.
+    The points are printed to 1e-10 degree and 0.1 mm; rpcm counts SPOT 6/7 from 1. The tolerance of rpcm's own located
+    points is printed only.
     """
     rows = defaultdict(list)
     for r in read_rows(real_data / "reference-outputs" / "rpcm_projection.csv"):
@@ -179,9 +189,9 @@ def test_rpcm_projects_alike(real_data: Path) -> None:
 
 @pytest.mark.truth
 def test_shareloc_locates_alike(real_data: Path) -> None:
-    """The RPC agrees to 2e-6 m (11 printed digits).
+    """Located points agree with shareloc's RPC within 2e-6 m and with the physical grid within 2 cm.
 
-    The physical grid agrees to 2 cm; shareloc counts from the corner, 0.5 px.
+    Its file has 11 digits; shareloc counts from the corner, 0.5 px.
     """
     model = read_rpc(real_data / "shareloc" / "PHRDIMAP_P1BP--2018122638935449CP.XML")
     rows = read_rows(real_data / "reference-outputs" / "shareloc_P1BP--2018122638935449CP.csv")
@@ -199,7 +209,10 @@ def test_shareloc_locates_alike(real_data: Path) -> None:
 @pytest.mark.truth
 @pytest.mark.parametrize("image", ["1A", "1B"])
 def test_spot7_equals_xing(real_data: Path, image: str) -> None:
-    """18 points by a program of IGN that takes the file's pixels as they are: 1e-3 px; heights 922 and 2190 m."""
+    """The SPOT 7 RPC projects 18 points as IGN's program Xing within 1e-3 px, at heights of 922 and 2190 m.
+
+    Xing uses the pixels of the file unchanged.
+    """
     model = read_rpc(real_data / "micmac-spot7-rpc" / f"RPC_{image}.xml")
     text = (real_data / "micmac-spot7-rpc" / f"verif_{image}.txt").read_text("latin-1")
     rows = [line.split()[1:] for line in text.splitlines() if line.startswith("<Pt>")]
@@ -212,7 +225,7 @@ def test_spot7_equals_xing(real_data: Path, image: str) -> None:
 
 @pytest.mark.truth
 def test_dimap_models_agree_with_their_own_model_to_the_ground(real_data: Path) -> None:
-    """Vendors' fits of both directions agree to 0.03 px; one file contradicts itself by 135 px and is named."""
+    """Both directions of each DIMAP RPC agree within 0.03 px; the file that differs by over 100 px has a note."""
     checked = 0
     for path in files(real_data):
         model = read(path)
@@ -236,7 +249,7 @@ def test_dimap_models_agree_with_their_own_model_to_the_ground(real_data: Path) 
 
 @pytest.mark.truth
 def test_origin_of_pleiades_is_that_of_the_rigorous_model(real_data: Path) -> None:
-    """Rigorous model and RPC of one image: counted from 1 they agree to 0.01 px at 86 points."""
+    """The Pléiades RPC counted from 1 agrees with the rigorous model within 0.01 px at 86 points."""
     folder = real_data / "geoetrim-pleiades"
     rigorous = PushbroomSensor(read_dimap(folder / "DIM_PHR1A_derived_img1.XML"))
     rpc = RpcSensor(read(folder / "PHR1A_img1_RPC.txt"))
@@ -248,7 +261,7 @@ def test_origin_of_pleiades_is_that_of_the_rigorous_model(real_data: Path) -> No
 
 
 def spot6_frame(path: Path) -> list[tuple[float, float, float, float]]:
-    """Line and sample counted from 0, longitude, latitude of the corners and the centre that the product states."""
+    """Return line and sample (from 0), longitude and latitude of the corners that the product states."""
     cells = dict(line.split(":", 1) for line in path.read_text("latin-1").splitlines() if ":" in line)
     lines, samples = (float(cells[k]) - 1.0 for k in ("number_lines", "number_samples"))
     corners = {"ul": (0.0, 0.0), "ur": (0.0, samples), "lr": (lines, samples), "ll": (lines, 0.0)}
@@ -261,7 +274,7 @@ def spot6_frame(path: Path) -> list[tuple[float, float, float, float]]:
 
 @pytest.mark.truth
 def test_frame_points_of_spot6_lie_at_one_height_and_count_from_1(real_data: Path) -> None:
-    """The rigorous model decides what the vertices of a SPOT 6 product are: one height, (1, 1) = first pixel."""
+    """The SPOT 6 model locates the file's vertices within 5 cm at 836.49 m if (1, 1) is the first pixel."""
     s = PushbroomSensor(read_dimap(real_data / "geocosicorr3d" / "SPOT6.XML"))
     points = s.metadata.frame_points
     assert (points[0].line, points[0].sample) == (0.0, 0.0)
@@ -275,9 +288,9 @@ def test_frame_points_of_spot6_lie_at_one_height_and_count_from_1(real_data: Pat
 @pytest.mark.truth
 @pytest.mark.parametrize("name", ["spot6-1.geom", "spot6-2.geom"])
 def test_origin_of_spot6_is_the_first_pixel_as_0(real_data: Path, name: str) -> None:
-    """Corners of a SPOT 6 product against its RPC: with one common height and one shift as unknowns the shift is 0.
+    """The corners of a SPOT 6 product fit its RPC with a shift below 0.05 px if the first pixel is 0.
 
-    Counting from 1 would give 1 px; the height is found to 0.1 m, the shift to 0.01 px.
+    One common height and one shift are unknowns. Counting from 1 would give 1 px.
     """
     model = read_rpc(real_data / "otb" / name)
     line, sample, lon, lat = np.array(spot6_frame(real_data / "otb" / name)).T
@@ -294,7 +307,7 @@ def test_origin_of_spot6_is_the_first_pixel_as_0(real_data: Path, name: str) -> 
 
 @pytest.mark.truth
 def test_origin_of_pleiades_neo_by_its_own_domain(real_data: Path) -> None:
-    """The domain of valid pixels starts at 0 and -1 .. 1 of the model spans first to last centre."""
+    """The valid lines of Pléiades Neo start at 0, and -1 .. 1 of the model spans first to last centre."""
     for path in sorted((real_data / "micmac-pneo-pair").glob("RPC_*")):
         model = read_rpc(path)
         assert model.validity.line == (0.0, 2.0 * model.scales[0])
@@ -304,7 +317,7 @@ def test_origin_of_pleiades_neo_by_its_own_domain(real_data: Path) -> None:
 
 @pytest.mark.truth
 def test_ossim_lists_of_pleiades_count_from_0(real_data: Path) -> None:
-    """The same product as DIMAP and as OSSIM list: equal after the origin is taken off."""
+    """The RPC of one Pléiades product as DIMAP and as OSSIM list are equal after the origin is subtracted."""
     folder = real_data / "shareloc"
     ours = read_rpc(folder / "RPC_PHR1B_P_201308051042194_SEN_690908101-001.XML")
     ossim = read_rpc(folder / "left_image.geom")
@@ -317,7 +330,7 @@ def test_ossim_lists_of_pleiades_count_from_0(real_data: Path) -> None:
 
 @pytest.mark.truth
 def test_rpc_of_another_image_shows_by_its_misfit(real_data: Path) -> None:
-    """99 SPOT 6 points and the RPC lying beside them: the misfit grows with the height, by 300 px in a kilometre.
+    """The RPC of another SPOT 6 image misfits by over 200 px per kilometre of height.
 
     A shift or drift of the image could not do that: the RPC looks from another direction.
     """

@@ -67,7 +67,10 @@ def transformer(source: str, target: str) -> pyproj.Transformer:
 
 
 def fine_march(p: np.ndarray, u: np.ndarray, heights: np.ndarray, crs: str, corner: tuple[float, float]) -> Grid:
-    """Return the first crossing of one ray in steps of 0.5 m, and the number of crossings; nothing of the package."""
+    """Return the first crossing of one ray in steps of 0.5 m, and the number of crossings.
+
+    No code of the package's intersection is used.
+    """
     from scipy.interpolate import RegularGridInterpolator
 
     step_x, step_y = GRIDS[crs]
@@ -90,7 +93,7 @@ def fine_march(p: np.ndarray, u: np.ndarray, heights: np.ndarray, crs: str, corn
 @pytest.mark.parametrize("shape", ["ridge", "slopes"])
 @pytest.mark.parametrize("crs", sorted(GRIDS))
 def test_first_hit_equals_a_fine_march(sensor: PushbroomSensor, tmp_path: Path, shape: str, crs: str) -> None:
-    """Within 5 mm: 0.1 mm of height, and the surface bends by less over the reference's half metre."""
+    """The first hit of a ray on a DEM equals that of a march in small steps within 5 mm."""
     heights, corner = terrain(shape), below_centre(sensor, crs)
     dem = RasterDem(write(tmp_path / "dem.tif", heights, crs, corner))
     p, u = rays(sensor)
@@ -104,7 +107,7 @@ def test_first_hit_equals_a_fine_march(sensor: PushbroomSensor, tmp_path: Path, 
 
 @pytest.mark.oracle
 def test_holes_matter_only_before_the_first_hit(sensor: PushbroomSensor, tmp_path: Path) -> None:
-    """A hole before the hit is refused; the same hole behind the ridge is not."""
+    """A ray that crosses a hole before its hit is refused; the same hole behind the ridge changes no bit."""
     crs, heights = "EPSG:32636", terrain("ridge")
     corner = below_centre(sensor, crs)
     p, u = sensor.rays(np.full(200, 6000.0), np.linspace(5200.0, 6800.0, 200))
@@ -166,7 +169,10 @@ def test_heights_are_ellipsoidal_metres(tmp_path: Path, crs: str, unit: str | No
 
 @pytest.mark.behaviour
 def test_heights_that_no_land_has_are_nodata_and_told(sensor: PushbroomSensor, tmp_path: Path) -> None:
-    """A nodata value that the file does not declare: 300 m remain 300 m, and the number of cells is in the warning."""
+    """Heights outside -500 to 9000 m are nodata, and a warning counts the cells.
+
+    Files may not declare their nodata value.
+    """
     corner = below_centre(sensor, "EPSG:4326")
     heights = np.full((SIZE, SIZE), 300.0)
     heights[:3] = -32767.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -83,7 +84,7 @@ def test_result_gives_adjusted_geometry(twin: Path, result: Path) -> None:
 
 @pytest.mark.behaviour
 def test_intersection_with_a_result(twin: Path, result: Path) -> None:
-    """With the result the rays miss each other by metres; with the metadata by 45 m."""
+    """``intersect --result`` gives rays with a median miss below 3 m and height sigmas of 0.5 to 5 m."""
     project = twin / "project.toml"
     after = run("intersect", project, "--result", result, "--json").json
     assert np.median([p["miss_m"] for p in after["points"]]) < 3.0
@@ -110,7 +111,10 @@ def test_footprint_of_a_project_and_of_files(twin: Path, result: Path, tmp_path:
 
 @pytest.mark.oracle
 def test_rpc_of_an_adjusted_rigorous_model(twin: Path, result: Path, tmp_path: Path) -> None:
-    """Its error at independent points stands in the record; the file is the adjusted model, not the metadata's."""
+    """``rpc fit --result`` writes the RPC of the adjusted model and records its error at independent points.
+
+    It differs from the model of the metadata by over 0.5 px.
+    """
     out = tmp_path / "left_RPC.TXT"
     ended = run("rpc", "fit", twin / "left.DIM", "--heights", 0, 1500, "--grid", 8, 8, 5, "--result", result, "--out",
                 out, "--json")  # fmt: skip
@@ -135,7 +139,7 @@ def test_rpc_of_an_adjusted_rigorous_model(twin: Path, result: Path, tmp_path: P
 
 @pytest.mark.behaviour
 def test_ortho_extrapolates_as_the_other_commands(short: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Refused without the option; with it the model that fills the map has all lines, and the record says so."""
+    """``rectify ortho`` refuses missing attitudes; with the option it uses all lines and records this."""
     lines = []
 
     def rectified(image: Path, model: Any, *_: Any, **__: Any) -> dict[str, Any]:
@@ -154,7 +158,7 @@ def test_ortho_extrapolates_as_the_other_commands(short: Path, tmp_path: Path, m
 
 @pytest.mark.behaviour
 def test_extrapolation_of_a_project_is_in_its_result(short: Path, tmp_path: Path) -> None:
-    """Refused with the line and the remedy; with the option the notes of the result say what was done."""
+    """``locate`` refuses a line without attitude with the remedy; ``adjust`` with the option notes what it did."""
     ended = run("locate", short.parent / "left.DIM", "--line", 11999, "--sample", 5, "--height", 0, "--json")
     (error,) = ended.json["errors"]
     assert (ended.code, error["code"]) == (2, "sensor.attitude_span")
@@ -174,7 +178,7 @@ def test_extrapolation_of_a_project_is_in_its_result(short: Path, tmp_path: Path
 @pytest.mark.behaviour
 @pytest.mark.real_data
 def test_models_of_one_file(real_data: Path) -> None:
-    """PHR_DIMAP holds both: the rigorous one is used, --model rpc takes the other."""
+    """For a file with both models the commands use the rigorous one, and --model rpc selects the RPC."""
     pixel = ("--line", 100, "--sample", 200, "--height", 500, "--json")
     ways = ((), ("--model", "rigorous"), ("--model", "rpc"))
     auto, rigorous, rpc = (run("locate", real_data / PHR, *pixel, *w).json["points"][0] for w in ways)
@@ -196,7 +200,7 @@ def test_frame_of_spot6_is_printed_with_its_heights(real_data: Path) -> None:
 
 @pytest.mark.behaviour
 def test_adjust_with_a_dem_as_control(twin: Path, tmp_path: Path) -> None:
-    """Check points as tie points on a level DEM: the record holds what was observed, the redundancy grows by it."""
+    """``adjust --dem-control`` records the observed heights of tie points and counts them in the redundancy."""
     rasterio = pytest.importorskip("rasterio")
     folder = tmp_path / "ties"
     folder.mkdir()
@@ -227,3 +231,24 @@ def test_adjust_with_a_dem_as_control(twin: Path, tmp_path: Path) -> None:
     for words in (("--dem-sigma", 3), ("--dem-control", dem)):
         ended = run("adjust", folder / "project.toml", *words, "--out", tmp_path / "none", "--json")
         assert [e["code"] for e in ended.json["errors"]] == ["dem_control.both"]
+
+
+@pytest.mark.behaviour
+@pytest.mark.parametrize(("words", "limit_gb"), [((), 2.5), (("--memory-limit-gb", "3.5"), 3.5)])
+def test_the_caches_of_the_dem_follow_the_memory_limit_of_the_project_file(
+    twin: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], limit_gb: float
+) -> None:
+    given = list[float | None]()
+
+    def read_dem(path: Path, vertical_crs: str, memory_limit_gb: float | None = None) -> None:
+        given.append(memory_limit_gb)
+        raise InputError.of("dem.missing", file=path)
+
+    monkeypatch.setattr("fg_orient.cli.adjust.read_dem", read_dem)
+    folder = shutil.copytree(twin, tmp_path / "twin")
+    text = (folder / "project.toml").read_text("utf-8")
+    with_limit = text.replace("[adjustment]", "[adjustment]\nmemory_limit_gb = 2.5", 1)
+    assert with_limit != text
+    (folder / "project.toml").write_text(with_limit, "utf-8")
+    ended = run("adjust", folder / "project.toml", "--dem-control", "dem.tif", "--dem-sigma", "3", *words)
+    assert ended.code == 2 and given == [limit_gb]

@@ -49,10 +49,7 @@ def camera(east_m: float, tilt_deg: float, name: str = "a") -> Image:
 
 @pytest.mark.truth
 def test_a_vertical_photo() -> None:
-    """At the scale 1 : 4 000 000 / pixel the sampling is 0.25 m and the width 1 km.
-
-    The incidence at the centre is zero.
-    """
+    """A vertical photo has a sampling of 0.25 m, an area of 1 km2 and no incidence at its centre."""
     record = image_record(View(camera(0.0, 0.0)))
     # the ground bends by 8 cm below a plane of 1 km
     assert record["gsd_line_m"] == pytest.approx(0.25, abs=1e-6)
@@ -66,9 +63,9 @@ def test_a_vertical_photo() -> None:
 
 @pytest.mark.truth
 def test_two_photos_in_one_vertical_plane() -> None:
-    """A base of 800 m and a height of 2000 m give B/H = 0.4.
+    """A pair with a base of 800 m at 2000 m has B/H = 0.4 and the angles of the rays.
 
-    The convergence is 2 atan(0.2); the ellipsoid bends by 0.004 degrees.
+    The ellipsoid bends by 0.004 degrees.
     """
     tilt = float(np.degrees(np.arctan(400.0 / 2000.0)))
     left, right = View(camera(-400.0, tilt, "a")), View(camera(400.0, -tilt, "b"))
@@ -101,7 +98,7 @@ def test_no_common_ground() -> None:
 
 @pytest.mark.oracle
 def test_area_is_that_of_the_ellipsoid() -> None:
-    """A cap of parallels: the zone between two latitudes by numerical integration."""
+    """The area between two parallels equals numerical integration on the ellipsoid within 1e-8."""
     lat = np.radians(np.linspace(40.0, 42.0, 20001))
     e2 = 0.0066943799901413165
     m = 6378137.0 * (1 - e2) / (1 - e2 * np.sin(lat) ** 2) ** 1.5
@@ -145,7 +142,7 @@ def test_geojson_of_a_twin_image() -> None:
 
 @pytest.mark.oracle
 def test_a_footprint_across_the_180th_meridian() -> None:
-    """Cut at 180 into two polygons on both sides; their areas add up."""
+    """A footprint across the 180th meridian is cut into two polygons whose areas add up."""
     ring = np.array([[179.0, -10.0], [180.5, -10.0], [182.0, -9.0], [180.0, -8.0], [179.0, -8.5]])
     for turn in (0.0, -360.0, 720.0):
         geometry = polygon_geometry(ring + np.array([turn, 0.0]))
@@ -163,7 +160,10 @@ def test_a_footprint_across_the_180th_meridian() -> None:
 @pytest.mark.truth
 @pytest.mark.real_data
 def test_incidence_angles_that_files_state(real_data: Path) -> None:
-    """SPOT 6 at nine places within 0.02 degrees (the producer's Earth is not ours), PHR 1B within 0.005."""
+    """Incidence angles equal those of the files within 0.02 degrees (SPOT 6) and 0.005 degrees (PHR 1B).
+
+    The producer uses another Earth for SPOT 6.
+    """
     path = real_data / "geocosicorr3d/SPOT6.XML"
     view = View(Image("a", read_sensor(path)), 836.5)
     nodes = etree.parse(path).findall(".//Located_Geometric_Values")
@@ -189,7 +189,7 @@ def incidence(view: View, line: float, sample: float) -> float:
 @pytest.mark.truth
 @pytest.mark.real_data
 def test_a_pair_by_rigorous_models_and_by_rpc(real_data: Path) -> None:
-    """An RPC has no projection centre: angles and B/H come out as those of the rigorous model all the same."""
+    """Angles and sampling by RPC equal those by the rigorous model, although an RPC has no projection centre."""
     path = real_data / "shareloc/PHRDIMAP_P1BP--2018122638935449CP.XML"
     both = [View(Image(kind, read_sensor(path, model=kind)), 550.0) for kind in ("rigorous", "rpc")]
     one, two = (image_record(view) for view in both)

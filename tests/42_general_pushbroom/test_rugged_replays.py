@@ -34,7 +34,7 @@ def points(located: list[Location]) -> np.ndarray:
 
 
 def by_line(found: Replay) -> list[list[Location]]:
-    """Return the locations of one time and one set of effects: a line of a sensor."""
+    """Return the locations in groups of the same time and effects: each is a line of a sensor."""
     keys = dict.fromkeys((x.time_s, x.effects) for x in found.locations)
     return [[x for x in found.locations if (x.time_s, x.effects) == key] for key in keys]
 
@@ -59,7 +59,10 @@ def from_rays(sensor: GeneralPushbroom, ground: np.ndarray) -> np.ndarray:
 @pytest.mark.truth
 @pytest.mark.parametrize(("name", "count"), DIRECT.items())
 def test_direct_locations(real_data: Path, name: str, count: int) -> None:
-    """The measured differences are 0.14 mm for rays and 1.7 mm for hits."""
+    """Rays meet the points of Rugged's replays within 1 mm, and hits on the DEM within 5 mm.
+
+    The measured differences are 0.14 mm and 1.7 mm.
+    """
     found, seen = replay(real_data, name), 0
     for located in by_line(found):
         sensor, ground = line_sensor(found, located), points(located)
@@ -70,7 +73,7 @@ def test_direct_locations(real_data: Path, name: str, count: int) -> None:
 
 
 def hits(sensor: GeneralPushbroom, found: Replay, ground: np.ndarray) -> np.ndarray:
-    """Return the distances to our hits; of several tiles that which covers the ray."""
+    """Return the distances of ground points from our hits, on the nearest of several tiles."""
     sample = np.arange(len(ground), dtype=float)
     if len(found.tiles) == 1:
         return np.linalg.norm(sensor.locate(0.0, sample, dem=found.tiles[0]) - ground, axis=1)
@@ -87,7 +90,7 @@ def hits(sensor: GeneralPushbroom, found: Replay, ground: np.ndarray) -> np.ndar
 @pytest.mark.truth
 @pytest.mark.parametrize(("effect", "least_m"), [("light_time", 0.5), ("aberration", 10.0)])
 def test_without_an_effect_the_point_is_missed(real_data: Path, effect: str, least_m: float) -> None:
-    """The files show each effect: without it the ray is far from the point."""
+    """Without light time or aberration the ray misses Rugged's point by more than the stated distance."""
     found = replay(real_data, "direct-loc-01")
     located = by_line(found)[0]
     sensor = line_sensor(found, located)
@@ -98,7 +101,7 @@ def test_without_an_effect_the_point_is_missed(real_data: Path, effect: str, lea
 @pytest.mark.truth
 @pytest.mark.parametrize(("name", "count"), INVERSE.items())
 def test_inverse_locations(real_data: Path, name: str, count: int) -> None:
-    """All that is needed stands in the files: line dates and rate, lines of sight around the pixel found, states."""
+    """Points of Rugged's replays project to Rugged's pixels within 1e-6 px; 7e-8 px are measured."""
     found = replay(real_data, name)
     assert len(found.inverse) == count
     samples = np.array(sorted(found.pixels))
@@ -127,9 +130,10 @@ def body(found: Replay) -> tuple[Transform, np.ndarray]:
 
 @pytest.mark.truth
 def test_earth_rotation_equals_the_one_of_the_files(real_data: Path) -> None:
-    """Orekit against pyerfa: 2012 with the C04 file (1e-10 rad = 0.6 mm), 2013 computed without any.
+    """The Earth rotation equals Orekit's within 1e-11 rad with the C04 file of 2012, and in 2013 without a file.
 
-    A file that starts on the day itself leaves both programs the same four days.
+    Without the file the rotation of 2012 is off by over 1e-5 rad. 1e-10 rad are 0.6 mm. A file that starts on the day
+    itself leaves both programs the same four days.
     """
     found = replay(real_data, "direct-loc-01")
     t, expected = body(found)

@@ -41,7 +41,10 @@ def pixels(sensor: PushbroomSensor, n: int = 9) -> tuple[np.ndarray, np.ndarray]
 def test_every_frame_gives_the_rays_of_the_dimap_sensor(
     block: Block, tmp_path: Path, orbit: str, attitude: str
 ) -> None:
-    """Within 1 mm on the ground: angles of another convention are linear between samples, too."""
+    """A description in any frame locates pixels as the DIMAP sensor within 1 mm, and notes missing UT1.
+
+    Angles of another convention are linear between samples, too.
+    """
     sensor = block.images[0].sensor
     ours = read_sensor(describe(sensor, tmp_path, orbit=orbit, attitude=attitude))
     assert isinstance(ours, GeneralPushbroom)
@@ -55,7 +58,10 @@ def test_every_frame_gives_the_rays_of_the_dimap_sensor(
 
 @pytest.mark.consistency
 def test_kepler_and_inertial_velocity_are_one_frame(block: Block, tmp_path: Path) -> None:
-    """The frame differs from the Earth-fixed one by the Earth's rotation across the track: degrees of yaw."""
+    """The frames ``kepler`` and ``inertial velocity`` are equal, unlike that of the Earth-fixed velocity.
+
+    The difference is the Earth's rotation across the track, degrees of yaw.
+    """
     sensor, at = block.images[0].sensor, ([10.0], [20.0])
     found = {}
     for k, kind in enumerate(("kepler", "inertial velocity", "earth-fixed velocity")):
@@ -69,7 +75,10 @@ def test_kepler_and_inertial_velocity_are_one_frame(block: Block, tmp_path: Path
 
 @pytest.mark.consistency
 def test_round_trips_with_light(block: Block, tmp_path: Path) -> None:
-    """Below 1e-6 px from 0 to 5000 m, every effect on; each effect has its documented size."""
+    """With all effects on light pixels return within 1e-6 px, and each effect has its documented size.
+
+    The heights are 0 and 5000 m.
+    """
     sensor = block.images[0].sensor
     bent = read_sensor(describe(sensor, tmp_path, extra=ALL_LIGHT))
     at = pixels(sensor, 5)
@@ -91,7 +100,7 @@ def test_round_trips_with_light(block: Block, tmp_path: Path) -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("effects", ["", ALL_LIGHT], ids=["no effects", "light"])
 def test_pixel_derivatives_are_differences_of_the_conditions(block: Block, tmp_path: Path, effects: str) -> None:
-    """Over half a pixel to both sides, inside the image, with corrections of orientation and look angles."""
+    """Derivatives by pixels are differences of the conditions over half a pixel to both sides, inside the image."""
     sensor = read_sensor(describe(block.images[0].sensor, tmp_path, extra=effects))
     assert isinstance(sensor, GeneralPushbroom) and sensor.bends_light == bool(effects)
     line, sample = pixels(sensor)
@@ -117,7 +126,7 @@ def test_pixel_derivatives_are_differences_of_the_conditions(block: Block, tmp_p
 
 @pytest.mark.oracle
 def test_offset_and_mounting(block: Block, tmp_path: Path) -> None:
-    """The projection centre moves with the offset; a mounting turns the camera before the attitude does."""
+    """An offset moves the projection centre, and a mounting rotates the camera before the attitude does."""
     sensor = block.images[0].sensor
     plain = read_sensor(describe(sensor, tmp_path / "a"))
     moved = read_sensor(describe(sensor, tmp_path / "b", extra="[mounting]\noffset_m = [3.0, 4.0, 0.0]\n"))
@@ -136,7 +145,7 @@ def test_offset_and_mounting(block: Block, tmp_path: Path) -> None:
 
 @pytest.mark.oracle
 def test_a_lens_is_the_table_of_its_directions(block: Block, tmp_path: Path) -> None:
-    """p = (0, y, 0) - (x_s, y_s, c) + delta, with the numbers written out here."""
+    """A lens has the look angles of p = (0, y, 0) - (x_s, y_s, c) + delta, with the numbers written out here."""
     path = describe(block.images[0].sensor, tmp_path)
     lens = "focal_length_m = 2.0\npitch_m = -1e-5\nprincipal_sample = 100.5\nforward_m = 0.02\n"
     lens += "delta_forward_m = [0.0, 0.0, 3e-6]\ndelta_left_m = [1e-6, 2e-6]\n"
@@ -151,7 +160,7 @@ def test_a_lens_is_the_table_of_its_directions(block: Block, tmp_path: Path) -> 
 
 @pytest.mark.consistency
 def test_the_adjustment_is_that_of_the_dimap_sensors(block: Block, tmp_path: Path) -> None:
-    """The same observations, the same unknowns: the same ground points and sigma0."""
+    """The block of described sensors has the ground points and sigma0 of the block of DIMAP sensors."""
     images = tuple(Image(i.id, read_sensor(describe(i.sensor, tmp_path / i.id))) for i in block.images)
     ours = replace(block, images=images)
     expected = fg.adjust(block)
@@ -162,7 +171,7 @@ def test_the_adjustment_is_that_of_the_dimap_sensors(block: Block, tmp_path: Pat
 
 @pytest.mark.consistency
 def test_a_block_with_light_is_adjusted(block: Block, tmp_path: Path) -> None:
-    """Pixels are projected with every effect. Residuals and corrections are zero; without the effects they are not."""
+    """A block projected with all effects on light has residuals of zero, and large residuals without the effects."""
     images = tuple(Image(i.id, read_sensor(describe(i.sensor, tmp_path / i.id, extra=ALL_LIGHT))) for i in block.images)
     known = block.points.known.ecef_m
     o = block.observations

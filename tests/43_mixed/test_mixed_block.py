@@ -43,7 +43,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.behaviour
 def test_three_kinds_of_sensors_and_their_pixels() -> None:
-    """Pixels have 5 m, 0.7 m and 0.2 m on the ground at the middle of the window, apart from obliquity and relief."""
+    """The three sensors have pixels of 5, 0.7 and 0.2 m at the middle of the window, within -10 and +25 %.
+
+    Obliquity and relief enlarge them.
+    """
     block, _ = small()
     kinds = [type(image.sensor) for image in block.images]
     assert kinds == [PushbroomSensor] * 2 + [RpcSensor] * 2 + [FrameSensor] * 4
@@ -65,7 +68,10 @@ def test_every_point_is_in_the_satellite_images_and_some_in_all_frames() -> None
 
 @pytest.mark.behaviour
 def test_rpc_look_ahead_and_back() -> None:
-    """Pitch of -12 and 14 degrees at the satellite is more at the ground, by the curvature of the Earth."""
+    """The two RPC images see the ground at a convergence of 26 to 31 degrees.
+
+    Pitch of -12 and 14 degrees at the satellite is more at the ground, by the curvature of the Earth.
+    """
     rays = [RpcSensor(m).rays(np.array([7000.0]), np.array([7000.0]))[1][0] for m in rpc_models()]
     assert 26.0 < np.degrees(np.arccos(rays[0] @ rays[1])) < 31.0
 
@@ -101,7 +107,7 @@ def test_options_out_of_range_are_refused(wrong: dict[str, object]) -> None:
 
 @pytest.mark.consistency
 def test_files_give_the_same_block(folder: Path) -> None:
-    """Metadata, RPC, camera and frame files keep all their digits."""
+    """The written files of the mixed block are read as the same block, with projections within 1e-8 px."""
     read, drawn = fg.read_project(folder / "project.toml"), small()[0]
     assert read.options == drawn.options
     for name in ("image", "point", "line", "sample", "sigma_line_px", "sigma_sample_px"):
@@ -116,7 +122,7 @@ def test_files_give_the_same_block(folder: Path) -> None:
 
 @pytest.mark.oracle
 def test_backends_end_where_numpy_has_no_step_left() -> None:
-    """The same normal equations, three ways: numpy's least squares has no step left, unknowns agree to rounding."""
+    """All three backends end where numpy's least squares has no step left, with equal unknowns and sigmas."""
     block, _ = small()
     graph, *others = (fg.adjust(block, backend=backend) for backend in ("graph", "schur", "dense"))
     for found in (graph, *others):
@@ -134,7 +140,10 @@ def test_backends_end_where_numpy_has_no_step_left() -> None:
 
 @pytest.mark.oracle
 def test_the_frames_share_one_camera() -> None:
-    """18 + 18 EOP, 4 + 4 of the RPC, 4 x 6 exterior, 3 of the camera once; each prior is one observation."""
+    """The frames share one camera: its unknowns count once in unknowns and redundancy, and its focal length is found.
+
+    Unknowns: 18 + 18 EOP, 4 + 4 of the RPC, 4 x 6 exterior, 3 of the camera once; each prior is one observation.
+    """
     block, truth = small()
     solution = fg.adjust(block)
     assert solution.problem.n_free_unknowns == 36 + 8 + 24 + 3
@@ -147,7 +156,7 @@ def test_the_frames_share_one_camera() -> None:
 
 @pytest.mark.behaviour
 def test_commands_take_the_block(folder: Path, tmp_path: Path) -> None:
-    """`adjust project.toml` and `report --truth` need no special options."""
+    """``adjust`` and ``report --truth`` adjust the mixed block without special options."""
     out = tmp_path / "result"
     assert in_process("adjust", folder / "project.toml", "--out", out).code == 0
     assert json.loads((out / "result.json").read_text())["status"] == "converged"
@@ -170,7 +179,7 @@ def test_simulate_mixed(tmp_path: Path) -> None:
 
 @pytest.mark.oracle
 def test_global_test_of_a_few_seeds() -> None:
-    """The sum over seeds lies in the 99.8 % interval of its chi-square, and far outside for each wrong weight."""
+    """The chi2 over seeds lies in its 99.8 % interval, and outside it if one sensor has a wrong weight."""
     outcomes = [run(seed, components=False, points=40) for seed in FAST]
     low, high = stats.chi2(sum(o.redundancy for o in outcomes)).ppf([0.001, 0.999])
     assert low < sum(o.chi2 for o in outcomes) < high
@@ -181,7 +190,7 @@ def test_global_test_of_a_few_seeds() -> None:
 
 @pytest.mark.oracle
 def test_components_find_wrong_weights() -> None:
-    """Sigmas that are wrong by factors return to the true values; the result does not depend on the start."""
+    """Variance components correct wrong sigmas to the true ones, and the result does not depend on the start."""
     wrong = dict(zip(SENSORS, (2.0, 0.5, 3.0), strict=True))
     right, found = (run(5, weights, points=30) for weights in ({}, wrong))
     np.testing.assert_allclose(found.factors * list(wrong.values()), right.factors, rtol=1e-3)
@@ -191,7 +200,7 @@ def test_components_find_wrong_weights() -> None:
 @pytest.mark.oracle
 @pytest.mark.slow
 def test_global_test_and_components_of_200_seeds() -> None:
-    """p-values are uniform, and mean factors of the sigmas are within 10 % of 1; with one wrong weight both fail."""
+    """Over 200 seeds p-values are uniform and factors of sigmas within 10 % of 1; with a wrong weight both fail."""
     outcomes = [run(seed) for seed in ALL]
     factors = np.array([o.factors for o in outcomes])
     scatter, sds = factors.std(axis=0, ddof=1), np.array([o.sds for o in outcomes])

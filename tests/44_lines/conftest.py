@@ -47,7 +47,7 @@ class Scene:
     across_m: float
 
     def project(self, image: int, unknowns: Array, ground: Array) -> Array:
-        """Return the line and sample (n, 2)."""
+        """Return the line and sample (n, 2) of ground points."""
         return projected(self.block, image, unknowns, ground)
 
     def bound(self) -> Array:
@@ -94,7 +94,10 @@ def scene(
     seed: int, *, n_features: int = 10, direction: Array | None = None, kind: str = "line", noise_px: float = 0.5,
     across_m: float = 0.3, **options: object,
 ) -> Scene:  # fmt: skip
-    """Return ten features without control points; direction: East, North, Up of all of them."""
+    """Return a block of features without control points.
+
+    ``direction`` is East, North, Up of all of them; without it each has its own.
+    """
     rng, block = np.random.default_rng(seed), replace(twin(), options=replace(twin().options, **options))
     unknowns = [rng.normal(size=len(m.parameters)) for m in image_models(block.images, block.options)]
     known = block.points.known.ecef_m

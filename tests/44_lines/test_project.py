@@ -86,7 +86,7 @@ def written(tmp_path_factory: pytest.TempPathFactory, block: fg.Block) -> Path:
 
 
 def vertices(block: fg.Block, origin: Array) -> dict[str, Array]:
-    """Ends of each line (2, 3), ECEF."""
+    """Return the ends (2, 3) of each line in ECEF."""
     found = {}
     for extra in block.extra:
         start, along = extra.setup[0, :3], extra.setup[0, 3:6]

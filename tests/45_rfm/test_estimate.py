@@ -66,7 +66,10 @@ def test_true_equations_equal_scipy(make: Make, denominators: str, degree: int, 
 
 @pytest.mark.oracle
 def test_weighted_form_ends_where_its_weights_stay(make: Make) -> None:
-    """A^T P v = 0 with weights 1/f2^2 of its own denominators; v/f2 are the true residuals, A is not their Jacobian."""
+    """The weighted form ends at A^T P v = 0 with weights 1/f2^2 of its own denominators, and m0 is near the true one.
+
+    Its v/f2 are the true residuals; A is not their Jacobian.
+    """
     points = make(80, noise_px=0.5)
     for degree, share in ((1, 1e-3), (2, 0.05)):
         form = RfmForm(degree)
@@ -84,7 +87,10 @@ def test_weighted_form_ends_where_its_weights_stay(make: Make) -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("draws", some_slow([50, 200]))
 def test_covariance_by_simulation(make: Make, draws: int) -> None:
-    """Within four deviations: 1 / sqrt(2 n) of a deviation from n draws, 0.17 / sqrt(n) of the mean of n variances."""
+    """The covariance equals the scatter of simulated estimates within four standard errors of n draws.
+
+    They are 1 / sqrt(2 n) of a standard deviation, and 0.17 / sqrt(n) of the mean of n variances.
+    """
     share = 4.0 / np.sqrt(2 * draws)
     form = RfmForm(1)
     base = fit_true(make(40), form)

@@ -58,7 +58,7 @@ def test_coefficients_project_like_the_polynomials_term_by_term(denominators: st
 
 @pytest.mark.oracle
 def test_linear_form_is_the_true_one_times_its_denominator(rng: np.random.Generator) -> None:
-    """The polynomials term by term: numerator minus measured coordinate times denominator."""
+    """The linear form is the numerator minus the measured coordinate times the denominator, term by term."""
     form = RfmForm(2)
     ground, x = rng.uniform(-1.0, 1.0, (9, 3)), 0.02 * rng.standard_normal(len(form))
     image = rng.uniform(-1.0, 1.0, (9, 2))

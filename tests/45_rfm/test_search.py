@@ -22,7 +22,7 @@ SEARCHES = [genetic, particle_swarm]
 
 @pytest.mark.oracle
 def test_errors_at_points_left_out_are_those_of_refits(make: Make) -> None:
-    """Both rows of a point out of the whole linear system, solved by numpy; affine columns and three others."""
+    """``left_out_squares`` equals numpy's refits of the linear system without both rows of each point."""
     points, form = make(40, noise_px=0.5), RfmForm(2)
     reduced, chosen = Reduced.of(points, form), np.array([1, 4, 7])
     a, observed = linear_system(points, form, Scaling.of(points)).require_design("test")
@@ -38,7 +38,7 @@ def test_errors_at_points_left_out_are_those_of_refits(make: Make) -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("search", SEARCHES)
 def test_the_best_of_all_subsets_is_found(make: Make, search: Search) -> None:
-    """Twelve coefficients have 4096 subsets, of which a search may try 1500; the test uses five seeds."""
+    """Each search finds the best of 4096 subsets with 1500 trials, for five seeds."""
     reduced = Reduced.of(make(30, noise_px=20.0, seed=4), RfmForm(2, "one"))
     size = reduced.design.shape[1]
     every = [left_out_squares(reduced, np.flatnonzero(bits)) for bits in product((False, True), repeat=size)]
@@ -71,6 +71,9 @@ def test_a_seed_repeats_a_search_and_the_budget_bounds_it(
 @pytest.mark.oracle
 @pytest.mark.parametrize("name", ["genetic", "particle_swarm"])
 def test_few_points_leave_freedom(make: Make, name: str) -> None:
-    """Degree 3 has 70 coefficients beyond the affine part; 16 points permit 14 of them."""
+    """With 16 points a search keeps at most 14 coefficients beyond the affine part, and 10 degrees of freedom.
+
+    Degree 3 has 70 such coefficients.
+    """
     fit = fit_selected(make(16, noise_px=0.5), RfmForm(3), name, evaluations=400)
     assert len(fit.form) <= 8 + 14 and fit.redundancy >= 10 - 1e-9

@@ -92,7 +92,7 @@ def test_lasso_meets_its_optimality_conditions(rng: np.random.Generator) -> None
 
 @pytest.mark.oracle
 def test_press_is_that_of_refits(make: Make) -> None:
-    """Each point left out of the reduced system together with the affine basis."""
+    """PRESS equals refits of the penalised system without each point, the affine basis unpenalised."""
     reduced, kappa = Reduced.of(make(25, noise_px=0.5), RfmForm(1)), 0.05
     design = np.hstack([reduced.affine, reduced.design])
     penalty = np.r_[np.zeros(reduced.affine.shape[1]), np.full(reduced.design.shape[1], kappa)]

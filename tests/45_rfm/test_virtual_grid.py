@@ -22,7 +22,7 @@ SHAPE = (12, 12, 5)
 
 @pytest.fixture(scope="module")
 def sensor() -> PushbroomSensor:
-    """Left image of the twin."""
+    """Return the sensor of the left image of the twin."""
     found = zonguldak_block(ZonguldakOptions(errors="none"))[0].images[0].sensor
     assert isinstance(found, PushbroomSensor)
     return found
@@ -95,7 +95,10 @@ def test_bad_grids_are_refused(
 @pytest.mark.oracle
 @pytest.mark.real_data
 def test_real_spot5_scene(real_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """RMS <= 0.035 px and largest error <= 0.12 px per axis: the attitude of 8 Hz is not smooth enough for 0.05 px."""
+    """The RPC fitted to SPOT 5 has an RMS <= 0.035 px and errors <= 0.12 px per axis at independent points.
+
+    The attitude of 8 Hz is not smooth enough for errors below 0.05 px.
+    """
     sensor = read_sensor(real_data / "geocosicorr3d" / "SPOT5.DIM")
     found = fit_sensor(sensor, (0.0, 3000.0), shape=(15, 15, 5))
     root_mean_square, largest = rms(found.check_px), np.abs(found.check_px).max(axis=0)

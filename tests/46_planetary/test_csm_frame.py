@@ -44,7 +44,10 @@ def grid(sensor: FramingSensor) -> tuple[Any, Any]:
 @pytest.mark.oracle
 @pytest.mark.parametrize("model", list(MODELS))
 def test_written_state_by_an_independent_evaluator(tmp_path: Path, model: str) -> None:
-    """The camera looks backwards along its third axis; the state has other axes and a mirrored distortion."""
+    """An independent evaluator of a written frame state projects as the sensor within 1e-6 px.
+
+    The camera looks backwards along its third axis; the state has other axes and a mirrored distortion.
+    """
     name = write_block(tmp_path, n_points=5)[0]
     sensor = with_distortion(read_isd(tmp_path / f"{name}.isd"), MODELS[model])
     assert sensor.camera.focal_mm < 0.0
@@ -61,9 +64,9 @@ def test_written_state_by_an_independent_evaluator(tmp_path: Path, model: str) -
 @pytest.mark.oracle
 @pytest.mark.real_data
 def test_metric_camera_as_a_state(real_data: Path, tmp_path: Path) -> None:
-    """Apollo's distortion as a radial and tangential one with a rotation: 0.057 px of the image, 1.1 um on the film.
+    """A state of the Apollo camera has radial and tangential distortion and is exact to 0.06 px of the image.
 
-    The nearest transverse distortion leaves 3.2 px, the nearest radial one 3.7 px.
+    0.057 px are 1.1 um on the film. The nearest transverse distortion leaves 3.2 px, the nearest radial one 3.7 px.
     """
     sensor, path = read_isd(real_data / "isis-apollo/Sub4-AS15-M-0583_msk.isd"), tmp_path / "state.json"
     record = write_state(path, sensor)
@@ -77,7 +80,7 @@ def test_metric_camera_as_a_state(real_data: Path, tmp_path: Path) -> None:
 @pytest.mark.consistency
 @pytest.mark.parametrize("model", list(MODELS))
 def test_state_round_trip(tmp_path: Path, model: str) -> None:
-    """Read, write, read: projection centre within 1e-9 m, pixels within 1e-6."""
+    """A frame state that is read, written and read keeps its centre within 1e-9 m and pixels within 1e-6 px."""
     name = write_block(tmp_path, n_points=5)[0]
     write_state(tmp_path / "one.json", with_distortion(read_isd(tmp_path / f"{name}.isd"), MODELS[model]))
     one = fg.read_sensor(tmp_path / "one.json")
@@ -92,7 +95,7 @@ def test_state_round_trip(tmp_path: Path, model: str) -> None:
 @pytest.mark.consistency
 @pytest.mark.parametrize("form", ["isd", "state"])
 def test_adjusted_images_written_and_read(tmp_path: Path, form: str) -> None:
-    """A second adjustment of the written images moves nothing: ground points project as after the first one."""
+    """Adjusted images written as ISD or state project the ground points as the adjustment within the stated error."""
     names = write_block(tmp_path, n_points=20)
     solution, out = fg.adjust(fg.read_project(tmp_path / "project.toml")), tmp_path / "out"
     out.mkdir()
@@ -116,7 +119,10 @@ def test_adjusted_images_written_and_read(tmp_path: Path, form: str) -> None:
 
 @pytest.mark.consistency
 def test_block_of_states(tmp_path: Path) -> None:
-    """A block of states has the sigma0 of the block of ISD, but for priors along other axes."""
+    """A block of states has the sigma0 and ground points of the block of ISD if priors are wide.
+
+    Its priors are along other axes.
+    """
     names = write_block(tmp_path)
     for name in names:
         path = tmp_path / f"{name}.isd"

@@ -16,7 +16,7 @@ from tests.support.planetary_files import project, write_block
 
 
 def own_values(solution: Solution) -> tuple[twin.Array, twin.Array]:
-    """Adjusted positions (km) and angles (degrees) (m, 6), and their standard deviations."""
+    """Return adjusted positions (km) and angles (degrees) (m, 6), and their standard deviations."""
     values, sigmas = [], []
     for image in solution.block.images:
         camera = image.sensor.camera.corrected(solution.correction(image.id))
@@ -28,7 +28,10 @@ def own_values(solution: Solution) -> tuple[twin.Array, twin.Array]:
 
 
 def compare(solution: Solution, expected: twin.Bundle) -> None:
-    """All unknowns within 1e-6 of their standard deviations, these within 1e-6 of themselves, residuals 1e-6 px."""
+    """Assert that a solution equals the expected one.
+
+    Unknowns agree within 1e-6 of their standard deviations, these within 1e-6 of themselves, residuals within 1e-6 px.
+    """
     values, sigmas = own_values(solution)
     known = np.isfinite(sigmas[:, 0])
     assert solution.sigma0 == pytest.approx(expected.sigma0, rel=1e-9)
@@ -76,7 +79,10 @@ def test_backends_agree(tmp_path: Path) -> None:
 
 @pytest.mark.oracle
 def test_linear_control_differs_by_the_square_of_the_correction(tmp_path: Path) -> None:
-    """East, north, up at the observed place in place of latitude, longitude, radius: c^2/R for corrections c."""
+    """Control in East, North, Up moves points by c^2/R from control in latitude, longitude, radius.
+
+    c is the correction, R the radius of the Moon.
+    """
     names = write_block(tmp_path)
     exact = fg.adjust(fg.read_project(tmp_path / "project.toml"))
     (tmp_path / "project.toml").write_text(project(names, latitudinal=False))
@@ -91,7 +97,7 @@ ANGLES = ("right_ascension", "declination", "twist")
 
 
 def _rejected(block: Block, unknowns: tuple[str, ...]) -> tuple[Solution, set[tuple[str, str]]]:
-    """Adjust with the rule of jigsaw; rejected points with their images."""
+    """Adjust with the rule of jigsaw; return the rejected points with their images."""
     solution = fg.adjust(block, median_rejection=3.0, image_unknowns=unknowns)
     names = {image.id: image.sensor.serial for image in block.images}
     assert solution.result.record["median_rejection"] == list(solution.rejected)
@@ -118,7 +124,7 @@ def test_outlier_rule_of_jigsaw(tmp_path: Path, unknowns: tuple[str, ...]) -> No
 @pytest.mark.oracle
 @pytest.mark.parametrize("loss", ["huber", pytest.param("chen", marks=pytest.mark.slow)])
 def test_loss_with_a_quantile_as_its_constant(tmp_path: Path, loss: str) -> None:
-    """The solution is a fixed point of reweighted least squares by the independent bundle, with the same weights."""
+    """With the scale ``quantile``, solution and weights are those of the independent bundle, reweighted by the loss."""
     names = write_block(tmp_path, n_images=4, n_points=60, gross=6)
     solution = fg.adjust(fg.read_project(tmp_path / "project.toml"), loss=loss, robust_scale="quantile",
                          loss_quantile=0.7, max_iterations=500)  # fmt: skip
@@ -179,7 +185,10 @@ def adjusted(apollo: Path) -> Solution:
 @pytest.mark.truth
 @pytest.mark.real_data
 def test_images_equal_those_of_jigsaw(adjusted: Solution, real_data: Path) -> None:
-    """Printed angles are those of R3(twist) R1(dec) R3(ra): 90 deg + right ascension, 90 deg - declination."""
+    """Positions, angles and sigmas of all seven images equal jigsaw's within 1e-6 sigma, and sigma0 is 2.03621.
+
+    Printed angles are those of R3(twist) R1(dec) R3(ra): 90 deg + right ascension, 90 deg - declination.
+    """
     values, sigmas = own_values(adjusted)
     listed = np.genfromtxt(real_data / "isis-apollo/expected_images.csv", delimiter=",", names=True, dtype=None,
                            encoding="utf-8")  # fmt: skip
@@ -221,7 +230,10 @@ def test_points_and_residuals_equal_those_of_jigsaw(adjusted: Solution, real_dat
 @pytest.mark.oracle
 @pytest.mark.real_data
 def test_verdict_names_the_image_with_wrong_measures(adjusted: Solution) -> None:
-    """Image 1537: RMS of 12 px of the scan, eight residuals of 9 to 29 px; seven measures are above their limits."""
+    """The verdict is not trustworthy and names image 1537 as the one with 7 wrong of 10 image points.
+
+    Its RMS is 12.3 px of the scan; eight residuals are above 9 px.
+    """
     o, names = adjusted.problem.observations, [image.id for image in adjusted.block.images]
     v = twin.SCALE * adjusted.residuals_px[o.image == names.index("1537")]
     assert np.sqrt(np.mean(v**2)) == pytest.approx(12.3, abs=0.05)
@@ -236,7 +248,7 @@ def test_verdict_names_the_image_with_wrong_measures(adjusted: Solution) -> None
 @pytest.mark.real_data
 @pytest.mark.slow
 def test_measures_left_out_of_the_image(apollo: Path, adjusted: Solution) -> None:
-    """Without six measures the other four fit within 1.3 px of the scan; the six are off by 18 to 102 px."""
+    """Outlier search removes six measures of image 1537, off by over 17 px, and keeps four that fit within 1.3 px."""
     solution = fg.adjust(fg.read_project(apollo / "project.toml"), snoop=True)
     k, image, old = 6, solution.block.images[6], adjusted.problem.observations
     rows = np.flatnonzero(old.image == k)
@@ -264,7 +276,7 @@ def test_whole_network_equals_independent_bundle(adjusted: Solution, apollo: Pat
 @pytest.mark.truth
 @pytest.mark.real_data
 def test_held_image_keeps_its_orientation(apollo: Path) -> None:
-    """Jigsaw gives sigma0 2.33534 and corrections of zero for its sixth image."""
+    """An image that is held fixed has no corrections, and sigma0 is jigsaw's 2.33534."""
     path = apollo / "held.toml"
     path.write_text(project(APOLLO, held=("1423",)))
     solution = fg.adjust(fg.read_project(path))
@@ -283,7 +295,10 @@ def test_held_image_keeps_its_orientation(apollo: Path) -> None:
     ids=["angles", "positions and angles"],
 )
 def test_outlier_rule_on_the_network(apollo: Path, unknowns: tuple[str, ...], count: int) -> None:
-    """Jigsaw rejects 51 measures with the angles as unknowns (camsolve=angles); 38 is that of the script alone."""
+    """The outlier rule rejects the measures of the independent bundle: 51 with angles as unknowns, as jigsaw does.
+
+    With positions and angles (38) there is no figure of jigsaw; the number is that of the script.
+    """
     solution, own = _rejected(fg.read_project(apollo / "project.toml"), unknowns)
     assert len(own) == count
     assert own == _expected(*_twin_of(apollo), unknowns)

@@ -24,7 +24,7 @@ PHOBOS = Body("Phobos", (13000.0, 11400.0, 9100.0))
 @pytest.mark.oracle
 @pytest.mark.parametrize("body", [MARS, PHOBOS], ids=lambda b: b.name)
 def test_rays_meet_the_ellipsoid(body: Body, rng: np.random.Generator) -> None:
-    """Points of rays satisfy the equation of the ellipsoid; at a height the radius is longer by it."""
+    """Rays meet the ellipsoid of the body at the nearer point, and at a height the radius is longer by it."""
     away = rng.normal(size=(200, 3))
     position = 3.0 * max(body.radii_m) * away / np.linalg.norm(away, axis=1, keepdims=True)
     aim = rng.normal(size=(200, 3)) * 0.3 * min(body.radii_m)
@@ -51,14 +51,14 @@ def test_rays_meet_the_ellipsoid(body: Body, rng: np.random.Generator) -> None:
                         ("IAU_2015:19902", (2440530.0, 2440530.0, 2438260.0)), ("Venus", (6051800.0,) * 3)],
 )  # fmt: skip
 def test_bodies_by_name(name: str, radii: tuple[float, float, float]) -> None:
-    """The radii are those of Archinal et al. 2018 (IAU 2015)."""
+    """A body found by name or code has the radii of Archinal et al. 2018 (IAU 2015)."""
     np.testing.assert_allclose(body_named(name).radii_m, radii, rtol=1e-9)
 
 
 @pytest.mark.oracle
 @pytest.mark.parametrize("code", ["IAU_2015:30100", "IAU_2015:49902", "iau_2015:49900", "IAU_2015:29900"])
 def test_longitude_and_latitude_of_the_iau(code: str, rng: np.random.Generator) -> None:
-    """Planetocentric coordinates by sine and cosine; heights along the radius above the sphere or the ellipsoid."""
+    """Coordinates of IAU codes are planetocentric, with heights along the radius above the sphere or ellipsoid."""
     lon, lat = rng.uniform(-180.0, 180.0, 30), rng.uniform(-89.0, 89.0, 30)
     height = rng.uniform(-5e3, 9e3, 30)
     a, b = {"30100": (1737400.0,) * 2, "49902": (3396190.0, 3376200.0), "49900": (3396190.0,) * 2,
@@ -73,7 +73,7 @@ def test_longitude_and_latitude_of_the_iau(code: str, rng: np.random.Generator) 
 
 @pytest.mark.oracle
 def test_a_map_of_the_moon(rng: np.random.Generator) -> None:
-    """Equirectangular easting and northing are longitude and latitude times the radius."""
+    """Equirectangular easting and northing of the Moon are longitude and latitude times the radius."""
     lon, lat, height = rng.uniform(-2.0, 2.0, 20), rng.uniform(-1.0, 1.0, 20), rng.uniform(-900.0, 900.0, 20)
     got = points_on("IAU_2015:30110", np.stack([1737400.0 * lon, 1737400.0 * lat, height], axis=1))
     expected = ground_on(Body("Moon", (1737400.0,) * 3), np.degrees(lon), np.degrees(lat), height)
@@ -83,7 +83,10 @@ def test_a_map_of_the_moon(rng: np.random.Generator) -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize("code", ["IAU_2015:49901", "IAU_2015:49912"])
 def test_refused_codes_of_the_iau(code: str) -> None:
-    """Longitude positive to the west; a map of an ellipsoid, which PROJ takes for planetographic."""
+    """An IAU code with longitude positive to the west, or a map of an ellipsoid, is refused.
+
+    PROJ uses planetographic latitudes for that map.
+    """
     with pytest.raises(InputError) as caught:
         points_on(code, np.zeros((1, 3)))
     assert [p.code for p in caught.value.problems] == ["geodesy.body_axes"]
@@ -91,7 +94,7 @@ def test_refused_codes_of_the_iau(code: str) -> None:
 
 @pytest.mark.behaviour
 def test_points_with_a_code_of_the_iau(tmp_path: Path) -> None:
-    """The same block by longitude, latitude and height as by body-fixed metres; codes of another body are refused."""
+    """Control points by an IAU code are those in body-fixed metres within 1e-6 m; codes of other bodies are refused."""
     names = write_block(tmp_path, n_points=14)
     block = fg.read_project(tmp_path / "project.toml")
     body, ids = block.images[0].sensor.body, block.points.ids
@@ -121,7 +124,7 @@ def test_points_with_a_code_of_the_iau(tmp_path: Path) -> None:
 
 @pytest.mark.behaviour
 def test_result_on_the_moon(tmp_path: Path) -> None:
-    """The record names the body; maps are in its kilometres; files in WGS 84 are refused."""
+    """A result on the Moon names the body, its report has the Moon's kilometres, and exports in WGS 84 are refused."""
     write_block(tmp_path, n_points=20)
     out = tmp_path / "out"
     run = CliRunner().invoke(app, ["adjust", str(tmp_path / "project.toml"), "--out", str(out)])
@@ -140,7 +143,7 @@ def test_result_on_the_moon(tmp_path: Path) -> None:
 
 @pytest.mark.consistency
 def test_commands_on_the_moon(tmp_path: Path) -> None:
-    """Locate and project are inverse to each other; heights are above the radii of the body."""
+    """``locate``, ``project`` and ``footprint`` use the radius of the Moon, and pixels return within 1e-6 px."""
     name = write_block(tmp_path, n_points=5)[0]
     isd = str(tmp_path / f"{name}.isd")
     runner = CliRunner()
@@ -162,7 +165,7 @@ def test_commands_on_the_moon(tmp_path: Path) -> None:
 
 @pytest.mark.consistency
 def test_adjusted_image_as_state_by_the_command(tmp_path: Path) -> None:
-    """The command writes the position of the result, as a state in body-fixed axes and as an ISD."""
+    """``convert --result`` writes the adjusted projection centre to a state and to an ISD within 1e-6 m."""
     name, runner, out = write_block(tmp_path, n_points=12)[0], CliRunner(), tmp_path / "out"
     assert runner.invoke(app, ["adjust", str(tmp_path / "project.toml"), "--out", str(out)]).exit_code in (0, 4)
     image = fg.read_sensor(tmp_path / f"{name}.isd")

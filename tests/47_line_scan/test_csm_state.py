@@ -40,7 +40,7 @@ def apart_px(path: Path, sensor: PushbroomSensor, correction: Correction | None 
 
 
 def band_px(path: Path, sensor: PushbroomSensor, columns: list[int], n: int) -> float:
-    """Likewise at three lines and ``n`` samples of the band of columns of a state."""
+    """Return the largest difference in pixels at three lines and ``n`` samples of a state's band of columns."""
     line, sample = np.meshgrid(
         np.linspace(sensor.first_line, sensor.last_line, 3), np.linspace(columns[0], columns[1] - 1.0, n)
     )
@@ -52,7 +52,10 @@ def largest_px(
     path: Path, sensor: PushbroomSensor, line: np.ndarray, sample: np.ndarray, correction: Correction | None,
     first: int = 0,
 ) -> float:  # fmt: skip
-    """Likewise at pixels of the image; the image of the state begins with column ``first``."""
+    """Return the largest difference in pixels at pixels of the image.
+
+    The image of the state begins with column ``first``.
+    """
     state = csm.read_state(path)
     worst = 0.0
     for height_m in (0.0, 800.0):
@@ -107,14 +110,17 @@ def changed(path: Path, **fields: Any) -> Path:
     {"m_iTransS": [0.0, 0.02, 1.0], "m_iTransL": [0.0, 1.0, 0.02]},
 ])  # fmt: skip
 def test_features_of_a_state(state_file: Path, fields: dict[str, Any]) -> None:
-    """Distortion, direction of z, summing, first sample, a detector along y: 2e-6 px is a micrometre on the ground."""
+    """Each feature of a line-scan state is read as by the second evaluator within 2e-6 px, a micrometre on the ground.
+
+    Features are distortion, direction of z, summing, first sample and a detector along y.
+    """
     path = changed(state_file, **fields)
     assert apart_px(path, read_sensor(path)) < 2e-6
 
 
 @pytest.mark.oracle
 def test_fewer_samples_near_the_ends(rng: np.random.Generator) -> None:
-    """As in the second evaluator, polynomials have the order 8, and 6, 4, 2 at the ends."""
+    """Interpolation has the order 8 inside the list and 6, 4, 2 at its ends, as the second evaluator has."""
     times, values = 0.3 + 0.02 * np.arange(12), rng.normal(size=(12, 3))
     at = np.concatenate([np.linspace(0.295, 0.525, 50), times])
     expected = np.array([csm.interpolated(values, 0.3, 0.02, t) for t in at])
@@ -139,7 +145,7 @@ def test_states_of_another_program(real_data: Path, name: str) -> None:
 def test_round_trip_of_a_state(
     real_data: Path, tmp_path: Path, rng: np.random.Generator, n_curves: int, most_px: float
 ) -> None:
-    """Read, correct, write, read: positions to 1e-9 m, and 1e-6 px; the second evaluator reads the written file.
+    """A corrected state that is written and read twice keeps positions within 1e-9 m and rays; curves cost 2e-5 px.
 
     Curves have jumps of the third derivative at the ends of their intervals, which polynomials through samples of 20 ms
     smooth: 9e-6 px.
@@ -167,7 +173,10 @@ def test_round_trip_of_a_state(
 def test_rigorous_models_as_states(
     real_data: Path, tmp_path: Path, name: str, most_px: float, rng: np.random.Generator
 ) -> None:
-    """Measured with the second evaluator: 1e-6 px (SPOT 1 to 4, Pléiades), 1.1e-4 px (SPOT 6)."""
+    """Each rigorous model written as a state projects by the second evaluator within 1e-3 px.
+
+    Measured are 1e-6 px (SPOT 1 to 4, Pléiades) and 1.1e-4 px (SPOT 6).
+    """
     sensor, path = read_sensor(real_data / name, extrapolate_attitude_s=0.2), tmp_path / "state.json"
     for correction in (None, corrected(rng)):
         record = write_compared(path, sensor, correction)
@@ -179,10 +188,11 @@ def test_rigorous_models_as_states(
 @pytest.mark.real_data
 @pytest.mark.slow
 def test_spot_5_as_state(real_data: Path, tmp_path: Path) -> None:
-    """0.025 px: its look angles are polynomials of degree 5 in both directions, which no distortion of CSM contains.
+    """SPOT 5 as one state is exact to 0.03 px, and as six bands of columns to 1e-3 px.
 
-    A polynomial of degree 4 leaves 0.13 px, of degree 5 1e-4 px; a radial distortion has the terms of degree 5, but the
-    same ones for both directions. Six bands of columns leave 8.2e-4 px.
+    Its look angles are polynomials of degree 5 in both directions, which no distortion of CSM contains. A polynomial of
+    degree 4 leaves 0.13 px, of degree 5 1e-4 px; a radial distortion has the terms of degree 5, but the same ones for
+    both directions.
     """
     source = real_data / "geocosicorr3d/SPOT5.DIM"
     sensor, path = read_sensor(source), tmp_path / "state.json"
@@ -217,7 +227,10 @@ def test_convert_writes_a_state(tmp_path: Path) -> None:
 
 @pytest.mark.oracle
 def test_look_angles_of_degree_5_in_bands(tmp_path: Path) -> None:
-    """The error of a band of columns falls with the fourth power of its width: cubic polynomials in both directions."""
+    """The error of bands of columns falls with the fourth power of their width, within a factor of 2.
+
+    The bands have cubic polynomials in both directions.
+    """
     n = 8_000
     u = np.linspace(-1.0, 1.0, n)
     curved = np.stack([0.3 * u**3 + 0.2 * u**4 + u**5, 0.2 * u**2 - 0.1 * u**4 + 0.15 * u**5], axis=1)
@@ -238,7 +251,7 @@ def test_look_angles_of_degree_5_in_bands(tmp_path: Path) -> None:
 
 @pytest.mark.behaviour
 def test_convert_writes_bands(tmp_path: Path) -> None:
-    """Each state has its columns: pixels of the image by the second evaluator."""
+    """``convert --bands`` writes a state per band of columns, exact to 1e-5 px, and refuses wrong numbers of bands."""
     source, out = write_isd(tmp_path), tmp_path / "state.json"
     sensor = read_sensor(source)
     done = in_process("convert", source, "--to", "csm-state", "--bands", "3", "--out", out, "--json")

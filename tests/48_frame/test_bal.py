@@ -94,7 +94,7 @@ def test_points_seen_once_and_points_behind_are_told(tmp_path: Path) -> None:
 
 @pytest.mark.behaviour
 def test_two_measurements_in_one_image_do_not_make_a_second(tmp_path: Path) -> None:
-    """Point 0 is measured by cameras 0, 1, 2; the second and third line are given to camera 0."""
+    """A point measured twice in one image only is excluded, and a note counts it."""
     lines = text().splitlines()
     lines[2:4] = [line.replace(old, "0 0 ", 1) for line, old in zip(lines[2:4], ("1 0 ", "2 0 "), strict=True)]
     path = tmp_path / "bundle.txt"

@@ -38,7 +38,7 @@ def with_options(block: Block, **options: object) -> Block:
 
 
 def all_unknown(block: Block) -> Block:
-    """Every unknown of a frame camera that there is."""
+    """Return the block with every unknown of a frame camera that there is."""
     more = {"principal_sample": 1.0, "principal_line": 1.0, "k3": 1e-3, "p1": 1e-4, "p2": 1e-4}
     images = tuple(
         replace(image, sensor=FrameSensor(
@@ -64,7 +64,10 @@ def largest(problem: Problem, a: State, b: State) -> tuple[float, float]:
 @pytest.mark.parametrize("name", ["nine", "fourteen", "beside pushbroom"])
 @pytest.mark.parametrize("optimizer", OPTIMIZERS)
 def test_three_backends_end_where_numpy_has_no_step_left(name: str, optimizer: str) -> None:
-    """Image unknowns within 1e-9 prior sigma, points within 1e-7 m, chi2 within 1e-11."""
+    """Each backend and optimiser ends where numpy has no step left, within 1e-9 prior sigma and 1e-7 m.
+
+    chi2 agrees within 1e-11.
+    """
     problem = compile_problem(blocks()[name])
     loop, graph = OPTIMIZERS[optimizer], ExplicitBackend(problem)
     a = loop(SchurBackend(problem), problem.start, 50, tolerance=1e-9)
@@ -82,7 +85,10 @@ def test_three_backends_end_where_numpy_has_no_step_left(name: str, optimizer: s
 
 
 def independent(block: Block) -> Callable[[np.ndarray], np.ndarray]:
-    """Residuals of priors and pixels by numpy and scipy alone, as a function of image unknowns, then points."""
+    """Return a function for the residuals of priors and pixels by numpy and scipy alone.
+
+    Its argument holds the image unknowns, then the points.
+    """
     o, n_images = block.observations, len(block.images)
     cameras = [image.sensor.camera for image in block.images]
     scale = np.array(list(SIGMA.values()))
@@ -107,7 +113,10 @@ def independent(block: Block) -> Callable[[np.ndarray], np.ndarray]:
 
 @pytest.mark.oracle
 def test_solution_is_the_minimum_of_an_independent_cost() -> None:
-    """The Gauss-Newton step left there, with numeric derivatives (1e-10 of their size), is below 1e-7."""
+    """The solution has the chi2 of an independent cost, and a Gauss-Newton step from it is below 1e-7.
+
+    Its derivatives are numeric, 1e-10 of their size.
+    """
     block, _ = small()
     assert tuple(SIGMA) == tuple(name for name in UNKNOWNS if name in SIGMA)
     solution = fg.adjust(block, backend="schur")
@@ -152,7 +161,10 @@ def test_relative_block_names_the_seven_motions_of_its_datum() -> None:
 
 @pytest.mark.oracle
 def test_free_datum_needs_no_prior_and_is_not_trusted() -> None:
-    """The same shape by all backends; every one steps although its equations are singular."""
+    """A free datum without priors gives the same chi2 on all backends, is not trustworthy and names seven motions.
+
+    The equations are singular.
+    """
     block = with_options(pinhole_block(4, 60, seed=2)[0], datum="free", priors=False)
     costs = []
     for backend in ("schur", "graph", "dense"):
@@ -175,7 +187,7 @@ def test_free_datum_needs_no_prior_and_is_not_trusted() -> None:
 
 @pytest.mark.oracle
 def test_control_points_of_a_local_system_fix_the_datum() -> None:
-    """Sigmas are along X, Y, Z; differences, too."""
+    """Control points in a local system fix the datum, and their sigmas and differences are along X, Y, Z."""
     block, truth = small()
     control = np.arange(0, 25, 3)
     sigma = np.full((25, 3), np.nan)

@@ -59,7 +59,7 @@ def test_located_points_project_back_and_lie_at_their_height() -> None:
 
 @pytest.mark.truth
 def test_axes_point_as_the_documentation_says() -> None:
-    """A point East of nadir has the larger sample, and a point South of it the larger line."""
+    """A point east of nadir has the larger sample, and a point south of it the larger line."""
     sensor = aerial()
     lon, lat = np.array([LON, LON + 0.002, LON]), np.array([LAT, LAT, LAT - 0.002])
     line, sample = sensor.project(geodetic_to_ecef(lon, lat, np.zeros(3)))

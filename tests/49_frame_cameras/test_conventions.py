@@ -63,7 +63,7 @@ def directions(n: int = 400) -> tuple[np.ndarray, np.ndarray]:
 def radial_tangential(
     x: np.ndarray, y: np.ndarray, radial: list[float], p1: float, p2: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """OpenCV: x (1 + k1 r^2 + ...) + 2 p1 x y + p2 (r^2 + 2 x^2)."""
+    """Return OpenCV's distorted coordinates: x (1 + k1 r^2 + ...) + 2 p1 x y + p2 (r^2 + 2 x^2), likewise y."""
     r = x * x + y * y
     scale = 1.0 + sum(k * r ** (i + 1) for i, k in enumerate(radial))
     return scale * x + 2 * p1 * x * y + p2 * (r + 2 * x * x), scale * y + p1 * (r + 2 * y * y) + 2 * p2 * x * y
@@ -151,7 +151,10 @@ def test_image_points_are_those_of_the_formula(name: str) -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("name", [name for name in CONVENTIONS if name.startswith("colmap")])
 def test_image_points_are_those_of_pycolmap(name: str) -> None:
-    """Values converted from OpenCV's conventions, whose first pixel is at (0, 0)."""
+    """A camera converted to a COLMAP model has the image points of pycolmap within 1e-6 px.
+
+    OpenCV's first pixel is at (0, 0), COLMAP's at (0.5, 0.5).
+    """
     pycolmap = pytest.importorskip("pycolmap")
     source = "opencv-fisheye" if "fisheye" in name else "opencv"
     kept = {n: VALUES[source][n] for n in VALUES[name] if n in VALUES[source]}
@@ -169,7 +172,7 @@ def test_image_points_are_those_of_pycolmap(name: str) -> None:
 @pytest.mark.truth
 @pytest.mark.real_data
 def test_camera_of_dbat_is_that_of_its_report(real_data: Path) -> None:
-    """The camera file that DBAT wrote, and the figures that it printed for the same camera."""
+    """DBAT's camera file is read with the values that its report prints for the same camera."""
     folder = real_data / "dbat" / "script" / "camcaldemo" / "result"
     text = (folder / "c4040z.xml").read_text()
     at = {name: [float(v) for v in re.findall(rf"<{name}>(.*?)</", text)[0].split(",")] for name in
@@ -208,7 +211,7 @@ EXACT = [
 
 @pytest.mark.consistency
 def test_there_and_back_is_exact_or_states_its_residual() -> None:
-    """Values return to 1e-9 px, or the stated distance is the one of the image points."""
+    """An exact conversion returns the values within 1e-9; a fitted one states largest, RMS and place of its error."""
     line, sample = (g.ravel() for g in np.meshgrid(np.linspace(0, LINES - 1, 41), np.linspace(0, SAMPLES - 1, 41)))
     for a, b in EXACT + FITTED:
         out, before = convert(a, b), convert(a, a)
@@ -230,7 +233,10 @@ def test_there_and_back_is_exact_or_states_its_residual() -> None:
 
 @pytest.mark.oracle
 def test_fit_is_the_least_squares_solution() -> None:
-    """Of pixels of OpenCV's formula on the grid, by scipy from other starts and without our derivatives."""
+    """A fitted conversion is scipy's least-squares solution for pixels of OpenCV's formula on the grid.
+
+    scipy begins elsewhere and has no derivatives of ours.
+    """
     out = convert("photomodeler", "opencv")
     line, sample = (g.ravel() for g in np.meshgrid(np.linspace(0, LINES - 1, 41), np.linspace(0, SAMPLES - 1, 41)))
     x, y = backward("photomodeler", VALUES["photomodeler"], sample, line)
@@ -251,7 +257,7 @@ def test_fit_is_the_least_squares_solution() -> None:
 
 
 def covariance_of(name: str, relative: float = 1e-3) -> np.ndarray:
-    """Return the covariance with correlations: sigmas of a share of each value."""
+    """Return a covariance with correlations whose sigmas are some ``relative`` of each value."""
     values = np.array(list(VALUES[name].values()))
     k = len(values)
     mixing = np.random.default_rng(8).normal(size=(k, 2 * k))
@@ -287,7 +293,10 @@ def test_exact_covariance_by_monte_carlo(source: str, target: str) -> None:
 @pytest.mark.slow
 @pytest.mark.oracle
 def test_covariance_of_a_fit_by_monte_carlo() -> None:
-    """PhotoModeler to COLMAP's RADIAL: 20 000 fits by normal equations, linear in f, cx, cy, f k1, f k2."""
+    """The covariance of a fitted conversion equals the scatter of 20 000 fits within 3 %.
+
+    PhotoModeler is converted to COLMAP's RADIAL by normal equations, linear in f, cx, cy, f k1, f k2.
+    """
     covariance = covariance_of("photomodeler", 1e-2)
     out = convert("photomodeler", "colmap-radial", covariance)
     assert not out.is_exact and out.covariance is not None
@@ -315,7 +324,7 @@ def test_covariance_of_a_fit_by_monte_carlo() -> None:
     pytest.param("metashape", "colmap-radial", marks=pytest.mark.slow),
 ])  # fmt: skip
 def test_derivatives_of_fits_by_differences(source: str, target: str) -> None:
-    """The standard deviations from one value are compared with differences of two further fits."""
+    """Each standard deviation of a fitted conversion equals the difference of two further fits within 1e-3."""
     for k, (name, value) in enumerate(VALUES[source].items()):
         step = 1e-4 * abs(value)
         covariance = np.zeros((len(VALUES[source]),) * 2)
@@ -354,7 +363,7 @@ def test_refusals(change: dict[str, object], word: str) -> None:
 
 @pytest.mark.behaviour
 def test_camera_files_have_conventions(tmp_path: Path) -> None:
-    """Written, read as a camera of frame images, and converted back with the covariance."""
+    """A camera file in another convention is read as a camera and converted there and back with its covariance."""
     source, there, back = (tmp_path / f"{name}.toml" for name in ("source", "there", "back"))
     covariance = covariance_of("australis")
     write_convention(source, convert("australis", "australis", covariance), PIXEL_MM, None)

@@ -86,7 +86,10 @@ def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def both(monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[Solution, Solution]]:
-    """Solutions of a block by the dense backend and by the elimination of images, which is not yet worth it."""
+    """Return a function that solves a block by the dense backend and by the elimination of images.
+
+    The elimination is forced, although it is not yet worth it.
+    """
 
     def solved(block: fg.Block, **options: object) -> tuple[Solution, Solution]:
         dense = fg.adjust(block, backend="dense", **options)
@@ -108,7 +111,7 @@ def all_cofactors(solution: Solution) -> np.ndarray:
 
 
 def require_equal(dense: Solution, found: Solution) -> None:
-    """State, cofactors and everything that follows from them."""
+    """Assert that state, cofactors and everything that follows from them are equal."""
     problem, q = dense.problem, all_cofactors(dense)
     size = np.sqrt(np.diag(q))
     assert found.status is dense.status and len(found.warnings) == len(dense.warnings)
@@ -159,7 +162,7 @@ def test_elimination_of_images_changes_nothing(
 def test_tests_of_unknowns_and_observations_are_those_of_full_matrices(
     both: Callable[..., tuple[Solution, Solution]],
 ) -> None:
-    """F tests of many unknowns by blocks and few columns, and tests of observations."""
+    """F tests, coefficients, outlier tests and redundancy numbers equal those of the dense backend."""
     dense, found = both(sequence())
     for mine, other in zip(found.significance().groups, dense.significance().groups, strict=True):
         assert (mine.group, mine.dimension) == (other.group, other.dimension)
@@ -176,7 +179,7 @@ def test_tests_of_unknowns_and_observations_are_those_of_full_matrices(
 def test_effects_of_image_points_are_those_of_their_cofactors(
     both: Callable[..., tuple[Solution, Solution]], controls: int
 ) -> None:
-    """Rows of ``Q A^T`` in the datum of the solution, from the cofactors of all unknowns by full matrices."""
+    """The effects of image points equal ``Q A^T`` from the full matrix of cofactors, on each backend."""
     block = sequence(controls=controls)
     solutions = (*both(block), fg.adjust(block))
     assert solutions[2].backend == "graph" and not isinstance(solutions[2].cofactors, StarCofactors)
@@ -227,7 +230,10 @@ def held_unknown(problem: Problem) -> ExtraObservation:
 @pytest.mark.oracle
 @pytest.mark.parametrize("priors", [True, False])
 def test_border_is_the_schur_complement_of_the_images(priors: bool) -> None:
-    """Matrix, gradient, cost, steps and following images by numpy, with weights and observations of one photo."""
+    """Matrix, gradient, cost and steps of the border equal numpy's Schur complement of the images.
+
+    The problem has weights and an observation of one image.
+    """
     problem = compiled(sequence(controls=4, cameras=2, held=3), priors=priors)
     problem = replace(problem, block=replace(problem.block, extra=(*problem.block.extra, held_unknown(problem))))
     rng, state, places = np.random.default_rng(5), moved(problem), Places(problem)
@@ -260,7 +266,7 @@ def test_border_is_the_schur_complement_of_the_images(priors: bool) -> None:
 
 @pytest.mark.oracle
 def test_movements_of_the_border_have_the_effect_of_all_rows() -> None:
-    """Singular values of the effect, the gradient and a Gauss-Newton step against the Jacobian of all observations."""
+    """Effect, gradient and step of the border equal those of the Jacobian of all observations."""
     problem = compiled(sequence(controls=4), priors=True)
     state = moved(problem)
     border = ImagesBorder(problem, state)
@@ -300,7 +306,7 @@ def test_resumed_run_has_the_same_bits(at_once: None, options: dict[str, object]
 
 @pytest.mark.behaviour
 def test_points_are_eliminated_where_images_cannot_be(at_once: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No image counts as determined: the solution is that of the other elimination."""
+    """If no image can be eliminated first, points are, and the solution is the same within 1e-9 m."""
     problem = compiled(sequence(controls=4), priors=True)
     expected = solve(problem)
     monkeypatch.setattr(images_first, "PIVOT", 1.0)
@@ -333,7 +339,7 @@ def test_photo_that_its_points_do_not_determine_is_named() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize(("photos", "points"), [(60, 20), (100, 37)])
 def test_estimated_memory_covers_what_is_allocated(photos: int, points: int) -> None:
-    """Arrays counted by tracemalloc, of networks that need no matrix of all images."""
+    """The estimated memory is above the peak that tracemalloc counts, and below four times the peak."""
     block, _ = network(Size(photos, points, 0, 8, 2, 0.0))
     fg.adjust(block)  # what is compiled or loaded once does not count
     tracemalloc.start()

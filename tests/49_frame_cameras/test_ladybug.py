@@ -19,7 +19,10 @@ BOUND = 13308.5
 @pytest.mark.real_data
 @pytest.mark.slow
 def test_ladybug_reaches_the_cost_of_gtsam_and_claims_no_deviations(real_data: Path) -> None:
-    """Points that begin behind their cameras are left out, as GTSAM's factor does by counting them as zero."""
+    """Ladybug 49 reaches GTSAM's cost, and the free datum gives seven motions and no covariance.
+
+    Points that begin behind their cameras are excluded; GTSAM's factor counts them as zero.
+    """
     block = read_bal(real_data / "bal" / "problem-49-7776-pre.txt.gz", keep_behind=False)
     solution = fg.adjust(replace(block, options=replace(block.options, max_iterations=40)))
     assert 0.5 * solution.log[0].chi2 == pytest.approx(850802.09, abs=0.01)

@@ -18,7 +18,7 @@ NAMES = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2")
 
 
 def covariance() -> np.ndarray:
-    """Of f, cx, cy, k1, correlated."""
+    """Return a covariance of f, cx, cy, k1 with correlations."""
     sigma = np.array([0.5, 0.2, 0.3, 1e-4])
     rho = np.array([[1.0, 0.1, -0.2, -0.7], [0.1, 1.0, 0.0, 0.05], [-0.2, 0.0, 1.0, 0.1], [-0.7, 0.05, 0.1, 1.0]])
     return rho * np.outer(sigma, sigma)
@@ -45,7 +45,7 @@ def write(folder: Path, content: str) -> Path:
 
 @pytest.mark.oracle
 def test_values_and_covariance_are_those_of_the_file(tmp_path: Path) -> None:
-    """The converted standard deviations are those of the values typed into ``convert_camera``."""
+    """A Metashape file is read with its values and covariance, and converts as these values do by the function."""
     path = write(tmp_path, text())
     file = read_convention(path)
     assert file is not None and (file.name, file.lines, file.samples) == ("FC6310, 8.8mm", 3648, 5472)

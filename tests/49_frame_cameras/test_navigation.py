@@ -43,7 +43,7 @@ def test_rotation_vector_is_the_logarithm() -> None:
 
 @pytest.mark.oracle
 def test_body_attitude_is_that_of_scipy() -> None:
-    """North, East, Down from the body is Rz Ry Rx; flying East without tilt the right wing is South."""
+    """The body attitude is Rz Ry Rx from the body to North, East, Down; flying east the right wing is south."""
     place = np.array([4.08e6, 2.53e6, 4.19e6])
     lon, lat, _ = ecef_to_geodetic(place[None])
     east, north, up = enu_from_ecef(lon, lat)[0]
@@ -56,7 +56,7 @@ def test_body_attitude_is_that_of_scipy() -> None:
 
 @pytest.mark.oracle
 def test_residuals_vanish_at_direct_georeferencing() -> None:
-    """What `direct_orientation` makes of receiver and attitude fulfils both equations: one convention, two paths."""
+    """The pose of ``direct_orientation`` gives residuals of zero in the equations of receiver and attitude."""
     rng = np.random.default_rng(3)
     body, receiver, lever = Rotation.random(random_state=4).as_matrix(), rng.normal(size=3) + 5e6, rng.normal(size=3)
     rotation, centre = direct_orientation(receiver, body, lever, TOP_FORWARD)
@@ -77,7 +77,10 @@ def test_residuals_vanish_at_direct_georeferencing() -> None:
 
 @pytest.mark.oracle
 def test_backends_end_where_numpy_has_no_step_left() -> None:
-    """Own observations of single images are blocks of the reduced system: Schur, graph and dense are one."""
+    """A block with navigation data has the same solution and covariance on all three backends, without a step left.
+
+    Its extra observations of single images are blocks of the reduced system.
+    """
     block, _ = small()
     graph, *others = (fg.adjust(block, backend=name) for name in ("graph", "schur", "dense"))
     assert max(max(step_of_numpy(one.problem, one.state)) for one in (graph, *others)) < 1e-7
@@ -99,7 +102,7 @@ def test_damped_optimisers_end_where_numpy_has_no_step_left(optimizer: str) -> N
 
 @pytest.mark.oracle
 def test_against_scipy() -> None:
-    """The same problem written anew: rotation matrices of scipy, its own least squares, numerical derivatives."""
+    """scipy's least squares of independent equations has the chi2 and unknowns of the adjustment."""
     block, _ = strip_block(StripOptions(seed=2, strips=1, images=2, points=10, control=4))
     solution = fg.adjust(block)
     problem = solution.problem
@@ -152,7 +155,7 @@ def _residuals(problem: fg.adjustment.problem.Problem, block: Block, x: np.ndarr
 
 
 def _nees(seed: int) -> tuple[float, int, np.ndarray, float, int]:
-    """Normalised squared error of all unknowns of the images, their number, errors in sigmas, chi2, redundancy."""
+    """Return normalised squared error of all image unknowns, their number, errors in sigmas, chi2 and redundancy."""
     block, truth = strip_block(StripOptions(seed=seed, images=3, points=25))
     solution = fg.adjust(block, statistics="basic")
     assert solution.status is Status.CONVERGED
@@ -170,7 +173,7 @@ def _nees(seed: int) -> tuple[float, int, np.ndarray, float, int]:
 @pytest.mark.oracle
 @pytest.mark.parametrize("seeds", [range(1, 7), pytest.param(range(1, 201), marks=pytest.mark.slow)])
 def test_estimates_are_unbiased_and_their_covariance_is_right(seeds: range) -> None:
-    """NEES and global test within 99.8 % of their chi-squares; the mean error of no unknown is off by five sigmas."""
+    """NEES and global test lie in their 99.8 % intervals, and no mean error is above five sigmas."""
     found = [_nees(seed) for seed in seeds]
     for value, freedom in ((sum(f[0] for f in found), sum(f[1] for f in found)),
                            (sum(f[3] for f in found), sum(f[4] for f in found))):  # fmt: skip
@@ -182,7 +185,7 @@ def test_estimates_are_unbiased_and_their_covariance_is_right(seeds: range) -> N
 
 @pytest.mark.oracle
 def test_drift_that_is_not_modelled_is_seen() -> None:
-    """Without the drift unknowns the same data fail the global test, so that the test above can fail."""
+    """Without drift unknowns the same data fail the global test, so that the test above can fail."""
     block, _ = small()
     held = {name: 1e-9 for name in block.images[0].sensor.camera.sigma if "drift" in name or "shift" in name}
     images = tuple(
@@ -195,7 +198,7 @@ def test_drift_that_is_not_modelled_is_seen() -> None:
 
 @pytest.mark.behaviour
 def test_what_no_control_tells_is_named() -> None:
-    """One strip without control: its shift moves the block, its boresight looks like its attitude's shift."""
+    """One strip without control names shift, drift and boresight as held by priors; with control the shift is not."""
     block, _ = strip_block(StripOptions(strips=1, control=0, points=40))
     said = fg.adjust(block).unobservable
     for what in ("strip 1: shift of the receiver (east, north, up)", "strip 1: drift of the receiver",
@@ -248,7 +251,7 @@ def _written(folder: Path, block: Block) -> Path:
 
 @pytest.mark.consistency
 def test_project_with_a_navigation_table(tmp_path: Path) -> None:
-    """Files give what the block in memory gives, to the digits of angles in degrees."""
+    """A project with a navigation table has the solution of the block in memory within 1e-6."""
     block, _ = small()
     read = fg.read_project(_written(tmp_path, block))
     assert len(read.extra) == 2 * len(block.images)

@@ -25,7 +25,10 @@ def motions(points: Array) -> Array:
 
 @pytest.mark.oracle
 def test_cofactors_are_those_of_the_pseudo_inverse() -> None:
-    """A free network with scale bars has these cofactors of points and residuals after an S-transformation."""
+    """Cofactors and redundancy numbers of a free network with scale bars equal numpy's pseudo-inverse.
+
+    They are compared after an S-transformation.
+    """
     block, _ = network(TENTH)
     solution = fg.adjust(block)
     assert solution.status is fg.Status.CONVERGED
@@ -67,7 +70,10 @@ def test_cofactors_are_those_of_the_pseudo_inverse() -> None:
     (TENTH, 8), pytest.param(replace(SIZES["110 photos"], points=1000), 50, marks=pytest.mark.slow),
 ])  # fmt: skip
 def test_errors_of_points_are_those_of_their_covariance(size: Size, seeds: int) -> None:
-    """Mean NEES of 60 points over seeds, after an S-transformation to the truth, in the 99 % band of its draws."""
+    """The mean NEES of 60 points over seeds lies in the 99 % interval of draws from their covariance.
+
+    Errors are compared after an S-transformation to the truth.
+    """
     found, drawn = [], []
     some = np.arange(0, size.points, size.points // 60)[:60]
     for seed in range(seeds):

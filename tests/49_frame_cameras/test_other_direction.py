@@ -40,7 +40,7 @@ def test_the_true_direction_is_named(true: str, k1: float, priors: bool) -> None
 @pytest.mark.truth
 @pytest.mark.parametrize("true", DIRECTIONS)
 def test_no_false_alarm_on_clean_data(true: str) -> None:
-    """Ten blocks are computed in their own direction; their sigmas are stated three times too small."""
+    """Ten blocks adjusted in their true direction give no note, although their sigmas are three times too small."""
     for seed in range(5):
         for k1 in (-0.05, 0.0):
             solution = fg.adjust(calibration_block((k1, 0, 0, 0, 0), true, true, seed=seed, sigma_px=NOISE_PX / 3.0))
@@ -52,7 +52,10 @@ def test_no_false_alarm_on_clean_data(true: str) -> None:
 @pytest.mark.parametrize("k1", [-0.08, 0.08])
 @pytest.mark.parametrize("true", DIRECTIONS)
 def test_the_scale_of_the_corrected_image_decides_nothing(true: str, k1: float) -> None:
-    """Noise of 5 px hides the direction; residuals of corrected coordinates are a quarter larger or smaller."""
+    """With noise of 5 px there is no note, although residuals of corrected coordinates differ by a quarter.
+
+    Such noise hides the direction.
+    """
     for seed in range(3):
         block = calibration_block((k1, 0, 0, 0, 0), true, true, seed=seed, sigma_px=1.0, noise_px=5.0)
         assert not notes(fg.adjust(block))
@@ -61,7 +64,7 @@ def test_the_scale_of_the_corrected_image_decides_nothing(true: str, k1: float) 
 @pytest.mark.truth
 @pytest.mark.parametrize("true", DIRECTIONS)
 def test_no_note_without_a_difference(true: str) -> None:
-    """With a weak distortion both directions fit equally well."""
+    """A weak distortion, which fits equally well in both directions, gives no note."""
     (other,) = (model for model in DIRECTIONS if model != true)
     for seed in range(3):
         block = calibration_block((-0.002, 0, 0, 0, 0), true, other, seed=seed, sigma_px=NOISE_PX / 3.0)
@@ -79,7 +82,7 @@ def test_with_a_search_and_with_the_graph(how: dict[str, Any]) -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("model", DIRECTIONS)
 def test_the_turned_camera_is_the_same_to_the_first_order(model: str) -> None:
-    """Movements of the image points by the distortion differ by its square."""
+    """A camera in the other direction moves image points equally, up to the square of the distortion."""
     ground = np.random.default_rng(2).uniform(-1.0, 1.0, (50, 3)) * [4.0, 4.0, 1.0] + [0.0, 0.0, 10.0]
     plain = FrameCamera(np.eye(3), np.zeros(3), FOCAL_PX, MIDDLE, np.zeros(5), {}, model, 800.0)
     apart = []
@@ -114,7 +117,7 @@ def test_cameras_without_another_direction() -> None:
 @pytest.mark.truth
 @pytest.mark.parametrize(("true", "expected"), [(IDEAL_TO_MEASURED, 1), (MEASURED_TO_IDEAL, 0)])
 def test_in_a_bundle_of_close_range(true: str, expected: int) -> None:
-    """Its polynomial leads from measured to ideal coordinates."""
+    """A close-range bundle gives the note only if the distortion is not from measured to ideal coordinates."""
     block = calibration_block((-0.1, 0, 0, 0, 0), true)
     photos = [BundlePhoto(i.id, PhotoInterior(FOCAL_PX, MIDDLE[::-1], np.zeros(7), "down"), i.sensor.camera.rotation,
                           i.sensor.camera.centre_m, (), "camera", ("k1",)) for i in block.images]  # fmt: skip

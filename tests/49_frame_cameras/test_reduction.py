@@ -36,7 +36,10 @@ def test_true_terms_stay_and_the_others_go(direction: str, priors: bool) -> None
 
 @pytest.mark.truth
 def test_no_term_is_left_of_a_camera_without_distortion() -> None:
-    """Five terms at 5 % together: at most 3 of 12 calibrations keep one (0.2 % by chance)."""
+    """At most 3 of 12 calibrations without distortion keep a term; the pose is always kept.
+
+    Five terms at 5 % together keep more with a probability of 0.2 %.
+    """
     kept = 0
     for seed in range(12):
         found = reduce_unknowns(calibration_block((0, 0, 0, 0, 0), unknown=TERMS, seed=seed, n=40))

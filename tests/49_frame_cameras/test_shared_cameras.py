@@ -31,7 +31,10 @@ INTERIOR = {"focal": 5.0, "principal_sample": 3.0, "principal_line": 3.0, "k1": 
 
 @lru_cache
 def shared(model: str = "", held: bool = True, priors: bool = False) -> Block:
-    """Return four images of one camera; the first is held with the centre's X of the second, or nothing is."""
+    """Return four images of one camera.
+
+    The first image and X of the second centre are held, or nothing is.
+    """
     block, _ = pinhole_block(4, 25, views=3, seed=2)
     images = []
     for k, image in enumerate(block.images):
@@ -107,7 +110,7 @@ def test_priors_count_what_is_shared_once() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("backend", ["graph", "schur", "dense"])
 def test_a_shared_prior_has_one_redundancy_number(backend: str) -> None:
-    """Q_vv from matrices in which each shared column stands once, the prior rows being those of z."""
+    """A shared prior has one redundancy number, and all numbers equal the hat matrix with shared columns joined."""
     problem, estimate, cofactors = solved(replace(shared(held=False, priors=True)), backend)
     assert problem.ties is not None
     v, wide = assemble(problem, estimate.state)
@@ -161,7 +164,10 @@ def test_disagreement_and_what_does_not_work_are_refused() -> None:
 
 @pytest.mark.oracle
 def test_correlations_of_the_camera_by_the_inverse_of_all_unknowns() -> None:
-    """Median correlation of the focal length with the projection centres along the views; views by scipy."""
+    """The note on the camera's distance is given below the median correlation from the full inverse, not above.
+
+    The correlation is that of the focal length with the projection centres along the views; views by scipy.
+    """
     block = shared()
     problem, estimate, cofactors = solved(block, "schur")
     _, design = assemble(problem, estimate.state)
@@ -203,7 +209,10 @@ def test_a_shared_unknown_is_one_of_holms_tests() -> None:
 
 
 def compare(block: Block, form: dbat.Format, folder: Path) -> tuple[int, float]:
-    """Number of printed values and deviations, and the largest difference in units of the last printed digit."""
+    """Return the number of printed values and deviations, and the largest difference.
+
+    It is in units of the last printed digit.
+    """
     problem, estimate, q = solved(block, "schur")
     figures, printed = dbat.report(folder / "result" / "report.txt")
     sigma0 = dbat.same_figures(problem, estimate, figures)
@@ -235,7 +244,10 @@ def test_roma_of_dbat(real_data: Path) -> None:
 @pytest.mark.real_data
 @pytest.mark.slow
 def test_roma_with_a_fixed_camera(real_data: Path) -> None:
-    """dbat/dbatexports/roma-dbatreport.txt; its aspect is printed there."""
+    """The Roma block with a fixed camera has the unknowns, redundancy and sigma0 of DBAT's report.
+
+    The report is dbat/dbatexports/roma-dbatreport.txt; its aspect is printed there.
+    """
     block = dbat.roma(real_data / "dbat" / "script" / "romabundledemo", calibrate=False, aspect=0.000998889)
     problem = compile_problem(block)
     assert (problem.n_unknowns, problem.redundancy) == (79316, 101806)

@@ -164,7 +164,7 @@ def shape(p: Array) -> Array:
 )
 @pytest.mark.parametrize("kind", ["distance", "plane", "line", "circle", "sphere"])
 def test_hard_in_a_free_network_from_wrong_starts(kind: str, backend: str) -> None:
-    """From two wrong starts: squares, redundancy and shape of Lagrange's equations."""
+    """A hard constraint in a free network gives chi2, redundancy and shape of Lagrange's equations from two starts."""
     block, ground = observed(kind)
     constraints = stated(kind, block, ground)
     _, squares, _ = expected = _expected(kind)
@@ -211,7 +211,7 @@ def _refined(kind: str, p: Array, ground: Array) -> Array:
 @pytest.mark.oracle
 @pytest.mark.parametrize("kind", ["distance", "plane", "line", "circle", "sphere"])
 def test_hard_with_control_and_limit_of_soft_ones(kind: str) -> None:
-    """State and cofactors of Lagrange's equations; a constraint with a very small sigma gives the same state."""
+    """A hard constraint with control has state and cofactors of Lagrange's equations, as one with a tiny sigma."""
     block, ground = observed(kind, control=True)
     solution = fg.adjust(replace(block, extra=stated(kind, block, ground)), priors=False)
     state, squares, q = bordered(compile_problem(block), kind, ground)
@@ -249,7 +249,10 @@ def _record(extra: fg.ExtraObservation, sigma: float, shape: Array) -> Array:
 @pytest.mark.oracle
 @pytest.mark.parametrize("kind", list(ALL))
 def test_derivatives_by_complex_steps(kind: str) -> None:
-    """Rows on the figure, where the basis N of the rows does not count; gradient of the squares anywhere."""
+    """Derivatives of a constraint equal complex steps on the figure, and the gradient of the squares holds anywhere.
+
+    The basis N of the rows has no effect on the figure.
+    """
     rng = np.random.default_rng(7)
     shape = ALL[kind] + rng.normal(size=3)
     observed = {"circle": {"radius": (9.0, 0.1)}, "spheroid": {"a": (9.9, 0.2)}}.get(kind, {})
@@ -294,7 +297,7 @@ def test_contradictions_and_dependent_constraints_are_named(
     made: Callable[[tuple[str, ...], float], list[tuple[str, tuple[str, ...], float | None]]], code: str,
     names: list[str],
 ) -> None:  # fmt: skip
-    """One line names the constraints before anything is adjusted."""
+    """Contradictory or dependent constraints are refused in one error that names them."""
     block, ground = observed("plane")
     block = replace(block, points=replace(block.points, ids=tuple(map(str, range(len(block.points.ids))))))
     size = float(np.linalg.norm(ground[0] - ground[1]))
@@ -307,7 +310,7 @@ def test_contradictions_and_dependent_constraints_are_named(
 
 @pytest.mark.oracle
 def test_snooping_losses_and_components_with_hard_constraints() -> None:
-    """A gross error of 30 px at a point of a hard plane is found; losses and components keep the plane."""
+    """With a hard plane the search finds an error of 30 px, and losses and components keep the plane."""
     block, ground = observed("plane", control=True)
     o = block.observations
     row = int(np.flatnonzero(o.point == 2)[0])
@@ -330,7 +333,7 @@ def test_snooping_losses_and_components_with_hard_constraints() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("sigma", [None, 0.05])
 def test_figures_are_those_of_lagrange(sigma: float | None) -> None:
-    """Centre and radius of a sphere, and their covariance: from bordered equations, or from all rows."""
+    """Values and sigmas of a sphere equal those of bordered equations (hard) or of all rows (soft)."""
     block, ground = observed("sphere", control=True)
     solution = fg.adjust(replace(block, extra=stated("sphere", block, ground, sigma)), priors=False)
     (figure,) = solution.figures()
@@ -366,7 +369,7 @@ def test_figures_are_those_of_lagrange(sigma: float | None) -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("backend", ["graph", "dense", "schur"])
 def test_a_base_between_images_with_priors(backend: str) -> None:
-    """No point is named: the points stay eliminated, and the constraint is a factor of its own."""
+    """A hard base between images with priors is met, and the gradient lies along the constraint."""
     block, _ = pinhole_block(4, 30, views=3, seed=2)
     first, second = (image.sensor.camera.centre_m for image in block.images[:2])  # type: ignore[attr-defined]
     ids, size = tuple(image.id for image in block.images[:2]), float(np.linalg.norm(second - first)) + 0.05

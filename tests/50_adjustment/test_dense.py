@@ -60,9 +60,10 @@ def assert_no_step_left(problem: Problem, state: State) -> None:
 
 
 def largest_differences(problem: Problem) -> tuple[float, float, float]:
-    """Dense against GTSAM, each iterated by itself: unknowns (sigmas), points (m); normal matrices (relative).
+    """Return the largest differences of the dense backend and GTSAM, each iterated by itself.
 
-    At the end of the dense one numpy's least squares has no step left.
+    They are those of unknowns (sigmas), points (m) and normal matrices (relative). At the end of the dense one numpy's
+    least squares must have no step left.
     """
     dense, graph = DenseBackend(problem), ExplicitBackend(problem)
     a = gauss_newton(dense, dense.initial(), 50, tolerance=TOLERANCE)
@@ -94,7 +95,10 @@ def assert_equal(problem: Problem) -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("eop_set", range(1, 21))
 def test_all_sets_equal_the_graph(twin: Block, eop_set: int) -> None:
-    """Image unknowns within 1e-9 prior sigma, points within 1e-7 m, normal matrices within 1e-12."""
+    """For each EOP set the dense backend has the solution and normal matrix of the graph.
+
+    Limits are 1e-9 prior sigma, 1e-7 m, and 1e-12 of the matrix.
+    """
     assert_equal(compiled(twin, eop_set=eop_set))
 
 
@@ -112,7 +116,7 @@ def test_equal_with_fixed_control_and_excluded_check_points(twin: Block, check_p
 
 @pytest.mark.oracle
 def test_equal_with_own_observations(twin: Block) -> None:
-    """An observation of a point and one of an image; the rows are there: the solution moves."""
+    """With extra observations the dense backend equals the graph, and the observations move the solution."""
     with_extra = with_own_observations(twin)
     assert_equal(compiled(with_extra))
     moved = fg.adjust(with_extra, backend="dense").state.image - fg.adjust(twin, backend="dense").state.image
@@ -132,7 +136,10 @@ def test_damped_optimisers_give_the_same(twin: Block, optimizer: str) -> None:
 
 @pytest.mark.oracle
 def test_damped_and_dogleg_steps_equal_the_graphs(twin: Block) -> None:
-    """Step by step at the start, and numpy's: damping 0.5, radii in the steepest-descent and the blended part."""
+    """Damped and dogleg steps of the dense backend equal those of the graph and of numpy.
+
+    The damping is 0.5; the radii lie in the steepest-descent, the blended and the Gauss-Newton part.
+    """
     problem = compiled(twin, eop_set=9)
     dense, graph = DenseBackend(problem), ExplicitBackend(problem)
     a, b = dense.linearise(dense.initial()), graph.linearise(graph.initial())
@@ -157,7 +164,7 @@ def test_damped_and_dogleg_steps_equal_the_graphs(twin: Block) -> None:
 
 @pytest.mark.oracle
 def test_columns_and_jacobian_by_differences(twin: Block) -> None:
-    """The assembled J against central differences of the assembled residual: every row kind, constants among them."""
+    """The assembled Jacobian equals differences of the residuals for every row kind, and constant points stay."""
     problem = compiled(with_own_observations(with_fixed_control(twin, 5)))
     assert problem.n_columns == problem.n_unknowns
     residual, design = assemble(problem, problem.start)
@@ -182,7 +189,7 @@ def test_columns_and_jacobian_by_differences(twin: Block) -> None:
     "choice", [{"eop_set": 15}, {"eop_set": 20, "look_polynomial": 2}, {"eop_set": 2, "priors": False}]
 )
 def test_cofactors_equal_gtsam_marginals(twin: Block, choice: dict[str, object]) -> None:
-    """Triangular factor of J against GTSAM's elimination: images, points, joint, all in units of the sigmas."""
+    """Cofactors of the dense backend equal GTSAM's marginals within 1e-9: images, points and joint blocks."""
     block = with_fixed_control(twin, 3)
     a, b = fg.adjust(block, backend="dense", **choice), fg.adjust(block, backend="graph", **choice)
     control, check = (block.points.where(role) for role in (Role.CONTROL, Role.CHECK))
@@ -224,7 +231,10 @@ def test_solutions_carry_the_same_statistics(twin: Block) -> None:
     "solver", ["cholesky_elimination", "gauss_partial_pivot_elimination", "pivot_inverse", "svd_scaled", "lapack_lu"]
 )
 def test_any_solver_of_the_registry(twin: Block, solver: str) -> None:
-    """Scaled and with priors, the published solvers reach the same solution: the iteration corrects their steps."""
+    """With any of the published solvers the dense backend ends where no step is left.
+
+    The iteration corrects the errors of their steps.
+    """
     found = fg.adjust(twin, eop_set=16, backend="dense", solver=solver)
     assert found.solver == solver
     assert_no_step_left(found.problem, found.state)
@@ -232,7 +242,7 @@ def test_any_solver_of_the_registry(twin: Block, solver: str) -> None:
 
 @pytest.mark.oracle
 def test_a_regularised_solver_gives_the_step(twin: Block) -> None:
-    """With Tikhonov in the loop each step is the x of the solver; the result states that it has not converged."""
+    """With Tikhonov's solver each step is that of the solver, and one iteration does not count as converged."""
     problem = compiled(twin, eop_set=16)
     backend = DenseBackend(problem, "tikhonov_hkb")
     residual, design = assemble(problem, problem.start)
@@ -251,7 +261,7 @@ def test_a_regularised_solver_gives_the_step(twin: Block) -> None:
 
 @pytest.mark.behaviour
 def test_a_solver_that_breaks_down_is_one_line_and_exit_code_three(twin: Block) -> None:
-    """Without priors and control N is singular, and the error names the step at which the solver stops."""
+    """For a singular N a solver that breaks down gives an error of one line, named and with exit code 3."""
     no_priors = compiled(twin, eop_set=20, priors=False)
     with pytest.raises(fg.NoSolutionError, match="lapack_cholesky") as caught:
         DenseBackend(no_priors, "lapack_cholesky").linearise(no_priors.start).solve(0.0)
@@ -270,7 +280,10 @@ def test_without_priors_rank_is_judged_before(twin: Block) -> None:
 
 @pytest.mark.oracle
 def test_sigmas_where_gtsam_gives_none(twin: Block) -> None:
-    """One control and two check points, no priors: cond(J) = 3e4, and GTSAM's Cholesky finds it indeterminate."""
+    """The dense backend gives the right cofactors, with a warning, where the graph gives none.
+
+    One control and two check points without priors: cond(J) = 3e4, and GTSAM's Cholesky finds it indeterminate.
+    """
     keep = [int(twin.points.where(Role.CONTROL)[0]), *(int(j) for j in twin.points.where(Role.CHECK)[:2])]
     small = replace(twin, observations=twin.observations.take(np.isin(twin.observations.point, keep)))
     dense, graph = (fg.adjust(small, eop_set=2, priors=False, backend=b) for b in ("dense", "graph"))
@@ -285,7 +298,10 @@ def test_sigmas_where_gtsam_gives_none(twin: Block) -> None:
 
 @pytest.mark.behaviour
 def test_covariance_is_unavailable_with_a_reason(twin: Block, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Dead directions; an unknown in no observation; and what a user sees of either."""
+    """An indeterminate covariance has a reason: the condition, or an unknown in no observation.
+
+    The solution is not trustworthy and gives no covariance.
+    """
     problem = compiled(twin, eop_set=20, priors=False)
     _, design = assemble(problem, problem.start)
     with pytest.raises(Indeterminate, match="condition of the scaled Jacobian is above 1e\\+12"):
@@ -337,7 +353,10 @@ def test_choices_that_do_not_go_together(twin: Block, choice: dict[str, str], co
 
 @pytest.mark.behaviour
 def test_too_many_unknowns_are_refused_before_a_matrix_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Unknowns just above and at the limit, which is lowered: the refusal must not depend on time or memory."""
+    """The dense backend refuses unknowns above its limit before it makes a matrix, and accepts the limit itself.
+
+    The limit is lowered, so that the test does not depend on time or memory.
+    """
     block, _ = grid_block(BlockOptions(points=60, seed=1))
     n = fg.adjust(block, backend="dense").problem.n_unknowns
 

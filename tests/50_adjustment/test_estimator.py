@@ -71,7 +71,7 @@ def unflat(problem: Problem, x: np.ndarray) -> State:
 @pytest.mark.oracle
 @pytest.mark.parametrize("eop_set", [2, 15, 20])
 def test_graph_equals_dense_normal_equations(twin: Block, eop_set: int) -> None:
-    """One step of the graph against numpy's QR of the stacked rows: 1e-9 of the step."""
+    """One step of the graph equals numpy's least squares of the stacked rows within 1e-9 of the step."""
     problem = compile_problem(replace(twin, options=replace(twin.options, eop_set=eop_set)))
     backend = ExplicitBackend(problem)
     system = backend.linearise(backend.initial())
@@ -84,7 +84,7 @@ def test_graph_equals_dense_normal_equations(twin: Block, eop_set: int) -> None:
 
 @pytest.mark.oracle
 def test_solution_equals_scipy(twin: Block) -> None:
-    """scipy's trust-region solver from the same start, our residuals, its own derivatives of nothing."""
+    """The solution has the chi2 and the unknowns of scipy's trust-region solver with our residuals and Jacobian."""
     solution = fg.adjust(twin, eop_set=16)
     problem = solution.problem
     result = least_squares(
@@ -101,7 +101,7 @@ def test_solution_equals_scipy(twin: Block) -> None:
 @pytest.mark.parametrize("eop_set", [1, 10, 15, 20])
 @pytest.mark.parametrize("look", [None, 2])
 def test_own_optimisers_and_those_of_gtsam_agree(twin: Block, eop_set: int, look: int | None) -> None:
-    """Equality of the issue: image unknowns within 1e-9 prior sigma, points within 1e-7 m."""
+    """GTSAM's optimisers (graph) and our own (Schur) end at one solution, within 1e-9 prior sigma and 1e-7 m."""
     base = fg.adjust(twin, eop_set=eop_set, look_polynomial=look)
     for optimizer, backend in itertools.product(OWN, ("graph", "schur")):
         other = fg.adjust(twin, eop_set=eop_set, look_polynomial=look, optimizer=optimizer, backend=backend)
@@ -113,7 +113,7 @@ def test_own_optimisers_and_those_of_gtsam_agree(twin: Block, eop_set: int, look
 @pytest.mark.oracle
 @pytest.mark.parametrize("backend", ["graph", "schur"])
 def test_cofactors_equal_the_dense_inverse(twin: Block, backend: str) -> None:
-    """GTSAM Marginals or the reduced system, joint over both images and three points, against inv(A^T A)."""
+    """Joint cofactors of images and points, and of each point, equal inv(A^T A); names and units are right."""
     solution = fg.adjust(twin, eop_set=20, backend=backend)
     problem = solution.problem
     a = dense_jacobian(problem, solution.state)
@@ -142,7 +142,7 @@ def test_cofactors_equal_the_dense_inverse(twin: Block, backend: str) -> None:
 
 @pytest.mark.oracle
 def test_points_one_by_one_equal_the_dense_inverse(twin: Block) -> None:
-    """Cofactors of each point and of an image are those of numpy from the full matrix."""
+    """Cofactors of each point and of an image equal those of numpy's full matrix."""
     solution = fg.adjust(twin, eop_set=15)
     full = Full.of(solution.problem, solution.state)
     parts = [(solution.cofactors.point(j), full.problem.point_slice(j)) for j in range(len(twin.points.ids))]
@@ -153,7 +153,10 @@ def test_points_one_by_one_equal_the_dense_inverse(twin: Block) -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize("named", [False, True], ids=["", "extra observation of a point"])
 def test_indeterminate_covariance_is_unavailable_with_a_reason(twin: Block, named: bool) -> None:
-    """One control and two check points, no priors: solvable, but GTSAM's Cholesky gives no covariance."""
+    """If GTSAM's Cholesky gives no covariance, the result states the reason and is not trustworthy.
+
+    One control and two check points without priors are solvable, but indeterminate for it.
+    """
     keep = [int(twin.points.where(Role.CONTROL)[0]), *(int(j) for j in twin.points.where(Role.CHECK)[:2])]
     small = replace(twin, observations=twin.observations.take(np.isin(twin.observations.point, keep)))
     if named:
@@ -170,7 +173,10 @@ def test_indeterminate_covariance_is_unavailable_with_a_reason(twin: Block, name
 
 @pytest.mark.truth
 def test_counts_and_redundancy(twin: Block) -> None:
-    """Observations: 2 x 94 image, 3 x 37 control, 54 priors; unknowns: 54 and 3 x 47."""
+    """Numbers of observations and unknowns are right, and the redundancy follows from them for each option.
+
+    Observations: 2 x 94 image, 3 x 37 control, 54 priors; unknowns: 54 and 3 x 47.
+    """
     solution = fg.adjust(twin, eop_set=20)
     assert solution.problem.n_observations == 188 + 111 + 54
     assert solution.problem.n_unknowns == 54 + 141
@@ -193,7 +199,7 @@ def test_sigma0_is_the_root_of_all_weighted_squares(twin: Block) -> None:
 
 @pytest.mark.oracle
 def test_gradient_vanishes_at_the_solution(twin: Block) -> None:
-    """A^T r = 0 in scaled unknowns shows a minimum, not only the end of a loop."""
+    """The gradient A^T r in scaled unknowns vanishes at the solution, so that it is a minimum."""
     solution = fg.adjust(twin, eop_set=20, look_polynomial=1)
     a = dense_jacobian(solution.problem, solution.state)
     r = residual_vector(solution.problem, solution.state)
@@ -202,7 +208,7 @@ def test_gradient_vanishes_at_the_solution(twin: Block) -> None:
 
 @pytest.mark.oracle
 def test_pixel_residuals_are_adjusted_minus_observed(twin: Block) -> None:
-    """v = project(adjusted point) - observation to second order: 1e-3 px."""
+    """Residuals are projected minus observed pixels within 1e-3 px, the second-order terms."""
     solution = fg.adjust(twin, eop_set=15)
     o = solution.problem.observations
     for k, image in enumerate(twin.images):
@@ -217,7 +223,7 @@ def test_pixel_residuals_are_adjusted_minus_observed(twin: Block) -> None:
 
 @pytest.mark.oracle
 def test_fixed_control_points_are_constants(twin: Block) -> None:
-    """Fixed points leave the unknowns; very small sigmas give the same answer."""
+    """Fixed control points are not unknowns and keep their coordinates; very small sigmas give the same answer."""
     control = twin.points.where(Role.CONTROL)
     fixed = twin.points.known.fixed.copy()
     fixed[control] = True
@@ -236,7 +242,7 @@ def test_fixed_control_points_are_constants(twin: Block) -> None:
 
 @pytest.mark.consistency
 def test_excluded_check_points_are_intersected_afterwards(twin: Block) -> None:
-    """Left out, a check point has no influence; its predicted sigma covers image and orientation."""
+    """Excluded check points still have differences and predicted sigmas, 0.9 to 2 times those of used ones."""
     used, excluded = (fg.adjust(twin, eop_set=15, check_points=c) for c in ("use", "exclude"))
     assert len(excluded.accuracy.check) == len(used.accuracy.check) == 10
     a, b = used.accuracy.check.predicted_sigma_enu_m, excluded.accuracy.check.predicted_sigma_enu_m

@@ -35,7 +35,7 @@ def _block(kind: str, sigma: float | None) -> Block:
 @pytest.mark.parametrize("sigma", [None, 0.05])
 @pytest.mark.parametrize("kind", list(SHAPES))
 def test_a_step_is_that_of_the_whole_rows(kind: str, sigma: float | None) -> None:
-    """By numpy from the rows without the figure, which join all its points."""
+    """A step of the explicit graph with a figure equals numpy's step from the rows that join all its points."""
     problem = compiled_problem(with_observations(_block(kind, sigma)))
     backend = ExplicitBackend(problem)
     assert len(backend.figures) == 1

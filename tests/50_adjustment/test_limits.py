@@ -34,7 +34,7 @@ def with_control(block: Block, count: int) -> Block:
 
 @pytest.mark.behaviour
 def test_without_priors_the_control_must_fix_the_block(twin: Block) -> None:
-    """Two control points leave 9 position unknowns of two images open; each direction is a sentence."""
+    """Two control points without priors are refused for EOP set 15, doubted for set 9; all points are accepted."""
     with pytest.raises(fg.RankDeficientError, match="the control points do not fix this combination"):
         fg.adjust(with_control(twin, 2), eop_set=15, priors=False)
     weak = fg.adjust(with_control(twin, 2), eop_set=9, priors=False)
@@ -47,7 +47,7 @@ def test_without_priors_the_control_must_fix_the_block(twin: Block) -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("eop_set", [2, 16])
 def test_block_singular_values_equal_the_inverse_of_the_full_matrix(twin: Block, eop_set: int) -> None:
-    """R^T R of the eliminated block is the inverse cofactor matrix of the images without priors."""
+    """The block's singular values are those of numpy's inverse of the full matrix, restricted to the images."""
     options = replace(twin.options, eop_set=eop_set, priors=False)
     problem = compile_problem(replace(twin, options=options))
     s = analyse_block(problem).singular_values
@@ -59,10 +59,10 @@ def test_block_singular_values_equal_the_inverse_of_the_full_matrix(twin: Block,
 
 @pytest.mark.oracle
 def test_excluded_check_points_of_many_rays_are_calibrated() -> None:
-    """Unequal sigmas, two to four rays: errors over predicted sigmas are near 1, as when the points take part.
+    """Normalised errors of used and excluded check points have the mean square 1 within 25 %.
 
-    2 x 2 images, 0.1 and 3 px; 3 seeds of 80 check points: the mean square of about 700
-    normalised errors lies within 25 % (4 standard deviations) of 1.
+    Points have two to four rays in 2 x 2 images with sigmas of 0.1 and 3 px; 25 % are 4 standard deviations of the mean
+    square of about 700 errors of 3 seeds of 80 check points.
     """
     squares: dict[str, list[np.ndarray]] = {"use": [], "exclude": []}
     for seed in range(1, 4):
@@ -89,7 +89,7 @@ def test_excluded_check_points_of_many_rays_are_calibrated() -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize("fault", ["line", "sigma_sample_px", "control coordinate", "control sigma"])
 def test_values_that_are_not_finite_are_refused_at_the_python_border(twin: Block, fault: str) -> None:
-    """The readers check files; this test checks a block made in Python."""
+    """A block made in Python with nan, infinity or a wrong sigma is refused with array and row."""
     o, known = twin.observations, twin.points.known
     first = int(twin.points.where(Role.CONTROL)[0])
     row = np.arange(len(twin.points.ids))[:, None] == first
@@ -128,7 +128,10 @@ def test_a_breakdown_on_the_way_is_one_line_and_exit_code_three(twin: Block, mon
 @pytest.mark.behaviour
 @pytest.mark.parametrize("backend", ["graph", "schur"])
 def test_badly_scaled_systems_are_solved(twin: Block, backend: str) -> None:
-    """Sigmas of 0.0003 px: GTSAM's Cholesky gives up, its QR does not; the answer exists."""
+    """With sigmas of 0.0003 px the adjustment gives finite unknowns and is not trustworthy.
+
+    GTSAM's Cholesky fails here, its QR does not.
+    """
     o = twin.observations
     sharp = replace(o, sigma_line_px=np.full(len(o), 3e-4), sigma_sample_px=np.full(len(o), 3e-4))
     solution = fg.adjust(replace(twin, observations=sharp), eop_set=15, backend=backend)
@@ -192,7 +195,10 @@ class Step:
 
 @pytest.mark.behaviour
 def test_a_step_that_is_small_by_damping_only_is_no_convergence() -> None:
-    """After twelve rejections the damped step is below 1e-8 although the minimum is 1 away."""
+    """A step that is short only by damping does not end the loop, which reaches the minimum.
+
+    After twelve rejections the damped step is below 1e-8 although the minimum is 1 away.
+    """
 
     class System:
         def __init__(self, x: float) -> None:

@@ -18,7 +18,7 @@ from tests.support.rpc_block import rpc_twin
 
 
 def all_control(seed: int = 1, kind: str = "shift") -> Block:
-    """Every point with coordinates: true ones plus noise of 0.06/0.06/1 m East, North, Up."""
+    """Return a twin whose points are all control: truth plus noise of 0.06/0.06/1 m East, North, Up."""
     twin = rpc_twin(kind, seed=seed)
     n = len(twin.ecef_m)
     sigma = np.tile([0.06, 0.06, 1.0], (n, 1))
@@ -51,7 +51,7 @@ def without(block: Block, test: GroupTest) -> Block:
 @pytest.mark.oracle
 @pytest.mark.parametrize("backend", ["graph", "dense", "schur"])
 def test_statistic_is_what_the_removal_of_the_observation_gains(backend: str) -> None:
-    """T is chi2 before minus chi2 after the image point is removed."""
+    """The statistic of an image point follows from chi2 before minus after its removal, with the right F limits."""
     block = all_control()
     solution = fg.adjust(block, backend=backend)
     tests = [t for t in solution.outlier_tests() if t.part == "image"]
@@ -69,10 +69,7 @@ def test_statistic_is_what_the_removal_of_the_observation_gains(backend: str) ->
 
 @pytest.mark.oracle
 def test_error_of_coordinates_is_what_moves_the_point_back() -> None:
-    """The estimated height error is subtracted from the coordinates.
-
-    Then chi2 decreases by T, and the test finds nothing.
-    """
+    """If the estimated error of coordinates is subtracted, chi2 decreases by T and the test finds nothing."""
     block = all_control()
     solution = fg.adjust(block)
     height = next(t for t in solution.outlier_tests() if t.part == "height")
@@ -88,7 +85,7 @@ def test_error_of_coordinates_is_what_moves_the_point_back() -> None:
 
 @pytest.mark.oracle
 def test_redundancy_numbers_add_up() -> None:
-    """The traces of Q of image points and control points, and the shares of the priors, give the redundancy."""
+    """Redundancy numbers of image points, control points and priors add up to the redundancy."""
     solution = fg.adjust(all_control())
     assert solution.cofactors is not None
     found = ResidualCofactors(solution.problem, solution.state, solution.cofactors)
@@ -99,7 +96,7 @@ def test_redundancy_numbers_add_up() -> None:
 
 @pytest.mark.oracle
 def test_planted_errors_are_found_named_and_measured() -> None:
-    """An image point is wrong by 6 px, a height by 15 m, a position by 3 m. Each is found alone, and nothing else."""
+    """Errors of an image point, a height and a position are found, named and removed, and nothing else is."""
     block = all_control(seed=2)
     ids = block.points.ids
     wrong = with_error(block, ids[7], "right", (0.0, 6.0))
@@ -121,7 +118,7 @@ def test_planted_errors_are_found_named_and_measured() -> None:
 
 @pytest.mark.oracle
 def test_false_alarms_are_as_rare_as_the_level_says() -> None:
-    """Twenty good blocks at a level of 2 %: the rate of alarms is that of the level."""
+    """In twenty correct blocks at a level of 2 % the rate of alarms is between 1.2 and 2.8 %."""
     alarms, total = 0, 0
     for seed in range(20):
         tests = fg.adjust(all_control(seed=200 + seed)).outlier_tests(level=0.02, control="none")
@@ -132,7 +129,7 @@ def test_false_alarms_are_as_rare_as_the_level_says() -> None:
 
 @pytest.mark.oracle
 def test_single_ray_names_both_places_of_the_error() -> None:
-    """A control point in one image: pixel or coordinates cannot be told apart, and both are named."""
+    """An error at a control point with one ray names image point and position as inseparable."""
     block = all_control()
     j = block.points.ids[12]
     o = block.observations
@@ -148,7 +145,10 @@ def test_single_ray_names_both_places_of_the_error() -> None:
 
 @pytest.mark.behaviour
 def test_what_nothing_checks_is_never_suspected() -> None:
-    """Tie points are checked across the epipolar line and not along it; the dimension is 1."""
+    """A tie point of two rays is tested in one dimension only, with equal statistics of both rays.
+
+    Nothing checks it along the epipolar line.
+    """
     solution = fg.adjust(rpc_twin("shift").block)
     tests = {(t.point, t.image): t for t in solution.outlier_tests()}
     check = solution.block.points.ids[int(solution.block.points.where(Role.CHECK)[0])]
@@ -158,7 +158,7 @@ def test_what_nothing_checks_is_never_suspected() -> None:
 
 @pytest.mark.behaviour
 def test_more_suspects_than_gross_errors_can_be_end_the_search() -> None:
-    """Thirty errors of growing size among 94 image points: the search gives up after a quarter and says so."""
+    """With thirty errors among 94 image points the search ends after a quarter and is not complete."""
     block = all_control()
     o = block.observations
     error = np.zeros(len(o))

@@ -119,7 +119,7 @@ def _ground(folder: Path) -> Array:
 
 @pytest.mark.truth
 def test_constraints_hold_at_the_solution(project: Path, tmp_path: Path) -> None:
-    """A hard plane and a hard distance, and misclosures of the record, by numpy from the points."""
+    """Hard plane and distance of a project hold within 1e-8 m, and record, redundancy and report show them."""
     out = tmp_path / "out"
     ended = in_process("adjust", with_text(project, TEXT.replace("sigma = 0.001\n", "")), "--out", out, "--json")
     flat = _ground(out)[-N_FLAT:]
@@ -135,7 +135,7 @@ def test_constraints_hold_at_the_solution(project: Path, tmp_path: Path) -> None
 
 @pytest.mark.truth
 def test_a_fixed_point_that_no_image_shows(project: Path, tmp_path: Path) -> None:
-    """A hard distance of a tie point from it, by numpy; without the constraint the point is left out."""
+    """A fixed point without rays serves a hard distance; without a constraint it is not in the block."""
     plain = fg.adjust(fg.read_project(project))
     at = plain.ground_m[-1] + [30.0, 40.0, 0.0]
     place = ",".join(repr(float(v[0])) for v in ecef_to_geodetic(at[None]))
@@ -156,7 +156,7 @@ def test_a_fixed_point_that_no_image_shows(project: Path, tmp_path: Path) -> Non
 
 @pytest.mark.behaviour
 def test_one_declaration_with_close_range(project: Path) -> None:
-    """A file of constraints of the bundle and a project state the same constraints."""
+    """A file of constraints and the entries of a project give the same constraints."""
     path = project.with_name("constraints.toml")
     path.write_text(TEXT)
     for one, other in zip(read_constraints(path), fg.read_project(with_text(project, TEXT)).extra, strict=True):

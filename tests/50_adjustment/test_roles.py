@@ -38,7 +38,7 @@ def test_moving_every_check_coordinate_changes_no_estimate(twin: Block) -> None:
 
 @pytest.mark.oracle
 def test_extreme_ratios_of_sigmas_are_exact(twin: Block) -> None:
-    """0.06 m horizontally and 1e5 m in height: the weights are formed from the sigmas, not from a covariance."""
+    """Sigmas of 0.06 m and 1e5 m at one point give the exact weights. A covariance in between would lose them."""
     sigma = twin.points.known.sigma_enu_m.copy()
     first = int(twin.points.where(fg.Role.CONTROL)[0])
     sigma[first] = 0.06, 0.06, 1e5

@@ -46,7 +46,7 @@ def mixed(kind: str = "shift_drift") -> Block:
 
 
 def blocks() -> dict[str, Block]:
-    """Return what both backends must agree on."""
+    """Return the blocks on which both backends must agree."""
     out = {kind: rpc_twin(kind).block for kind in KINDS} | {"mixed": mixed(), "mixed shift": mixed("shift")}
     fixed = out["affine"].points.known.fixed.copy()
     fixed[out["affine"].points.where(Role.CONTROL)[:5]] = True
@@ -58,7 +58,7 @@ def blocks() -> dict[str, Block]:
 
 
 def relative(block: Block) -> Block:
-    """Without any control point, the datum held by the priors."""
+    """Return the block without control points, with the datum held by the priors."""
     free = without_control(block)
     return replace(free, options=replace(free.options, datum="priors"))
 
@@ -69,7 +69,10 @@ def relative(block: Block) -> Block:
 )
 @pytest.mark.parametrize("backend", ["graph", "schur"])
 def test_graph_and_schur_equal_dense_and_numpy(name: str, backend: str) -> None:
-    """Unknowns to 1e-9 prior sigma, points to 1e-7 m, cofactors to 1e-7 of their size."""
+    """For RPC blocks graph and Schur equal dense and numpy: unknowns, points, chi2 and cofactors.
+
+    Limits are 1e-9 prior sigma, 1e-7 m, and 1e-7 of the cofactors' size.
+    """
     block = blocks()[name]
     graph, dense = fg.adjust(block, backend=backend), fg.adjust(block, backend="dense")
     assert graph.status is dense.status is Status.CONVERGED, graph.reason
@@ -95,7 +98,7 @@ def test_graph_and_schur_equal_dense_and_numpy(name: str, backend: str) -> None:
 
 @pytest.mark.behaviour
 def test_images_of_different_kinds_keep_their_own_unknowns() -> None:
-    """18 and 4 unknowns: the rest of the row is zero, matrices and names have the right sizes, labels hold."""
+    """Images with 18 and 4 unknowns keep their sizes, names and units in states and matrices."""
     solution = fg.adjust(mixed())
     problem = solution.problem
     assert [len(p) for p in problem.parameters] == [18, 4]
@@ -114,7 +117,7 @@ def test_images_of_different_kinds_keep_their_own_unknowns() -> None:
 
 @pytest.mark.oracle
 def test_optimisers_agree() -> None:
-    """Gauss-Newton, Levenberg-Marquardt, Dogleg and GTSAM's own optimisers agree on a mixed block."""
+    """GTSAM's Levenberg-Marquardt and Dogleg end at the solution of Gauss-Newton within 1e-9 prior sigma."""
     block = mixed()
     base = fg.adjust(block)
     for optimizer in ("levenberg-marquardt", "dogleg"):
@@ -124,7 +127,7 @@ def test_optimisers_agree() -> None:
 
 @pytest.mark.oracle
 def test_estimate_of_scipy() -> None:
-    """Own residuals (pyproj, the model term by term), own optimiser: the same compensation and points."""
+    """scipy with residuals by pyproj and the RPC term by term has the same chi2, compensation and points."""
     block = few_points(rpc_twin("affine", seed=3).block)
     solution = fg.adjust(block)
     o, known = block.observations, block.points.known
@@ -157,13 +160,13 @@ def test_estimate_of_scipy() -> None:
 
 
 def few_points(block: Block, count: int = 9) -> Block:
-    """Every fifth point, all observations of it."""
+    """Return the block with every fifth point only, and all observations of it."""
     return replace(block, observations=block.observations.take(block.observations.point % 5 == 0))
 
 
 @pytest.mark.oracle
 def test_residuals_are_those_of_the_corrected_sensor() -> None:
-    """Adjusted minus observed pixels, with the compensation that the solution hands out."""
+    """Residuals are projected minus observed pixels of the sensor with the compensation of the solution."""
     block = mixed("affine")
     solution = fg.adjust(block)
     o = solution.problem.observations
@@ -184,7 +187,10 @@ def test_residuals_are_those_of_the_corrected_sensor() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("kind", KINDS)
 def test_truth_is_met_within_the_covariance(kind: str) -> None:
-    """Ten blocks with compensation from the priors: squares of normalised errors inside chi2 at 99.9 %."""
+    """Over ten blocks the squares of normalised true errors lie in the 99.9 % interval of their chi-square.
+
+    Compensations are drawn from the priors.
+    """
     squares, freedom, fits, redundancy = 0.0, 0, 0.0, 0
     for seed in range(10):
         twin = rpc_twin(kind, seed=100 + seed)
@@ -226,7 +232,7 @@ def test_block_without_control_is_refused_unless_it_may_be_relative() -> None:
 
 @pytest.mark.oracle
 def test_relative_adjustment_names_its_datum_and_removes_parallax() -> None:
-    """Three common shifts, with words; y-parallax falls from pixels to noise; no figure of accuracy."""
+    """A relative adjustment names three common shifts, reduces the y-parallax to noise and states no accuracy."""
     twin = rpc_twin("shift", seed=5)
     solution = fg.adjust(relative(twin.block))
     shifts = [text for text in solution.unobservable if "shifted together" in text]
@@ -243,7 +249,7 @@ def test_relative_adjustment_names_its_datum_and_removes_parallax() -> None:
 
 @pytest.mark.oracle
 def test_parallax_is_what_one_image_is_off() -> None:
-    """Noise-free block, right image moved across its epipolar lines: the parallax is that movement."""
+    """If the right image is moved by 2 px across its epipolar lines, the y-parallax is 2 px within 5 %."""
     twin = rpc_twin("shift", noise_px=0.0)
     block = relative(twin.block)
     images = tuple(Image(i.id, RpcSensor(corrected(i.sensor.model, twin.compensation[k]).model))
@@ -267,7 +273,7 @@ def test_control_fixes_the_datum_also_when_priors_may_hold_it() -> None:
 
 
 def with_control(block: Block, keep: tuple[int, ...]) -> Block:
-    """Only these points stay control points, the others are tie points."""
+    """Return the block with only these points as control points and the others as tie points."""
     roles = tuple(Role.CONTROL if j in keep else Role.TIE for j in range(len(block.points.ids)))
     known = block.points.known
     mask = np.array([r is Role.CONTROL for r in roles])[:, None]
@@ -278,7 +284,10 @@ def with_control(block: Block, keep: tuple[int, ...]) -> Block:
 
 @pytest.mark.behaviour
 def test_without_priors_what_an_image_cannot_show_is_refused_in_words() -> None:
-    """Two control points in one image carry four of six terms; the sentences name the others."""
+    """Without priors two control points in one image are refused, with the terms that are not observable.
+
+    With priors the rank defect is stated and the block is solved.
+    """
     block = rpc_twin("affine").block
     keep = tuple(int(j) for j in block.points.where(Role.CONTROL)[:2])
     o = block.observations
@@ -295,7 +304,7 @@ def test_without_priors_what_an_image_cannot_show_is_refused_in_words() -> None:
 
 @pytest.mark.behaviour
 def test_without_priors_weak_directions_are_pointed_out() -> None:
-    """One control point in both images holds twelve unknowns by the curvature of the models only."""
+    """Without priors one control point gives a warning about weak directions; all control points do not."""
     block = rpc_twin("affine").block
     keep = tuple(int(j) for j in block.points.where(Role.CONTROL)[:1])
     weak = fg.adjust(with_control(block, keep), priors=False)
@@ -318,7 +327,7 @@ def test_sensor_without_model_is_refused() -> None:
 
 @pytest.mark.oracle
 def test_cofactors_are_the_inverse_of_the_normal_matrix() -> None:
-    """Mixed block: the joint cofactors of all unknowns against numpy, with the dense rows."""
+    """Joint cofactors of all image unknowns of a mixed block equal numpy's inverse within 1e-6."""
     from fg_orient.adjustment.dense import assemble
     from fg_orient.adjustment.solve import solve
 

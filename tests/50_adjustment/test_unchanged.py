@@ -33,10 +33,10 @@ def without(block: Block, row: int) -> Block:
 
 
 def assert_equal(found: Problem, expected: Problem) -> None:
-    """Start values to 1e-8 m: they are intersected with other rays beside them.
+    """Assert that two problems are equal, with start values to 1e-8 m.
 
-    The whitening is a numerical derivative over a pixel: what 1e-9 m does to a difference of look angles of 1e-6 rad
-    from 8e5 m is 1e-9 of it.
+    Start values are intersected with other rays in one call. The whitening is a numerical derivative over a pixel: 1e-9
+    m changes a difference of look angles of 1e-6 rad from 8e5 m by 1e-9 of it.
     """
     np.testing.assert_allclose(found.start.ground, expected.start.ground, rtol=0, atol=1e-8)
     whitening = slice(22, 26)
@@ -53,7 +53,7 @@ def assert_equal(found: Problem, expected: Problem) -> None:
 def test_one_image_point_less_and_back(
     block: Block, full: Problem, role: Role, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """All rays of its point are computed again, and no others."""
+    """If an image point is removed or returned, only the rows of its ground point are computed again."""
     o, rays = block.observations, np.bincount(block.observations.point)
     point = next(int(j) for j in block.points.where(role) if rays[j] > 2)
     smaller, made = without(block, int(np.flatnonzero(o.point == point)[0])), []
@@ -91,7 +91,7 @@ def test_other_pixels_sigmas_and_options_are_not_taken_for_the_same(block: Block
 
 
 def test_a_point_measured_twice_alike(block: Block) -> None:
-    """Two rows that are the same, and one of them left out: the ground point has changed."""
+    """If one of two equal image points is removed, the rows of its ground point count as changed."""
     o = block.observations
     twice = replace(block, observations=o.take(np.r_[np.arange(len(o)), 0]))
     once = unchanged_rows(compile_problem(twice), block, o)

@@ -64,7 +64,10 @@ def values_at(backend: GraphBackend, free: np.ndarray) -> gtsam.Values:
 
 
 def reduced_of_dense(problem: Problem, state: State) -> tuple[np.ndarray, np.ndarray, float]:
-    """Normal equations of the image unknowns after elimination of the points, without priors: numpy, all rows."""
+    """Return the normal equations of images after elimination of the points, without priors, and the error.
+
+    They are numpy's, from all rows.
+    """
     without = replace(problem, block=replace(problem.block, options=replace(problem.block.options, priors=False)))
     residual, design = assemble(without, state)
     design, u = design if problem.ties is None else problem.ties.columns(design), problem.n_free_unknowns
@@ -77,7 +80,7 @@ def reduced_of_dense(problem: Problem, state: State) -> tuple[np.ndarray, np.nda
 @pytest.mark.oracle
 @pytest.mark.parametrize("kind", KINDS)
 def test_factors_are_the_explicit_graph_with_its_points_eliminated(kind: str) -> None:
-    """Away from the solution, points intersected anew: matrix, gradient and cost within 1e-9 of numpy's."""
+    """Factors with eliminated points have matrix, gradient and cost of numpy's reduced system within 1e-9."""
     problem = problem_of(kind)
     backend = GraphBackend(problem)
     values = values_at(backend, away(problem, 5))
@@ -100,7 +103,7 @@ def test_factors_are_the_explicit_graph_with_its_points_eliminated(kind: str) ->
 def test_the_graph_of_an_iteration_is_that_of_all_groups(
     kind: str, grouped: bool, joined: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Matrix, gradient and cost within 1e-9 of numpy's where it was made, and the cost of the points elsewhere.
+    """The graph of an iteration has numpy's reduced matrix, gradient and cost, and the right cost elsewhere.
 
     Images are variables of their own, or joined to one.
     """
@@ -159,7 +162,7 @@ def backend_ordering(backend: GraphBackend) -> gtsam.Ordering:
 @pytest.mark.oracle
 @pytest.mark.parametrize("kind", KINDS)
 def test_gradient_is_that_of_the_scalar_cost(kind: str) -> None:
-    """``J^T e`` against central differences of half the sum of squares along random directions, of all groups."""
+    """The gradient ``J^T e`` of all groups equals central differences of the cost in random directions."""
     problem = problem_of(kind)
     backend, free = GraphBackend(problem), away(problem, 7, 0.05)
     rng = np.random.default_rng(1)
@@ -183,7 +186,10 @@ def test_gradient_is_that_of_the_scalar_cost(kind: str) -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("kind", KINDS)
 def test_longest_step_of_one_unknown_is_that_of_numpy(kind: str) -> None:
-    """What is left where an optimiser refuses every step: gradient with the priors, diagonal of the groups."""
+    """The longest step of a single unknown equals numpy's from gradient and diagonal of the reduced system.
+
+    It decides the end if an optimiser refuses every step.
+    """
     problem = problem_of(kind)
     backend, free = GraphBackend(problem), away(problem, 9, 0.1)
     values = values_at(backend, free)
@@ -195,7 +201,7 @@ def test_longest_step_of_one_unknown_is_that_of_numpy(kind: str) -> None:
 @pytest.mark.consistency
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_error_does_not_depend_on_jacobians_order_or_threads(kind: str) -> None:
-    """1e-12 of the cost after any calls before; the same bits for one and two threads."""
+    """The error has the same bits for one and two threads, and 1e-12 of it after any earlier calls."""
     problem = problem_of(kind)
     first, second = GraphBackend(problem, threads=1), GraphBackend(problem, threads=2)
     here, there = away(problem, 1, 0.1), away(problem, 2, 0.1)
@@ -218,7 +224,7 @@ def test_the_error_does_not_depend_on_jacobians_order_or_threads(kind: str) -> N
 @settings(max_examples=40, deadline=None)
 @given(st.integers(1, 12), st.integers(0, 12), st.sampled_from([0.0, 1e-6, 1.0]), st.integers(0, 10_000))
 def test_rows_of_any_semidefinite_matrix(n: int, rank: int, unchanged: float, seed: int) -> None:
-    """Matrix, gradient and cost come back from Jacobian and error, whatever rank and units, also of a perfect fit."""
+    """Rows of a group return its matrix, gradient and cost for any rank and units, also of a perfect fit."""
     rng = np.random.default_rng(seed)
     units = 10.0 ** rng.uniform(-6, 6, n)
     rows = rng.normal(size=(min(rank, n), n)) * units
@@ -234,7 +240,7 @@ def test_rows_of_any_semidefinite_matrix(n: int, rank: int, unchanged: float, se
 
 @pytest.mark.consistency
 def test_rows_computed_tile_by_tile_are_those_of_one_tile(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Large blocks are computed in tiles, and keep the rows of the first ones only."""
+    """Rows computed in tiles equal those of one tile within 1e-9, although only some tiles are kept."""
     monkeypatch.setattr(point_groups, "OVERHEAD", 0)
     problem = compile_problem(grid_block(BlockOptions(rows=12, columns=1, points=300, seed=3))[0])
     free = away(problem, 3, 1.0)
@@ -261,7 +267,10 @@ def test_rows_computed_tile_by_tile_are_those_of_one_tile(monkeypatch: pytest.Mo
 
 @pytest.mark.behaviour
 def test_points_that_cannot_be_intersected_cost_much_and_are_named() -> None:
-    """GTSAM's optimisers go back from a finite cost; from an exception, nan or infinity they do not."""
+    """Points that cannot be intersected give a large finite cost and are listed, until a state is possible.
+
+    GTSAM's optimisers retreat from a finite cost, but not from an exception, nan or infinity.
+    """
     problem = problem_of("frames")
     elimination = Elimination(problem)
     free = away(problem, 3, 1e4)
@@ -276,7 +285,10 @@ def test_points_that_cannot_be_intersected_cost_much_and_are_named() -> None:
 
 @pytest.mark.behaviour
 def test_graph_and_arrays_are_freed_with_the_backend() -> None:
-    """A callback that refers to the graph would keep both in memory."""
+    """Deleting the backend frees the elimination without garbage collection.
+
+    A callback that refers to the graph would keep both.
+    """
     backend = GraphBackend(problem_of("grid"))
     backend.graph.error(backend.values(backend.problem.start))
     watched = weakref.ref(backend.elimination)
@@ -316,7 +328,7 @@ def test_only_groups_whose_images_moved_are_computed_again(monkeypatch: pytest.M
 
 @pytest.mark.oracle
 def test_gradient_equals_that_of_the_schur_backend() -> None:
-    """The gradient that a factor gives is that of our own elimination to rounding, not to the root of it."""
+    """The gradient of the factors equals that of the Schur backend within 1e-12."""
     problem = problem_of("twin")
     elimination, backend = Elimination(problem), SchurBackend(problem)
     free = away(problem, 4, 0.01)

@@ -47,14 +47,17 @@ def block(noise: float = 0.01) -> Block:
 
 
 def part(whole: Block, images: tuple[int, ...], rows: npt.NDArray[np.bool_]) -> Block:
-    """Some images with some of the image points; all ground points."""
+    """Return some images with some of the image points, and all ground points."""
     o, order = whole.observations.take(rows), np.full(len(whole.images), -1)
     order[list(images)] = np.arange(len(images))
     return replace(whole, images=tuple(whole.images[k] for k in images), observations=replace(o, image=order[o.image]))
 
 
 def campaigns(whole: Block) -> tuple[Block, Block]:
-    """Images 0, 1, 2, then 1, 2, 3: the second has all rays of image 3, and some of images 1 and 2 of old points."""
+    """Return the blocks of images 0, 1, 2 and of images 1, 2, 3.
+
+    The second has all rays of image 3, and some rays of images 1 and 2 to old points.
+    """
     o = whole.observations
     rays = np.bincount(o.point[o.image < 3], minlength=len(whole.points.ids))[o.point]
     first = (o.image < 3) & (rays >= 2) & ~((rays == 3) & (o.image == 2))
@@ -82,7 +85,7 @@ def require_equal(two: fg.Solution, whole: fg.Solution | Dense, within: float) -
 
 
 def counted_again(one: fg.Solution, two: fg.Solution) -> tuple[float, int]:
-    """Return the sum of squares and number of the rows that stand for the first campaign, at its solution."""
+    """Return the sum of squares and number of the rows that replace the first campaign, at its solution."""
     prior = two.block.extra[-1]
     x = [
         one.problem.unknowns(one.state, one.block.image_index(name.partition(":")[2])) if name.startswith("image:")
@@ -96,9 +99,9 @@ def counted_again(one: fg.Solution, two: fg.Solution) -> tuple[float, int]:
 @pytest.mark.oracle
 @pytest.mark.parametrize("backend", ["graph", "dense"])
 def test_two_campaigns_equal_the_whole_block(backend: fg.Backend) -> None:
-    """Solution and covariance; sum of squares and redundancy, with priors and common control counted once.
+    """A second campaign with the first result as prior equals numpy's whole block: solution, chi2 and redundancy.
 
-    The whole block is solved by numpy.
+    Priors and common control count once.
     """
     whole, (first, second) = Dense.of(compile_problem(block())), campaigns(block())
     one = fg.adjust(first, backend=backend)
@@ -119,7 +122,7 @@ def test_two_campaigns_equal_the_whole_block(backend: fg.Backend) -> None:
 
 @pytest.mark.oracle
 def test_the_difference_to_the_whole_block_is_of_second_order() -> None:
-    """If the errors are ten times as large, the difference to numpy is at most a hundred times as large."""
+    """With ten times larger errors, two campaigns differ at most a hundred times as much from the whole block."""
     whole, (first, second) = Dense.of(compile_problem(block(0.1))), campaigns(block(0.1))
     require_equal(fg.adjust(second, start=fg.adjust(first), start_prior=True), whole, 1e-4)
 
@@ -140,7 +143,7 @@ def test_a_result_folder_gives_the_same_as_the_solution(tmp_path: Path) -> None:
 
 @pytest.mark.oracle
 def test_unknowns_that_images_share_are_counted_once() -> None:
-    """The result is compared with the whole block by numpy."""
+    """With shared look polynomials two campaigns equal numpy's solution of the whole block."""
     options = replace(block().options, look_polynomial=1, look_shared=True)
     whole = replace(block(), options=options)
     first, second = campaigns(whole)
@@ -152,7 +155,7 @@ def test_unknowns_that_images_share_are_counted_once() -> None:
 
 @pytest.mark.consistency
 def test_a_block_without_priors_takes_the_whole_covariance() -> None:
-    """Without priors in the second campaign, the covariance contains those of the first one."""
+    """A second campaign without priors has the result of one with priors, because the covariance contains them."""
     whole = replace(block(), options=replace(block().options, image_unknowns=("x_0", "roll_0", "pitch_0", "yaw_0")))
     one, o = fg.adjust(campaigns(whole)[0]), block().observations
     both = part(whole, (1, 2), ((o.image == 1) | (o.image == 2)) & one.problem.active[o.point])
@@ -164,7 +167,7 @@ def test_a_block_without_priors_takes_the_whole_covariance() -> None:
 
 @pytest.mark.oracle
 def test_rows_have_the_information_of_the_earlier_observations() -> None:
-    """R^T R = Q^-1 - P and R^T c = P (x_1 - x_0); no row where P alone is known."""
+    """The rows fulfil R^T R = Q^-1 - P and R^T c = P (x_1 - x_0), and have no more rows than the rank."""
     rng = np.random.default_rng(5)
     design, own = rng.normal(size=(4, 6)), np.diag(rng.uniform(0.5, 2.0, 6))
     q, offset = np.linalg.inv(design.T @ design + own), rng.normal(size=6)
@@ -182,7 +185,7 @@ def test_rows_have_the_information_of_the_earlier_observations() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("backend", ["graph", "schur", "dense"])
 def test_the_start_does_not_change_the_solution(backend: fg.Backend) -> None:
-    """The start alone: the minimum that numpy finds without it, and fewer iterations from the solution itself."""
+    """A start from an earlier result does not change the solution, and from the solution needs fewer iterations."""
     plain, expected = fg.adjust(block(1.0), backend=backend), Dense.of(compile_problem(block(1.0)))
     first, _ = campaigns(block(1.0))
     require_equal(fg.adjust(block(1.0), start=fg.adjust(first), backend=backend), expected, 1e-6)
@@ -195,7 +198,10 @@ def test_the_start_does_not_change_the_solution(backend: fg.Backend) -> None:
 @pytest.mark.consistency
 @pytest.mark.parametrize("options", [{"datum": "inner", "image_unknowns": ("x_0", "roll_0")}, {"loss": "huber"}])
 def test_the_start_does_not_change_other_adjustments(options: dict[str, object]) -> None:
-    """Inner constraints refer to the metadata orientation, not to the start."""
+    """A start does not change a solution with inner constraints or a loss.
+
+    Inner constraints refer to the metadata orientation, not to the start.
+    """
     plain = fg.adjust(block(1.0), **options)
     again = fg.adjust(block(1.0), start=plain, **options)
     require_equal(again, plain, 1e-6)
@@ -203,7 +209,7 @@ def test_the_start_does_not_change_other_adjustments(options: dict[str, object])
 
 @pytest.mark.consistency
 def test_a_search_keeps_the_prior() -> None:
-    """A gross error in the second campaign is found, and the rest is the solution without this image point."""
+    """With a prior from a result the search finds a gross error, and the rest is the solution without it."""
     first, second = campaigns(block())
     one, o = fg.adjust(first), second.observations
     row = int(np.flatnonzero((o.image == 2) & (np.bincount(o.point)[o.point] > 1))[0])
@@ -262,7 +268,10 @@ def test_what_does_not_fit_is_refused_in_one_line() -> None:
 
 @pytest.mark.behaviour
 def test_command_line_and_replay(tmp_path: Path) -> None:
-    """``--from`` and ``--from-prior`` are recorded, and repeated by ``replay``; the file of the covariance is read."""
+    """``--from`` and ``--from-prior`` are recorded and repeated by ``replay``, and refused without covariance.
+
+    The covariance file has the names and sigmas of the table.
+    """
     folder = tmp_path / "twin"
     simulate_zonguldak(folder, ZonguldakOptions())
     project, first = folder / "project.toml", folder / "first"

@@ -42,7 +42,7 @@ def structure() -> Structure:
 @pytest.mark.oracle
 @pytest.mark.parametrize("name", ORDERINGS)
 def test_fill_equals_elimination_by_hand(name: str) -> None:
-    """Fill and largest clique against an elimination of a full matrix of booleans, one variable after the other."""
+    """Fill and largest clique equal an elimination of a full boolean matrix, one variable after the other."""
     own = structure()
     order = own.ordering(name)
     assert sorted(order) == list(range(len(own.names)))
@@ -84,7 +84,10 @@ def test_cliques_are_those_of_gtsam(name: str) -> None:
 
 @pytest.mark.consistency
 def test_counts_are_those_of_the_graphs() -> None:
-    """Mixed form: the points of a GTSAM factor are variables, all others are inside the groups."""
+    """The structures have the factors, variables and points of the graphs, explicit and eliminated.
+
+    Points of a GTSAM factor are variables, all others are inside the groups.
+    """
     ties = np.flatnonzero(compile_problem(twin()).active)[:2].tolist()
     between = gtsam.BetweenFactorPoint3(*map(point_key, ties), np.zeros(3), gtsam.noiseModel.Unit.Create(3))
     for block in (grid(), replace(twin(), extra=(between,))):

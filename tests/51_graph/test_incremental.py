@@ -65,7 +65,7 @@ def grown(block: Block) -> fg.Incremental:
 
 
 def of_numpy(block: Block) -> Dense:
-    """Return the batch adjustment, by numpy from its rows; single rays of tie points say nothing."""
+    """Return numpy's batch adjustment of the block from its rows."""
     return Dense.of(compile_problem(part(block, len(block.images))))
 
 
@@ -88,7 +88,7 @@ def solutions_differ(a: Solution, b: Solution | Dense) -> float:
 
 
 def follow(block: Block, adjust: Callable[[Block], Solution | Dense]) -> None:
-    """Each update against a batch adjustment of the same images."""
+    """Assert that each update equals a batch adjustment of the same images."""
     incremental, o = fg.Incremental(without_images(block)), block.observations
     for k, image in enumerate(block.images):
         incremental.add(images=[image], observations=o.take(o.image == k))
@@ -109,7 +109,7 @@ def follow(block: Block, adjust: Callable[[Block], Solution | Dense]) -> None:
 
 @pytest.mark.oracle
 def test_a_strip_of_twelve_images_follows_the_batch_adjustment() -> None:
-    """After each image the unknowns are those that numpy finds from the rows of all images so far."""
+    """After each added image the unknowns are numpy's from the rows of all images so far."""
     follow(strip(12), of_numpy)
 
 

@@ -35,7 +35,10 @@ def ties(count: int, of: Block | None = None) -> list[int]:
 
 
 def native_factors(of: Block | None = None) -> tuple[gtsam.NonlinearFactor, ...]:
-    """A difference of two points, a distance, a full prior of an image, and an own factor: all a little wrong."""
+    """Return a difference of two points, a distance, a full prior of an image and an own factor.
+
+    All of them are a little wrong.
+    """
     of = of or block()
     a, b, c, _ = ties(4, of)
     ground = fg.adjust(of, backend="schur").state.ground
@@ -63,7 +66,7 @@ def native_factors(of: Block | None = None) -> tuple[gtsam.NonlinearFactor, ...]
 
 @pytest.mark.oracle
 def test_every_backend_equals_independent_least_squares() -> None:
-    """Solution, chi2, redundancy and cofactors against numpy on all rows."""
+    """With GTSAM's factors in a block each backend has solution, chi2, redundancy and cofactors of least squares."""
     extended = replace(block(), extra=native_factors())
     dense = fg.adjust(extended, backend="dense")
     residual, design = assemble(dense.problem, dense.state)
@@ -89,9 +92,9 @@ def test_every_backend_equals_independent_least_squares() -> None:
 
 
 def independent_step(solution: fg.Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Next Gauss-Newton step of images (u,) and points (N, 3), by numpy: points eliminated, the rest dense.
+    """Return the next Gauss-Newton step of images (u,) and points (N, 3) by numpy.
 
-    Points that factors name are not eliminated. Rows of these factors are GTSAM's own.
+    Points are eliminated, but not those that factors name. Rows of these factors are GTSAM's own.
     """
     problem, state = solution.problem, solution.state
     rows, image, point = linearised(problem, state), problem.observations.image, problem.observations.point
@@ -150,7 +153,10 @@ def independent_step(solution: fg.Solution) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.oracle
 def test_native_factors_in_a_block_of_ten_thousand_image_points() -> None:
-    """Difference, distance and full prior: images within 1e-9 prior sigma of numpy's solution, redundancy counted."""
+    """With GTSAM's factors in 10 000 image points no step is left, and the redundancy counts them.
+
+    The factors are a difference, a distance and a full prior.
+    """
     large = grid_block(BlockOptions(rows=4, columns=4, points=3290, check_share=0.0, seed=3))[0]
     assert len(large.observations) > 10_000
     factors = native_factors(large)[:3]

@@ -23,7 +23,10 @@ from tests.support.pinhole import pinhole_block
 
 @cache
 def figure(*, every: bool = False, shared: bool = False) -> Block:
-    """Six images and 40 points: an observed and two hard distances, and a plane through some points, or through all."""
+    """Return six images and 40 points with constraints.
+
+    They are an observed and two hard distances, and a plane through some points, or through all.
+    """
     block, truth = pinhole_block(6, 40, views=4, seed=5)
     ids, g = block.points.ids, truth.ground_m
     block = with_control(block, (10, 15, 20, 30, 35), g)
@@ -48,7 +51,7 @@ def figure(*, every: bool = False, shared: bool = False) -> Block:
 
 
 def equal(a: fg.Solution, b: fg.Solution, unit_m: float = 1e-7) -> None:
-    """The same squares, points, weights and cofactors."""
+    """Assert equal squares, points, weights and cofactors."""
     assert a.status is b.status is fg.Status.CONVERGED
     assert a.chi2 == pytest.approx(b.chi2, rel=1e-9)
     assert a.redundancy == b.redundancy
@@ -64,7 +67,10 @@ def equal(a: fg.Solution, b: fg.Solution, unit_m: float = 1e-7) -> None:
 @pytest.mark.parametrize("kind", ["some", "every", "shared"])
 @pytest.mark.parametrize("optimizer", ["gauss-newton", "levenberg-marquardt", "dogleg"])
 def test_equals_full_matrices(optimizer: str, kind: str) -> None:
-    """All three optimisers; also where every point is named and nothing is left to eliminate, and a shared camera."""
+    """With points named by observations the Schur backend equals dense and graph for all optimisers.
+
+    This includes blocks in which every point is named, and a shared camera.
+    """
     block = figure(every=kind == "every", shared=kind == "shared")
     runs = [fg.adjust(block, backend=name, optimizer=optimizer) for name in ("schur", "dense", "graph")]
     assert [run.backend for run in runs] == ["schur", "dense", "graph"]
@@ -76,7 +82,10 @@ def test_equals_full_matrices(optimizer: str, kind: str) -> None:
 @pytest.mark.parametrize("more", [{"loss": "huber"}, *(pytest.param(one, marks=pytest.mark.slow) for one in (
     {"loss": "tukey"}, {"loss": "tls", "gnc": True}, {"loss": "lad"}))])  # fmt: skip
 def test_equals_full_matrices_under_a_loss(more: dict[str, object]) -> None:
-    """There are two gross errors, one of them in a ray of a named point."""
+    """Under a loss with two gross errors the Schur backend with named points has solution and weights of the dense one.
+
+    One of the errors is in a ray of a named point.
+    """
     block = figure()
     o, line = block.observations, block.observations.line.copy()
     for point in (2, 25):
@@ -90,7 +99,7 @@ def test_equals_full_matrices_under_a_loss(more: dict[str, object]) -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize(("datum", "loss"), [("control", "none"), ("control", "tukey"), ("free", "none")])
 def test_steps_equal_those_of_full_matrices(datum: str, loss: str) -> None:
-    """Away from the solution: cost, damped steps and steps of a trust region, with what the linear model predicts."""
+    """Cost, damped and dogleg steps with named points equal those of full matrices, with their predicted cost."""
     block = figure()
     block = replace(block, extra=tuple(constraint_observation(c) for c in block.extra))
     problem = prepared(compile_problem(options(block, datum=datum, loss=loss)))

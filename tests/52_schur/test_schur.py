@@ -70,7 +70,10 @@ def fixed_control(block: Block, count: int) -> Block:
 
 
 def mixed(kind: str) -> Block:
-    """The left image with its rigorous model, the right one with an RPC, and the RPC of the left one as a third."""
+    """Return a block of three images with different models.
+
+    The left one has its rigorous model, the right one an RPC, and the third is the left one with its RPC.
+    """
     rigorous, _, _ = twin_with_models()
     twin = rpc_twin(kind).block
     o, p = rigorous.observations, twin.observations
@@ -106,7 +109,7 @@ def gapped(block: Block, seed: int) -> Block:
 
 
 def assert_same_step(problem: Problem, state: State, damping: float) -> None:
-    """One step against the dense rows, within 100 eps of the condition of the normal equations."""
+    """Assert that one step equals that of the dense rows, within 100 eps of the normal equations' condition."""
     residual, design = assemble(problem, state)
     normal = design.T @ design + damping * np.eye(design.shape[1])
     condition = np.linalg.cond(normal / np.sqrt(np.outer(np.diag(normal), np.diag(normal))))
@@ -130,7 +133,10 @@ def assert_same_step(problem: Problem, state: State, damping: float) -> None:
 @settings(max_examples=8, deadline=None, derandomize=True)
 @given(st.data())
 def test_random_blocks_step_as_the_dense_rows(data: st.DataObject) -> None:
-    """Sets, look polynomials, roles, fixed points, gaps, points measured twice, two to six images."""
+    """For random blocks and options a Schur step equals that of the dense rows.
+
+    Blocks vary in sets, look polynomials, roles, fixed points, gaps, points measured twice and two to six images.
+    """
     block = grid(*data.draw(st.sampled_from([(1, 2, 24), (2, 2, 40), (2, 3, 50)]), label="grid"))
     block = fixed_control(block, data.draw(st.integers(0, 4), label="fixed"))
     if data.draw(st.booleans(), label="gaps"):
@@ -169,7 +175,10 @@ BLOCKS: dict[str, Callable[[], Block]] = {
 @pytest.mark.parametrize("name", BLOCKS)
 @pytest.mark.parametrize("optimizer", OPTIMIZERS)
 def test_solutions_equal_those_of_the_graph_and_the_dense_backend(name: str, optimizer: str) -> None:
-    """Image unknowns within 1e-9 prior sigma, points within 1e-7 m, chi2 within 1e-11; numpy has no step left."""
+    """Schur, graph and dense end at one solution for all optimisers, and numpy has no step left.
+
+    Limits are 1e-9 prior sigma, 1e-7 m and 1e-11 of chi2.
+    """
     problem = compile_problem(BLOCKS[name]())
     loop, graph = OPTIMIZERS[optimizer], ExplicitBackend(problem)
     a = loop(SchurBackend(problem), problem.start, 50, tolerance=TOLERANCE)
@@ -192,7 +201,7 @@ def test_solutions_equal_those_of_the_graph_and_the_dense_backend(name: str, opt
 
 @pytest.mark.oracle
 def test_dogleg_inside_a_small_region_equals_the_one_by_numpy() -> None:
-    """Steepest descent alone, the blend, and the whole Gauss-Newton step."""
+    """Dogleg steps equal numpy's: steepest descent alone, the blend, and the whole Gauss-Newton step."""
     problem = compile_problem(with_options(fixed_control(grid(2, 2, 40), 2), eop_set=15))
     state = moved(problem, 4)
     v, design = assemble(problem, state)
@@ -214,7 +223,7 @@ def test_dogleg_inside_a_small_region_equals_the_one_by_numpy() -> None:
 @pytest.mark.parametrize("reduced", ["dense", "banded", "graph", "iterative", "implicit"])
 @pytest.mark.parametrize("name", BLOCKS)
 def test_cofactors_equal_the_dense_inverse(name: str, reduced: str) -> None:
-    """Images, points, and a joint block in an order of its own, against numpy's inverse of J^T J."""
+    """Cofactors of images, points and joint blocks in any order equal numpy's inverse of J^T J."""
     problem = compile_problem(BLOCKS[name]())
     backend = SchurBackend(problem, reduced=reduced)
     state = OPTIMIZERS["gauss-newton"](backend, problem.start, 50).state
@@ -249,7 +258,10 @@ def test_cofactors_equal_the_dense_inverse(name: str, reduced: str) -> None:
 @pytest.mark.parametrize("reduced", ["dense", "banded", "graph", "iterative"])
 @pytest.mark.parametrize("strip", [False, True])
 def test_selected_blocks_equal_the_dense_inverse(strip: bool, reduced: str) -> None:
-    """All pairs of images that share points, against numpy's inverse; a strip of 30 images, and sizes that differ."""
+    """Blocks of the inverse for all image pairs with common points equal numpy's inverse.
+
+    Blocks are a strip of 30 images, and images of different sizes.
+    """
     block = pinhole_block(30, 300, columns=30)[0] if strip else with_options(mixed_size(), eop_set=15)
     problem = compile_problem(block)
     blocks, _ = SchurBackend(problem, reduced="blocks").linearise(problem.start).partial(0.0)
@@ -270,7 +282,7 @@ def test_selected_blocks_equal_the_dense_inverse(strip: bool, reduced: str) -> N
 
 @pytest.fixture
 def tiles(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Tiles of a few chunks, some kept, some computed again."""
+    """Set tiles of a few chunks, some of which are kept and some computed again."""
     for name, value in (("TILE", 1200), ("ALL_KEPT", 0), ("KEPT_SHARE", 0.4)):
         monkeypatch.setattr(schur_structure, name, value)
 
@@ -278,7 +290,7 @@ def tiles(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.consistency
 @pytest.mark.parametrize("divided", [False, True])
 def test_same_bits_for_one_and_two_threads(divided: bool, request: pytest.FixtureRequest) -> None:
-    """Several chunks add to a block; all reduced solvers; step and error and state after the loop."""
+    """Adjustments with one, two and three threads have the same bits for each reduced solver."""
     if divided:
         request.getfixturevalue("tiles")
     problem = compile_problem(with_options(mixed_size(), eop_set=20))
@@ -298,7 +310,7 @@ def test_same_bits_for_one_and_two_threads(divided: bool, request: pytest.Fixtur
 @pytest.mark.consistency
 @pytest.mark.parametrize("divided", [False, True])
 def test_elimination_at_once_changes_no_bits(divided: bool, request: pytest.FixtureRequest) -> None:
-    """Gauss-Newton eliminates while it linearises; the rows, system and step are those of one after the other."""
+    """Elimination during linearisation gives the same bits of rows, system and step as elimination after it."""
     if divided:
         request.getfixturevalue("tiles")
     problem = compile_problem(with_options(mixed_size(), eop_set=20))
@@ -316,7 +328,7 @@ def test_elimination_at_once_changes_no_bits(divided: bool, request: pytest.Fixt
 
 @pytest.mark.consistency
 def test_rows_computed_again_change_no_bits(request: pytest.FixtureRequest) -> None:
-    """Gauss-Newton's state, a damped step under a loss, the gradient and cofactors, with and without tiles."""
+    """With tiles, whose rows are computed again, states, steps, gradients and cofactors have the same bits."""
     problem = compile_problem(with_options(mixed_size(), eop_set=15))
     loss = scaled(find_loss("huber"))
     place = int(np.flatnonzero(problem.active)[7])
@@ -343,7 +355,7 @@ def test_rows_computed_again_change_no_bits(request: pytest.FixtureRequest) -> N
 
 @pytest.mark.behaviour
 def test_points_that_only_damping_determines(request: pytest.FixtureRequest) -> None:
-    """A tie point on one ray is not eliminated by Gauss-Newton until there is a damping."""
+    """A tie point on one ray makes a Gauss-Newton step singular, but not a damped step."""
     request.getfixturevalue("tiles")
     problem = compile_problem(with_options(grid(1, 2, 900), eop_set=2))
     o = problem.observations
@@ -363,7 +375,7 @@ def mixed_size() -> Block:
 
 @pytest.mark.consistency
 def test_order_of_the_observations_does_not_matter() -> None:
-    """Observations are sorted; a permuted file gives the same bits."""
+    """A permuted order of the observations gives the same bits."""
     block = with_options(grid(2, 2, 60), eop_set=15)
     order = np.random.default_rng(0).permutation(len(block.observations))
     a, b = (compile_problem(x) for x in (block, replace(block, observations=block.observations.take(order))))
@@ -376,7 +388,7 @@ def test_order_of_the_observations_does_not_matter() -> None:
 
 @pytest.mark.oracle
 def test_a_system_whose_arrays_were_taken_is_made_again() -> None:
-    """The same bits as without, and numpy's damped step."""
+    """A system whose arrays another system used gives the same bits again, and numpy's damped step."""
     problem = compile_problem(with_options(grid(2, 2, 60), eop_set=15))
     backend = SchurBackend(problem)
     first = backend.linearise(problem.start)
@@ -417,7 +429,7 @@ def test_workers_cover_the_range_once() -> None:
 
 
 def pattern_of(images: int, pairs: list[tuple[int, int]], unknowns: int = 9) -> Pattern:
-    """Return the images with so many unknowns, linked in pairs."""
+    """Return the pattern of images with so many unknowns, linked in pairs."""
     row, column = np.array([*((k, k) for k in range(images)), *sorted(pairs)]).T
     return Pattern(np.full(images, unknowns), row, column)
 
@@ -429,7 +441,10 @@ def choice(pattern: Pattern) -> str:
 
 @pytest.mark.behaviour
 def test_reduced_systems_are_solved_by_what_suits_them() -> None:
-    """A strip by its band, a full system by a full factor, a wide one without order by conjugate gradients."""
+    """A strip is solved by its band, a full system by a full factor, a wide one by conjugate gradients.
+
+    A star of images is solved by the graph.
+    """
     every = [(i, j) for i in range(200) for j in range(i + 1, 200)]
     assert choice(pattern_of(200, every)) == "dense"
     assert choice(pattern_of(2000, [(k, k + 1) for k in range(1999)])) == "banded"
@@ -443,7 +458,7 @@ def test_reduced_systems_are_solved_by_what_suits_them() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize(("images", "share"), [(1, 0.0), (9, 0.3), (70, 0.05), (130, 0.02), (65, 1.0), (40, 0.0)])
 def test_degrees_of_the_elimination_are_those_of_sets(images: int, share: float) -> None:
-    """Images linked in pairs at random; eliminated one after the other with sets of neighbours."""
+    """The degrees of the elimination equal those of an elimination with sets of neighbours, for random links."""
     rng = np.random.default_rng(images)
     pairs = [(i, j) for i in range(images) for j in range(i + 1, images) if rng.random() < share]
     near = {k: {j for pair in pairs for j in pair if k in pair and j != k} for k in range(images)}
@@ -459,10 +474,10 @@ def test_degrees_of_the_elimination_are_those_of_sets(images: int, share: float)
 
 @pytest.mark.oracle
 def test_conjugate_gradients_step_as_a_factor_does() -> None:
-    """Damped and undamped, images with different numbers of unknowns, a whole adjustment; too few steps are refused.
+    """Conjugate gradients give the step and solution of a full factor, and too few steps are refused.
 
-    The error of a step is measured in the norm of the matrix; a solution without a chi2 is exact. The loop ends at a
-    tolerance at which the last step of the full factor, too, is of no effect.
+    The error of a step is measured in the norm of the matrix. The loop ends at a tolerance at which the last step of
+    the full factor has no effect either.
     """
     problem = compile_problem(with_options(mixed_size(), eop_set=15))
     state, first = problem.start, problem.first
@@ -490,7 +505,10 @@ def test_conjugate_gradients_step_as_a_factor_does() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("set_of_unknowns", [5, 20])
 def test_products_without_the_matrix_are_those_of_the_matrix(set_of_unknowns: int, tiles: None) -> None:
-    """Images with different numbers of unknowns, control and constant points, more tiles than one; damped and not."""
+    """Products without the reduced matrix equal those with it within 1e-12, damped and not.
+
+    The block has images of different sizes, control and constant points, and more tiles than one.
+    """
     problem = compile_problem(with_options(mixed_size(), eop_set=set_of_unknowns))
     rng = np.random.default_rng(0)
     for damping in (0.0, 0.3):
@@ -506,7 +524,10 @@ def test_products_without_the_matrix_are_those_of_the_matrix(set_of_unknowns: in
 
 @pytest.mark.consistency
 def test_a_wide_network_is_adjusted_without_its_matrix_as_with_it() -> None:
-    """Each point is in four of 100 images, drawn at random; the same bits for any number of threads."""
+    """A wide network solved without its matrix has the same bits for any threads, and the solution with it.
+
+    Each point is in four of 100 images, drawn at random.
+    """
     problem = compile_problem(pinhole_block(100, 1500, mixed=True)[0])
     ends = []
     for threads, reduced in ((1, "implicit"), (2, "implicit"), (3, "implicit"), (2, "dense")):
@@ -519,7 +540,10 @@ def test_a_wide_network_is_adjusted_without_its_matrix_as_with_it() -> None:
 
 @pytest.mark.behaviour
 def test_a_wide_network_is_chosen_to_be_solved_without_its_matrix(monkeypatch: pytest.MonkeyPatch) -> None:
-    """From ITERATIVE unknowns on, unless the caller needs the blocks; the links are those of the image points."""
+    """A network with many unknowns is solved without its matrix, unless the caller needs the blocks.
+
+    The links are those of the image points.
+    """
     monkeypatch.setattr(schur, "ITERATIVE", 800)
     monkeypatch.setattr(reduced_choice, "ITERATIVE", 800)
     problem = compile_problem(pinhole_block(100, 500, mixed=True)[0])
@@ -542,7 +566,7 @@ def pattern_with_blocks(problem: Problem) -> Pattern:
 
 @pytest.mark.oracle
 def test_a_strip_of_images_has_a_narrow_band_in_any_order() -> None:
-    """Each image shares points with its neighbours only; the order of the images in the block is another one."""
+    """A strip in any order of images has a narrow band, with numpy's solution, covariance and condition."""
     rng = np.random.default_rng(0)
     size = np.array([9, 6, 12, 9, 3, 9, 9, 12])
     names = rng.permutation(len(size))
@@ -572,7 +596,10 @@ def test_a_strip_of_images_has_a_narrow_band_in_any_order() -> None:
 
 @pytest.mark.behaviour
 def test_sums_of_chunks_stay_small_where_neighbours_share_no_images() -> None:
-    """10 of 60 images see a point, drawn at random: each chunk has nearly all 1830 blocks."""
+    """Sums of chunks keep their memory limit if each chunk has nearly all blocks of images.
+
+    10 of 60 images see a point, drawn at random.
+    """
     rng, rays, images, numbers = np.random.default_rng(0), 10, 60, 27**2
     image = np.concatenate([np.sort(rng.choice(images, rays, replace=False)) for _ in range(4000)]).astype(np.int32)
     first, free = np.arange(4001, dtype=np.int32) * np.int32(rays), np.ones(4000, np.int8)
@@ -599,7 +626,7 @@ def test_threads_are_those_that_pay_of_the_processors_of_the_process(monkeypatch
 @pytest.mark.consistency
 @pytest.mark.parametrize("reduced", ["dense", "banded"])
 def test_large_factors_agree_for_any_number_of_threads(reduced: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With the limit for threads of BLAS below the size of the matrix: step and covariance of all images."""
+    """Step and covariance of a large factor agree within 1e-9 for one, two and three threads of BLAS."""
     monkeypatch.setattr(schur_reduced, "THREADED", 100)
     problem, found = compile_problem(pinhole_block(30, 500)[0]), []
     system = SchurBackend(problem, reduced="blocks").linearise(problem.start)
@@ -639,7 +666,10 @@ def test_a_failure_in_any_thread_is_raised() -> None:
 
 @pytest.mark.behaviour
 def test_auto_falls_back_on_the_graph(monkeypatch: pytest.MonkeyPatch) -> None:
-    """If the Schur complement fails, QR may succeed; if Schur was requested by name, the error is reported."""
+    """If the Schur complement fails, ``auto`` uses the graph, and a Schur backend asked for by name reports the error.
+
+    QR may succeed there.
+    """
 
     def give_up(*_: object) -> None:
         raise Singular("not positive definite")
@@ -655,7 +685,7 @@ def test_auto_falls_back_on_the_graph(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.oracle
 def test_resection_on_fixed_points_alone() -> None:
-    """No ground point is unknown: the reduced system is the whole one."""
+    """With fixed points only, so that no ground point is unknown, the Schur step equals that of the dense rows."""
     block = grid(2, 2, 60)
     control = block.points.where(Role.CONTROL)
     rows = np.isin(block.observations.point, control)
@@ -695,7 +725,7 @@ def test_blocks_for_other_backends_are_refused() -> None:
 
 @pytest.mark.oracle
 def test_whole_adjustment_equals_the_graph_and_the_full_matrix() -> None:
-    """Status, statistics, residuals, cofactors and named covariance through the public function."""
+    """``adjust`` with Schur has status, statistics, residuals and covariance of the graph and the full matrix."""
     block = grid(2, 2, 60)
     a, b = (fg.adjust(block, eop_set=20, backend=name) for name in ("schur", "graph"))
     assert (a.backend, a.solver, a.status) == ("schur", "", b.status)
@@ -725,7 +755,10 @@ def test_without_priors_a_well_posed_block_is_solved() -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize("reduced", ["dense", "banded", "graph"])
 def test_singular_systems_are_refused(reduced: str) -> None:
-    """Velocity acts on nothing along the track: without priors there is no solution, and no covariance."""
+    """A system that priors alone determine is refused without priors, for step and covariance.
+
+    Velocity has no effect along the track.
+    """
     problem = compile_problem(with_options(grid(2, 2, 60), eop_set=20, priors=False))
     backend = SchurBackend(problem, reduced=reduced)
     with pytest.raises(RuntimeError):
@@ -749,7 +782,7 @@ def test_covariance_of_an_ill_conditioned_system_is_unavailable(monkeypatch: pyt
 
 @pytest.mark.oracle
 def test_an_ill_conditioned_system_is_reported_by_all_backends(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The condition is that of numpy's reduced system; above the limit each backend warns with the same sentence."""
+    """Each backend has the condition of numpy's reduced system, and warns above the limit with the same sentence."""
     block = grid(2, 2, 60)
     problem = compile_problem(with_options(block, eop_set=15))
     estimates = [
@@ -774,7 +807,7 @@ def test_an_ill_conditioned_system_is_reported_by_all_backends(monkeypatch: pyte
 
 @pytest.mark.behaviour
 def test_a_point_on_one_ray_is_named() -> None:
-    """One ray does not determine a tie point; nor does a second one that is the same."""
+    """A tie point on one ray makes the system singular, and the error names the point."""
     problem = compile_problem(with_options(grid(1, 2, 24), eop_set=2))
     tie = next(int(j) for j in np.flatnonzero(problem.active & ~problem.observed))
     row = int(np.flatnonzero(problem.observations.point == tie)[0])
@@ -801,7 +834,7 @@ def test_values_that_are_not_finite_name_the_image_point() -> None:
 
 @pytest.mark.oracle
 def test_an_image_without_points_keeps_its_priors() -> None:
-    """Its unknowns stay zero with the prior's cofactors; without priors the system is singular."""
+    """An image without image points has zero corrections and the cofactors of its priors."""
     block = with_options(grid(1, 2, 24), eop_set=2)
     problem = compile_problem(replace(block, images=(*block.images, Image("idle", block.images[0].sensor))))
     for reduced in ("dense", "banded", "graph"):

@@ -24,7 +24,10 @@ def twin() -> Block:
 
 
 def thinned(block: Block, n_control: int, images: tuple[int, ...], rng: np.random.Generator) -> Block:
-    """So many control points, of two images the check points too, and rays of these images only."""
+    """Return the block with so many control points and the rays of these images only.
+
+    With two images check points stay, too.
+    """
     points = block.points
     control = rng.permutation(points.where(Role.CONTROL))[:n_control]
     kept = control if len(images) == 1 else np.concatenate([control, points.where(Role.CHECK)])

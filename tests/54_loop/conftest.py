@@ -34,9 +34,10 @@ def moved_rays(block: Block, rows: npt.NDArray[np.intp], seed: int, size_px: tup
 def spoiled_block(
     size_px: tuple[float, float], rows: int = 2, columns: int = 3, points: int = 90
 ) -> tuple[Block, npt.NDArray[np.intp]]:
-    """Return the block with one ray in four spoiled of points seen four times or more, and these rays.
+    """Return a block with a quarter of the rays of each point spoiled, and these rays.
 
-    One of four contradicts three that agree; with two of four no majority could tell which.
+    Points have spoiled rays from four rays on. One of four contradicts three that agree; with two of four there is no
+    majority.
     """
     block = clean_block(rows, columns, points)
     o, rng = block.observations, np.random.default_rng(1)

@@ -77,7 +77,7 @@ def assert_same_bits(a: Estimate, b: Estimate) -> None:
 def test_resumed_run_has_the_same_bits(
     backend: str, optimizer: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The run has seven iterations, converged or not, and stops after the third."""
+    """A run that stops after the third of seven iterations and resumes has the bits of an uninterrupted one."""
     problem = spoiled(optimizer=optimizer, backend=backend, loss="cauchy", max_iterations=7)
     assert_same_bits(solve_in_two(problem, tmp_path / "file", 3, monkeypatch), solve(problem))
 
@@ -94,7 +94,10 @@ def test_resumed_stages_have_the_same_bits(tmp_path: Path, monkeypatch: pytest.M
 
 @pytest.mark.consistency
 def test_rejected_steps_are_carried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A start 30000 prior sigmas off makes Levenberg-Marquardt refuse steps; the stop falls among them."""
+    """A run that stops among rejected steps resumes with the same bits.
+
+    A start 30000 prior sigmas off makes Levenberg-Marquardt reject steps.
+    """
     rng = np.random.default_rng(1)
     problem = spoiled(optimizer="levenberg-marquardt", backend="schur", max_iterations=12)
     ground = problem.start.ground + np.where(problem.active[:, None], rng.normal(scale=3e3, size=(40, 3)), 0.0)
@@ -123,7 +126,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_killed_process_is_resumed_with_the_same_bits(
     project: Path, options: dict[str, Any], after: int, tmp_path: Path
 ) -> None:
-    """SIGKILL in the middle; result arrays and tables are those of the run that was left alone."""
+    """A run that is killed and resumed writes the arrays and tables of an uninterrupted run, bit by bit."""
     resumed, whole = tmp_path / "resumed", tmp_path / "whole"
     command = [sys.executable, "-c", KILLED, str(project), str(resumed), str(after), repr(options)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=600)

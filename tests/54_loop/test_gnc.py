@@ -32,9 +32,9 @@ def adjusted(block: fg.Block, **options: object) -> Estimate:
 @pytest.mark.oracle
 @pytest.mark.parametrize("loss", SCHEDULES)
 def test_a_quarter_of_gross_errors_is_found(loss: str) -> None:
-    """One ray in four is wrong by 5 to 60 px.
+    """With one ray in four wrong by 5 to 60 px all are down-weighted, and unknowns agree with the clean run.
 
-    All are found, and the result agrees with the clean run within three sigmas.
+    They agree within three sigmas.
     """
     block, bad = spoiled_block((5.0, 60.0))
     rays = np.bincount(block.observations.point)[block.observations.point]
@@ -88,7 +88,7 @@ def test_truncated_weights_are_all_or_nothing_and_limits_are_quantiles() -> None
 @pytest.mark.oracle
 @pytest.mark.parametrize("loss", SCHEDULES)
 def test_without_gross_errors_it_stays_least_squares(loss: str) -> None:
-    """Limits far beyond all residuals: one plain stage and the loss itself, at the least squares of numpy."""
+    """Without gross errors graduated non-convexity ends at numpy's least squares, after one plain stage."""
     block = clean_block(2, 2, 40)
     found = adjusted(block, loss=loss, inlier_probability=1.0 - 1e-15)
     plain = Dense.of(compile_problem(block))
@@ -100,7 +100,10 @@ def test_without_gross_errors_it_stays_least_squares(loss: str) -> None:
 @pytest.mark.truth
 @pytest.mark.parametrize("name", SCHEDULES)
 def test_surrogates_start_where_all_count_and_end_at_the_loss(name: str) -> None:
-    """The bounded losses as Yang et al. 2020 write them (eq. 3, and eq. 9 with mu = 1)."""
+    """At the first stage all residuals have weight, and the last stage is the bounded loss of Yang et al. 2020.
+
+    The losses are eq. 3, and eq. 9 with mu = 1.
+    """
     u, schedule = np.linspace(1e-3, 50.0, 4001), SCHEDULES[name]
     weight, _ = schedule.curves(schedule.first(50.0**2))
     assert weight(u).min() > 0.0
@@ -139,9 +142,9 @@ def test_refusals() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("loss", ["geman_mcclure", "welsch", "tukey", "tls"])
 def test_bounded_losses_start_from_least_squares(loss: str) -> None:
-    """At the metadata most residuals lie beyond c: without the plain stage they would have no weight.
+    """A bounded loss ends at its minimum near numpy's least squares, although most residuals begin beyond c.
 
-    The end is a minimum of the loss beside the least squares of numpy.
+    Without a plain stage they would have no weight.
     """
     block = clean_block(2, 2, 40)
     found, plain = adjusted(block, loss=loss, gnc=False), Dense.of(compile_problem(block))
@@ -173,7 +176,7 @@ def test_solution_says_what_its_figures_are() -> None:
 
 @pytest.mark.behaviour
 def test_a_loss_that_turns_most_points_down_is_not_trusted() -> None:
-    """Sigmas are fifty times too small, so that no point fits."""
+    """If a loss down-weights most points, the result is not trustworthy. Sigmas are fifty times too small here."""
     block = clean_block(2, 2, 40)
     o = block.observations
     tiny = fg.ImagePoints(o.image, o.point, o.line, o.sample, o.sigma_line_px / 50.0, o.sigma_sample_px / 50.0)
@@ -186,7 +189,7 @@ def test_a_loss_that_turns_most_points_down_is_not_trusted() -> None:
 
 @pytest.mark.oracle
 def test_cofactors_are_those_of_least_squares_with_the_weights() -> None:
-    """Schur and graph against the inverse of the dense normal equations of the weighted problem."""
+    """Cofactors under a loss equal the inverse of the weighted normal equations, on Schur and graph."""
     block, _ = spoiled_block((3.0, 6.0), 2, 2, 40)
     solutions = [fg.adjust(block, loss="tls", gnc=True, backend=backend) for backend in ("schur", "graph")]
     problem, state, weights = solutions[0].problem, solutions[0].state, solutions[0].weights
@@ -205,7 +208,7 @@ def test_cofactors_are_those_of_least_squares_with_the_weights() -> None:
 
 @pytest.mark.oracle
 def test_result_folder_under_a_loss(tmp_path: Path) -> None:
-    """Weights stand in the tables, chi2 follows from them, and the report does not say that the observations fit."""
+    """Under a loss the tables contain the weights, chi2 follows from them, and the report states no fit."""
     project = simulate_block(tmp_path / "project", BlockOptions(rows=1, columns=2, points=24))
     record = run_project(project, tmp_path / "out", options={"loss": "welsch", "max_iterations": 200})
     tables = {}

@@ -32,7 +32,7 @@ PUBLISHED = {"huber": 1.345, "cauchy": 2.385, "welsch": 2.985, "tukey": 4.685, "
 
 
 def curves() -> dict[str, tuple[object, object, float]]:
-    """Return the weight, cost and the last place where the weight has a corner, of all losses and surrogates."""
+    """Return weight, cost and the last corner of the weight of all losses and surrogates."""
     out: dict[str, tuple[object, object, float]] = {n: (loss.weight, loss.cost, 1.0) for n, loss in losses().items()}
     for name, schedule in SCHEDULES.items():
         for mu in (1e-3, 0.5, 40.0):
@@ -61,7 +61,10 @@ def test_weight_starts_at_one_and_does_not_rise(name: str) -> None:
 
 
 def efficiency(loss: Loss, constant: float, dimension: int) -> float:
-    """Of the location of a normal cloud: (E w + E t w'/d)^2 d / E w^2 t^2, the derivative by its jumps and slopes."""
+    """Return the efficiency of the location of a normal cloud: (E w + E t w'/d)^2 d / E w^2 t^2.
+
+    The derivative comes from jumps and slopes.
+    """
     density = chi(dimension).pdf
 
     def mean(function: object) -> float:
@@ -82,7 +85,10 @@ def efficiency(loss: Loss, constant: float, dimension: int) -> float:
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("dimension", [1, 2, 3])
 def test_constants_leave_95_percent_efficiency(name: str, dimension: int) -> None:
-    """Computed from the influence function's derivative; the table comes from the form without it."""
+    """The constant of each loss has an efficiency of 95 %, and is the published one.
+
+    The efficiency is computed from the influence function's derivative, the table without it.
+    """
     loss = losses()[name]
     # the differences of 1e-6 leave out that much of the slope beside the corner
     assert efficiency(loss, loss.constant(dimension), dimension) == pytest.approx(0.95, abs=2e-6)
@@ -110,9 +116,9 @@ def away(problem: Problem) -> State:
 @pytest.mark.oracle
 @pytest.mark.parametrize("name", NAMES)
 def test_backends_step_like_numpy(name: str) -> None:
-    """Cost, predicted cost and step from the same state; image unknowns within 1e-10 prior sigma, points 1e-8 m.
+    """Under a loss all backends have the same cost and step, which without damping is numpy's weighted one.
 
-    Without damping the step is that of numpy's least squares with the weights of the loss.
+    Limits are 1e-10 prior sigma and 1e-8 m.
     """
     problem = spoiled()
     robust, state = scaled(find_loss(name)), away(problem)
@@ -139,7 +145,10 @@ def test_backends_step_like_numpy(name: str) -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("name", NAMES)
 def test_backends_solve_like_numpy(name: str) -> None:
-    """Ten reweighted iterations end where those of numpy do; backends within 1e-9 prior sigma and 1e-8 m."""
+    """Ten reweighted iterations of Schur and graph end where numpy's do.
+
+    Backends agree within 1e-9 prior sigma and 1e-8 m.
+    """
     problem = spoiled()
     robust = scaled(find_loss(name))
     schur, graph = SchurBackend(problem), ExplicitBackend(problem, robust)
@@ -193,7 +202,7 @@ def written_out(problem: Problem, name: str, state: State) -> tuple[float, npt.N
 @pytest.mark.oracle
 @pytest.mark.parametrize("name", ["huber", "cauchy", "geman_mcclure", "welsch", "tukey"])
 def test_minimum_is_that_of_the_cost_written_out(name: str) -> None:
-    """The gradient vanishes at the end, and the cost is higher around it."""
+    """The solution under a loss is a minimum of the cost written out: gradient zero and higher cost around it."""
     problem = spoiled()
     end = at_minimum(problem, name)
     value, gradient = written_out(problem, name, end.state)
@@ -210,7 +219,7 @@ def test_minimum_is_that_of_the_cost_written_out(name: str) -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("name", ["huber", "tls"])
 def test_fixed_weights_are_an_ordinary_problem(name: str) -> None:
-    """Least squares with the weights at the solution has its minimum there, and the same normal equations."""
+    """Least squares with the final weights of a loss has its minimum and normal equations at the solution."""
     problem = spoiled()
     robust, end = scaled(find_loss(name)), at_minimum(problem, name)
     weights, excess = weights_at(problem, end.state, robust)
@@ -228,7 +237,7 @@ def test_fixed_weights_are_an_ordinary_problem(name: str) -> None:
 
 @pytest.mark.behaviour
 def test_a_point_without_weight_keeps_a_place() -> None:
-    """Both rays of a tie point lose their weight; the block is solvable, and the point is on both rays."""
+    """If both rays of a tie point lose their weight, the adjustment converges and all points remain finite."""
     block = clean_block(2, 2, 40)
     o = block.observations
     rays = np.bincount(o.point)

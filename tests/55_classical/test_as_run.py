@@ -28,7 +28,7 @@ def stage(as_run: bool | Switches, **options: object) -> TwoStage:
 
 
 def gcp_errors(run: TwoStage) -> np.ndarray:
-    """Measured minus computed coordinates after step 1, (n, 3)."""
+    """Return measured minus computed coordinates (n, 3) after step 1."""
     return run.look_only().gcp_m
 
 
@@ -61,7 +61,10 @@ def predicted(run: TwoStage) -> np.ndarray:
 @pytest.mark.parametrize("distortion", [0.0, 3e-6])
 @pytest.mark.parametrize("seed", range(1, 7))
 def test_real_orbit_and_attitude_leave_a_constant_error(seed: int, distortion: float) -> None:
-    """0.7 to 1.0 m in all, within 2 cm per axis the same at every point (published: 1.07 m)."""
+    """With real orbit and attitude the run has an error of 0.7 to 1.0 m, equal at all points within 2 cm per axis.
+
+    The published error is 1.07 m.
+    """
     errors = gcp_errors(stage(True, seed=seed, distortion_rad=distortion, **REAL))
     assert 0.7 < np.linalg.norm(errors.mean(axis=0)) < 1.0
     assert np.all(errors.std(axis=0, ddof=1) <= 0.02)
@@ -70,7 +73,7 @@ def test_real_orbit_and_attitude_leave_a_constant_error(seed: int, distortion: f
 @pytest.mark.consistency
 @pytest.mark.parametrize("point_set", ["H-0", "H-20"])
 def test_the_error_does_not_depend_on_the_number_of_points(point_set: str) -> None:
-    """As published, 47 and 27 control points give the same error."""
+    """Runs with 47 and 27 control points have the same mean error within 1 cm, as published."""
     run = stage(True, point_set=point_set, **REAL)
     here, usual = gcp_errors(run), gcp_errors(stage(True, **REAL))
     assert len(here) != len(usual)
@@ -79,7 +82,10 @@ def test_the_error_does_not_depend_on_the_number_of_points(point_set: str) -> No
 
 @pytest.mark.truth
 def test_radial_velocity_alone() -> None:
-    """As an independent twin: 0.54 / 0.34 / 0.56 m for 8 m/s, 0.67 / 0.18 / 0.42 m with attitude."""
+    """A radial velocity of 8 m/s leaves the errors of an independent twin: 0.54 / 0.34 / 0.56 m per axis.
+
+    With the attitude they are 0.67 / 0.18 / 0.42 m.
+    """
     alone = stage(WITHOUT_NUMBERED, errors="none", radial_velocity_m_s=8.0).look_only().gcp_rmse
     assert alone == pytest.approx([0.54, 0.34, 0.56], abs=0.02)
     both = stage(WITHOUT_NUMBERED, errors="none", **REAL).look_only().gcp_rmse
@@ -98,7 +104,10 @@ def test_second_order_theory_predicts_the_error_of_every_point(errors: str) -> N
 
 @pytest.mark.oracle
 def test_small_angles_of_the_default_twin_leave_half_a_millimetre() -> None:
-    """Files with constant errors hold 20 microrad attitudes: a (a . w) of them is 4e-10 x 8e5 m."""
+    """Attitudes of 20 microrad leave a mean error of 0.1 to 2 mm, which the theory predicts within 2e-8 m.
+
+    The attitudes are constant errors of the files; a (a . w) of them is 4e-10 x 8e5 m.
+    """
     run = stage(WITHOUT_NUMBERED)
     attitude = oracle.all_eop(run.block)[:, 6:9]
     assert np.allclose(np.abs(attitude), 20e-6, rtol=1e-6)
@@ -114,14 +123,20 @@ def test_small_angles_of_the_default_twin_leave_half_a_millimetre() -> None:
     (False, {"distortion_rad": 3e-6, **REAL}), (False, {"image_noise_px": 1.0, **REAL}),
 ])  # fmt: skip
 def test_orthonormal_matrices_leave_nothing(as_run: bool | Switches, options: dict[str, object]) -> None:
-    """As run the default twin is orthonormal, too: circular orbit, attitude zero."""
+    """With orthonormal matrices the control points have no error above 1e-6 m.
+
+    The default twin as run has them too: circular orbit, attitude zero.
+    """
     run = stage(as_run, **options)
     assert np.abs(gcp_errors(run)).max() < 1e-6
 
 
 @pytest.mark.oracle
 def test_control_points_are_intersected_from_the_metadata_positions() -> None:
-    """As run, a position correction never reaches the centre of projection: its error is not undone."""
+    """As run, control points are intersected from the metadata positions, in the text from corrected positions.
+
+    A position correction as run never reaches the centre of projection, so its error remains.
+    """
     for positions, as_run in ((False, False), (True, WITHOUT_NUMBERED)):
         run = stage(as_run, errors="none")
         run.__dict__["pre_adjusted"] = run.start.with_ground(run.start.approximate_m)  # misclosures remain

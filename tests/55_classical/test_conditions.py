@@ -27,7 +27,7 @@ ROUNDING = 2e-14
 
 @pytest.fixture(scope="module")
 def block() -> Block:
-    """Return the radial velocity and attitude: the case in which nothing vanishes."""
+    """Return a twin with radial velocity, attitude and distortion, in which no term vanishes."""
     options = ZonguldakOptions(point_set="H-0", radial_velocity_m_s=8.0, attitude_rad=ATTITUDE, distortion_rad=3e-6)
     return zonguldak_block(options)[0]
 
@@ -55,7 +55,7 @@ def deviation(found: np.ndarray, expected: np.ndarray) -> float:
 
 
 def tangents_of(eop: np.ndarray, ground: np.ndarray) -> np.ndarray:
-    """f1/f3 and f2/f3 as run (n, 2)."""
+    """Return f1/f3 and f2/f3 as run (n, 2)."""
     f = oracle.f_vector(eop, ground, True)
     return f[:, :2] / f[:, 2:]
 
@@ -90,7 +90,10 @@ def test_values_and_derivatives_are_those_of_the_formulas(block: Block, switches
 
 @pytest.mark.oracle
 def test_a_length_that_stays_leaves_out_its_own_derivative(block: Block) -> None:
-    """D5 off: (f1/f3, f2/f3) dln s is missing, and s - 1 = 6e-7 and attitude (1e-3) times it."""
+    """Without D5 the derivatives lack (f1/f3, f2/f3) dln s, within 2e-5 of their size.
+
+    The remainder is s - 1 = 6e-7, and attitude (1e-3) times the missing term.
+    """
     ground, o = block.points.known.ecef_m, block.observations
     at = conditions.build(block.images, o, ground, switches=SHORT.without("length_follows"))
     eop = oracle.all_eop(block)
@@ -102,7 +105,7 @@ def test_a_length_that_stays_leaves_out_its_own_derivative(block: Block) -> None
 
 @pytest.mark.oracle
 def test_quotients_of_the_look_angles_add_the_misclosure(block: Block) -> None:
-    """D8: A exceeds the derivative by F df3/f3, nothing where the condition is met."""
+    """With D8 the matrix A exceeds the derivative by F df3/f3, which is zero where the condition is met."""
     ground, o, look = block.points.known.ecef_m, block.observations, look_of(block)
     at = conditions.build(block.images, o, ground, switches=SHORT.with_("look_quotients"))
     eop, g = oracle.all_eop(block), ground[o.point]
@@ -120,7 +123,7 @@ def test_quotients_of_the_look_angles_add_the_misclosure(block: Block) -> None:
 
 @pytest.mark.oracle
 def test_lines_are_counted_from_the_centre_of_the_scene(block: Block) -> None:
-    """D1: -6000 to 6000; columns of degree 0 stay."""
+    """With D1 lines are counted from -6000 to 6000, and columns of degree 0 do not change."""
     ground = block.points.known.ecef_m
     first, centred = (
         conditions.build(block.images, block.observations, ground, switches=switches).linearise(ALL, nothing(block)).eop
@@ -136,7 +139,7 @@ def test_lines_are_counted_from_the_centre_of_the_scene(block: Block) -> None:
 
 @pytest.mark.oracle
 def test_line_exact_orbits_differ_from_polynomials_by_centimetres(block: Block) -> None:
-    """D3: the orbit is interpolated by Lagrange through the state vectors, as in the sensor."""
+    """With D3 positions are interpolated as in the sensor, and differ from polynomials by 1 mm to 10 cm."""
     ground, o = block.points.known.ecef_m, block.observations
     at = conditions.build(block.images, o, ground, line_exact=True)
     smooth = conditions.build(block.images, o, ground)
@@ -167,7 +170,7 @@ def test_columns_are_per_line_and_per_line_squared(block: Block) -> None:
 
 @pytest.mark.oracle
 def test_written_out_derivatives_of_the_publication(block: Block) -> None:
-    """The printed derivatives (small-angle attitude) are those of the kernel's small-angle form."""
+    """The printed derivatives equal those of the kernel with small-angle attitude within 1e-11."""
     ground = block.points.known.ecef_m
     at = conditions.build(block.images, block.observations, ground)
     records = at.records.copy()
@@ -195,7 +198,7 @@ def test_corrections_of_the_orbit_are_polynomials_of_the_line(
 @pytest.mark.oracle
 @BOTH
 def test_velocity_acts_through_its_direction_only(block: Block, switches: Switches, as_run: bool) -> None:
-    """dF/dV . V = 0, and dF/dV . P = 0 but for the length of the short axis (D5): V is a yaw."""
+    """dF/dV . V = 0, and dF/dV . P = 0 unless the length of the short axis follows (D5): V is a yaw."""
     at = conditions.build(block.images, block.observations, block.points.known.ecef_m, switches=switches)
     a = at.linearise((9, 12, 15), nothing(block, (9, 12, 15))).eop
     ground = block.points.known.ecef_m[at.point]
@@ -210,7 +213,7 @@ def test_velocity_acts_through_its_direction_only(block: Block, switches: Switch
 
 @pytest.mark.oracle
 def test_velocity_across_track_is_a_yaw() -> None:
-    """Without roll and pitch dF/dV . X = -(dF/d yaw)/V, V normal to P, exactly."""
+    """Without roll and pitch dF/dV . X equals -(dF/d yaw)/V within 1e-14, with V normal to P."""
     level = zonguldak_block(ZonguldakOptions(point_set="H-0", errors="none", radial_velocity_m_s=8.0))[0]
     at = conditions.build(level.images, level.observations, level.points.known.ecef_m)
     lin = at.linearise((9, 12, 15, 24), nothing(level, (9, 12, 15, 24)))
@@ -274,7 +277,7 @@ def test_metadata_position_keeps_the_centre_and_turns_the_camera(block: Block) -
 def test_moving_the_reference_changes_no_condition(
     block: Block, switches: Switches, as_run: bool, rng: np.random.Generator
 ) -> None:
-    """with_ground, with_look and take give what building anew there gives."""
+    """``with_ground``, ``with_look`` and ``take`` give the conditions of a new build with the same data."""
     ground = block.points.known.ecef_m
     other = ground + 100.0 * rng.standard_normal(ground.shape)
     at = conditions.build(block.images, block.observations, ground, switches=switches)

@@ -14,21 +14,27 @@ CENTRE, RADIUS = (4.7398, 2.9835), 4.7142
 
 
 def conic(l_: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """``a x^2 + b x y + c y^2 + d x + e y + f = 0`` for L = (x, y)."""
+    """Return value and derivatives of ``a x^2 + b x y + c y^2 + d x + e y + f = 0`` for L = (x, y)."""
     x, y = l_.reshape(2, -1)
     a = np.stack([x * x, x * y, y * y, x, y, np.ones_like(x)], axis=1)
     return a @ p, a, np.hstack([np.diag(2 * p[0] * x + p[1] * y + p[3]), np.diag(p[1] * x + 2 * p[2] * y + p[4])])
 
 
 def circle(p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the equal curvatures, no mixed term, and the factor that the condition leaves open."""
+    """Return constraints that make a conic a circle, and one that fixes the free factor.
+
+    a = c, b = 0 and a + c = 2.
+    """
     rows = np.array([[1.0, 0.0, -1.0, 0, 0, 0], [0, 1.0, 0, 0, 0, 0], [1.0, 0, 1.0, 0, 0, 0]])
     return rows @ p - [0.0, 0.0, 2.0], rows
 
 
 @pytest.mark.truth
 def test_circle_as_a_constrained_conic() -> None:
-    """Six unknowns of six points, three constraints; the normal matrix without them is singular."""
+    """A conic with three constraints has the centre and radius of the published circle within 5e-5.
+
+    It has six unknowns and six points; the normal matrix without constraints is singular.
+    """
     found = fg.gauss_helmert(conic, POINTS.T.ravel(), np.array([1, 0, 1, -10.0, -6.0, 10.0]), constraints=circle)
     centre = -0.5 * found.x[3:5]
     assert found.converged and found.redundancy == 3
@@ -37,7 +43,7 @@ def test_circle_as_a_constrained_conic() -> None:
 
 
 def mixed(l_: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return eight points (t, y), both observed, of a curve of four unknowns."""
+    """Return the conditions of eight points (t, y), both observed, on a curve of four unknowns."""
     t, y = l_.reshape(2, -1)
     a = np.stack([np.ones_like(t), t, t**2, np.sin(x[3] * t)], axis=1)
     slope = x[1] + 2.0 * x[2] * t + x[3] * np.cos(x[3] * t)
@@ -54,7 +60,10 @@ def bound(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.oracle
 def test_curved_conditions_and_constraints_equal_scipy(rng: np.random.Generator) -> None:
-    """SLSQP minimises v^T W v over (v, x) under all conditions."""
+    """Curved conditions with constraints have unknowns, residuals and squares of scipy's SLSQP.
+
+    SLSQP minimises v^T W v over (v, x) under all conditions.
+    """
     n, true = 16, np.array([1.0, 1.0, 0.5, 1.0])
     t, root = np.linspace(-2.0, 2.0, 8), rng.normal(size=(n, n))
     q = 0.01 * (root @ root.T / n + np.eye(n))
@@ -82,9 +91,10 @@ def test_curved_conditions_and_constraints_equal_scipy(rng: np.random.Generator)
 
 @pytest.mark.oracle
 def test_cofactors_equal_those_of_the_whole_matrix(rng: np.random.Generator) -> None:
-    """Unknowns and residuals are linear in L; the inverse with all multipliers gives this map, and Q = map Q_ll map^T.
+    """Cofactors of unknowns and residuals equal those of the whole matrix with all multipliers.
 
-    The matrix is [[W, 0, B^T, 0], [0, 0, A^T, C^T], [B, A, 0, 0], [0, C, 0, 0]].
+    The matrix is [[W, 0, B^T, 0], [0, 0, A^T, C^T], [B, A, 0, 0], [0, C, 0, 0]]. Its inverse maps L linearly to
+    unknowns and residuals, and Q = map Q_ll map^T.
     """
     n, r, u, q = 9, 7, 4, 2
     a, b, c = rng.normal(size=(r, u)) * [1.0, 1e3, 1.0, 1e-3], rng.normal(size=(r, n)), rng.normal(size=(q, u))
@@ -112,7 +122,10 @@ def test_cofactors_equal_those_of_the_whole_matrix(rng: np.random.Generator) -> 
 
 @pytest.mark.truth
 def test_inner_constraint_is_the_datum_of_levelling() -> None:
-    """Height differences leave the level open. Sum of heights 0: the solution of least norm, and its cofactors."""
+    """With the sum of heights 0 as constraint, levelling gives the least-norm solution and its cofactors.
+
+    Height differences alone leave the level open.
+    """
     lines = np.array([(0, 1), (1, 2), (2, 3), (3, 0), (0, 2)])
     design = np.zeros((5, 4))
     design[np.arange(5), lines[:, 1]], design[np.arange(5), lines[:, 0]] = 1.0, -1.0

@@ -16,7 +16,10 @@ N = 12
 
 
 def line(l_: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """``y - a - b t = 0`` with L = (t, y), both observed: bilinear in observations and unknowns."""
+    """Return value and derivatives of ``y - a - b t = 0`` with L = (t, y), both observed.
+
+    It is bilinear in observations and unknowns.
+    """
     t, y = l_[:N], l_[N:]
     a = np.stack([-np.ones(N), -t], axis=1)
     return y - x[0] - x[1] * t, a, np.hstack([-x[1] * np.eye(N), np.eye(N)])
@@ -29,7 +32,7 @@ def points(rng: np.random.Generator, sigma: np.ndarray) -> np.ndarray:
 
 @pytest.mark.oracle
 def test_equals_total_least_squares(rng: np.random.Generator) -> None:
-    """Equal sigmas in t and y: the line through the centroid along the first singular vector."""
+    """With equal sigmas in t and y the line is that of the singular value decomposition, with its squares and m0."""
     observed = points(rng, np.full(2 * N, 0.3))
     found = gauss_helmert(line, observed, np.array([0.0, 0.0]))
     centred = np.stack([observed[:N], observed[N:]], axis=1)
@@ -44,7 +47,7 @@ def test_equals_total_least_squares(rng: np.random.Generator) -> None:
 
 @pytest.mark.oracle
 def test_equals_odr(rng: np.random.Generator) -> None:
-    """Different sigmas in t and y, point by point: Fortran's ODRPACK."""
+    """With different sigmas in t and y the line has the unknowns, squares and adjusted values of ODRPACK."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # scipy.odr goes in scipy 1.19
         from scipy import odr
@@ -63,7 +66,10 @@ def test_equals_odr(rng: np.random.Generator) -> None:
 
 @pytest.mark.oracle
 def test_conditions_hold_and_the_optimum_is_stationary(rng: np.random.Generator) -> None:
-    """F(L + v, P) = 0; W v lies in the span of B^T and A^T of its multipliers is zero: the normal equations."""
+    """The solution meets F(L + v, P) = 0 and the normal equations, with cofactors or weights.
+
+    W v lies in the span of B^T, and A^T of its multipliers is zero.
+    """
     m = rng.normal(size=(2 * N, 2 * N))
     q = 0.05 * (m @ m.T / N + 0.2 * np.eye(2 * N))
     observed = points(rng, np.full(2 * N, 0.2))
@@ -85,7 +91,7 @@ def test_conditions_hold_and_the_optimum_is_stationary(rng: np.random.Generator)
 @pytest.mark.oracle
 @pytest.mark.parametrize("solver", ["qr", "gauss_inverse", "cholesky_inverse"])
 def test_gauss_markov_is_the_case_b_equals_minus_one(rng: np.random.Generator, solver: str) -> None:
-    """f(x) - L = 0: the same unknowns, residuals and all four cofactor matrices."""
+    """Gauss-Helmert with f(x) - L = 0 has unknowns, residuals and all four cofactor matrices of Gauss-Markov."""
     t = np.linspace(0.0, 2.0, N)
 
     def function(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -116,7 +122,7 @@ def test_gauss_markov_is_the_case_b_equals_minus_one(rng: np.random.Generator, s
 
 @pytest.mark.truth
 def test_conditions_only() -> None:
-    """The angles of a triangle have one condition and no unknowns; the cofactors distribute the misclosure."""
+    """The angles of a triangle, with one condition and no unknowns, share the misclosure by their cofactors."""
 
     def closed(l_: np.ndarray, _: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return np.array([l_.sum() - 180.0]), np.zeros((1, 0)), np.ones((1, 3))
@@ -134,7 +140,7 @@ def test_conditions_only() -> None:
 
 @pytest.mark.truth
 def test_an_observation_of_cofactor_zero_is_a_constant() -> None:
-    """Q_ll may be singular: the fixed angle keeps its value, the others take the misclosure."""
+    """An observation of cofactor zero keeps its value, and all cofactors zero are refused. Q_ll may be singular."""
 
     def closed(l_: np.ndarray, _: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return np.array([l_.sum() - 180.0]), np.zeros((1, 0)), np.ones((1, 3))
@@ -162,9 +168,9 @@ def test_dependent_and_too_few_conditions_are_refused() -> None:
 
 @pytest.mark.oracle
 def test_original_observations_count_not_adjusted_ones(rng: np.random.Generator) -> None:
-    """A strongly curved condition: the circle through the points is the one of least squared distances.
+    """A circle has the least sum of squared distances from the original points, as by scipy.
 
-    Repeating with adjusted values as new observations ends elsewhere; the distances have a closed form.
+    Repeating with adjusted values as new observations would end elsewhere.
     """
     angle = np.linspace(0.0, 1.5, N)
     observed = np.concatenate([3.0 + 2.0 * np.cos(angle), -1.0 + 2.0 * np.sin(angle)]) + 0.15 * rng.normal(size=2 * N)
@@ -189,11 +195,11 @@ def test_original_observations_count_not_adjusted_ones(rng: np.random.Generator)
 
 @pytest.mark.oracle
 def test_cofactors_by_monte_carlo() -> None:
-    """5000 repetitions with correlated observations: Q_PP, Q_lP, Q_lbar, Q_vv and tr(Q_vv W) = f.
+    """All cofactor matrices equal those of 5000 repetitions, and wrong forms of Q_lP do not.
 
-    Each empirical covariance has variance (q_ij^2 + q_ii q_jj)/(k - 1); the largest of all m elements lies within
-    the Bonferroni bound of a normal variable at 1e-3. The wrong forms of Q_lP (A A^T M^-1 A for A N^-1, or the
-    other sign) miss it by far. Sigmas are 1e-3 of the coordinates: the condition is linear to 1e-6.
+    Each empirical covariance has variance (q_ij^2 + q_ii q_jj)/(k - 1); the largest of all m elements lies within the
+    Bonferroni bound of a normal variable at 1e-3. The wrong forms of Q_lP are A A^T M^-1 A for A N^-1, and the other
+    sign. Sigmas are 1e-3 of the coordinates: the condition is linear to 1e-6.
     """
     rng = np.random.default_rng(7)
     m = rng.normal(size=(2 * N, 2 * N))

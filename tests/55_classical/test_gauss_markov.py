@@ -37,7 +37,10 @@ def observed(rng: np.random.Generator) -> np.ndarray:
 @pytest.mark.parametrize("kind", ["weights", "cofactors"])
 @pytest.mark.parametrize("full", [False, True])
 def test_linear_equals_numpy_in_one_step(rng: np.random.Generator, kind: str, full: bool) -> None:
-    """Vector or matrix, weights or cofactors: numpy's lstsq of the rows multiplied by a root of W."""
+    """A linear problem with weights or cofactors has numpy's solution and cofactors after at most two iterations.
+
+    numpy solves the rows multiplied by a root of W.
+    """
     n = len(TIMES)
     given = positive_definite(rng, n) if full else rng.uniform(0.2, 4.0, n)
     matrix = given if full else np.diag(given)
@@ -85,9 +88,9 @@ def test_not_linear_equals_scipy(rng: np.random.Generator, observed: np.ndarray,
 
 @pytest.mark.consistency
 def test_the_stop_does_not_depend_on_units(observed: np.ndarray) -> None:
-    """The same observations in other units, unit weights: the same iterations and the same answer.
+    """Observations in another unit have the same number of iterations and the same solution.
 
-    A power of two (0.9e-9) multiplies without rounding, so that not one digit differs on the way.
+    The unit is a power of two (0.9e-9), which multiplies without rounding.
     """
     unit = 2.0**-30
 
@@ -126,7 +129,7 @@ def test_without_redundancy_there_is_no_m0_and_a_reason() -> None:
 
 @pytest.mark.oracle
 def test_a_singular_design_is_solved_by_svd_with_a_note() -> None:
-    """Two unknowns that act alike: QR refuses, SVD gives their sum, rank and redundancy say so."""
+    """For two unknowns with one effect QR refuses, and SVD gives their sum, the redundancy and a note on the rank."""
 
     def doubled(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         value, a = line(np.array([x[0] + x[1], x[2]]))

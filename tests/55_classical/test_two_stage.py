@@ -30,7 +30,7 @@ SOLVER = "gauss_partial_pivot_elimination"
 
 @pytest.fixture(scope="module")
 def run() -> TwoStage:
-    """Return H-10, 0.3 px, constant errors, distortion."""
+    """Return the two-stage procedure on H-10 with 0.3 px of noise, constant errors and distortion."""
     return TwoStage(zonguldak_block(ZonguldakOptions(distortion_rad=3e-6))[0])
 
 
@@ -87,7 +87,10 @@ class Independent:
         return self.eop + np.einsum("nck,nk->nc", change.reshape(2, 9, 3)[self.o.image], powers)
 
     def bundle(self, codes: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """EOP corrections (2, k), coordinates of all points (N, 3) (control points computed again), v (2n,)."""
+        """Return EOP corrections (2, k), coordinates of all points (N, 3) and v (2n,).
+
+        Control points are intersected again, too.
+        """
         a, b, w = self.linearised(codes)
         q = b**2  # M = B B^T
         scale = np.linalg.norm(a / np.abs(b)[:, None], axis=0)
@@ -138,7 +141,7 @@ def test_step_one_closes_every_condition(run: TwoStage) -> None:
 
 @pytest.mark.oracle
 def test_step_one_is_a_back_projection(run: TwoStage, independent: Independent) -> None:
-    """All errors go into the look angles: v is the correction that the control point itself requires."""
+    """Step 1 corrects the look angles of control points to those of independent back-projection, with their m0."""
     control = independent.control
     assert np.abs(run.look.adjusted_rad[control] - independent.look[control]).max() < 1e-13
     v = run.look.v_rad[control]
@@ -156,7 +159,10 @@ def test_check_angles_are_a_parabola_of_the_column(run: TwoStage, independent: I
 
 @pytest.mark.oracle
 def test_parabola_of_the_corrections_leaves_the_cubic_part_in(run: TwoStage) -> None:
-    """A parabola through the angles misses their cubic part: 3e-6 rad over the field, metres on the ground."""
+    """With the model of corrections other points get numpy's parabola, which lacks the cubic part of the angles.
+
+    It differs from the default by 5e-7 to 6e-6 rad across the field.
+    """
     block, o = run.block, run.block.observations
     other = TwoStage(block, look_model="corrections")
     assert np.array_equal(other.look.adjusted_rad[np.isin(o.point, run._control)],
@@ -175,7 +181,7 @@ def test_parabola_of_the_corrections_leaves_the_cubic_part_in(run: TwoStage) -> 
 
 @pytest.mark.oracle
 def test_the_printed_sign_reflects_the_intersection(run: TwoStage) -> None:
-    """+1 as the third component: the rays meet 1.9e6 m away, above the satellites; -1: bias level."""
+    """With the printed sign +1 the rays meet 1.9e6 m away; with -1 the errors are below 60 m."""
     right, printed = run.uncorrected(), run.uncorrected(look_sign=1.0)
     assert 1.0 < right.gcp_max < 60.0
     mean = printed.gcp_m.mean(axis=0)
@@ -207,7 +213,10 @@ def test_step_two_solves_rounding_noise(run: TwoStage, eop_set: int) -> None:
 @pytest.mark.parametrize("image", [0, 1])
 @pytest.mark.parametrize("eop_set", [2, 10, 14])
 def test_step_two_equals_least_squares(run: TwoStage, independent: Independent, image: int, eop_set: int) -> None:
-    """With the look angles of the file the misclosures are not zero, so that the test can fail."""
+    """Step 2 equals numpy's least squares for look angles of the file, within the bound of its condition.
+
+    These look angles leave misclosures, so that the test can fail.
+    """
     open_run = TwoStage(run.block)
     open_run.__dict__["pre_adjusted"] = open_run.start
     step = open_run.pre_adjust(image, eop_set, SOLVER)
@@ -231,7 +240,10 @@ def test_step_two_equals_least_squares(run: TwoStage, independent: Independent, 
 
 @pytest.mark.behaviour
 def test_as_run_step_two_repeats_while_corrections_are_large(run: TwoStage, monkeypatch: pytest.MonkeyPatch) -> None:
-    """10 m or 10 seconds of arc, and A of full rank; one limit for a set (D7), or one for each unknown."""
+    """As run, step 2 repeats while a correction exceeds its limit and A has full rank; in the text it runs once.
+
+    The limit is 10 m or 10 seconds of arc, one for a set (D7) or one for each unknown.
+    """
     program = TwoStage(run.block, as_run=True)
     answers = iter([20.0, -11.0, 1.0, 0.0])
 
@@ -305,7 +317,7 @@ def test_bundle_equals_an_independent_one(run: TwoStage, independent: Independen
 @pytest.mark.oracle
 @pytest.mark.parametrize("eop_set", [2, 10])
 def test_residuals_fulfil_the_linearised_conditions(run: TwoStage, independent: Independent, eop_set: int) -> None:
-    """A dP + B v + w = 0 with v^T v smallest: v is orthogonal to what dP can still change."""
+    """The bundle fulfils A dP + B v + w = 0 with the smallest v^T v: v is orthogonal to the columns of dP."""
     found = run.bundle(eop_set, 1, SOLVER)
     a, b, w = independent.linearised(eop_codes(eop_set))
     assert np.abs(a @ found.solution.x + b * found.v + w).max() < 1e-12
@@ -316,7 +328,7 @@ def test_residuals_fulfil_the_linearised_conditions(run: TwoStage, independent: 
 
 @pytest.mark.consistency
 def test_type_two_starts_from_step_two(run: TwoStage) -> None:
-    """dP of a type 2 run contains that of step 2; with a good set step 2 changes nothing."""
+    """For set 2 a bundle of type 2 has corrections and check points of type 1, because step 2 changes nothing."""
     one, two = run.bundle(2, 1, SOLVER), run.bundle(2, 2, SOLVER)
     assert np.abs(one.dP - two.dP).max() < 1e-6
     assert np.abs(one.accuracy.icp_m - two.accuracy.icp_m).max() < 1e-6
@@ -324,7 +336,10 @@ def test_type_two_starts_from_step_two(run: TwoStage) -> None:
 
 @pytest.mark.oracle
 def test_type_two_goes_on_from_step_two(run: TwoStage) -> None:
-    """From the file's look angles step 2 finds real corrections; check points start where its rays meet."""
+    """A bundle of type 2 continues from step 2 and equals the independent procedure.
+
+    From the file's look angles step 2 has real corrections; check points start where its rays meet.
+    """
     open_run = TwoStage(run.block)
     open_run.__dict__["pre_adjusted"] = open_run.start
     steps = np.array([open_run.pre_adjust(k, 10, SOLVER).dP for k in (0, 1)])
@@ -353,7 +368,10 @@ def test_without_eop_unknowns_only_check_points_move(run: TwoStage) -> None:
 
 @pytest.mark.oracle
 def test_further_iterations_close_the_conditions(run: TwoStage) -> None:
-    """Adjusted observations are the new ones: the misclosures vanish quadratically, v adds up."""
+    """Three iterations close the conditions within 1e-14, and their residuals add up.
+
+    Adjusted observations are the new ones.
+    """
     first, third = run.bundle(2, 1, SOLVER), run.bundle(2, 1, SOLVER, iterations=3)
     w = [np.abs(b.system.require_design("test")[1]).max() for b in (first, third)]
     assert w[0] > 1e-7
@@ -393,7 +411,7 @@ def test_other_point_sets(point_set: str) -> None:
 
 
 def _exact_block() -> tuple[Block, np.ndarray]:
-    """Return the twin with orbits that are parabolas: what the procedure assumes is true; noise-free; and the truth."""
+    """Return a noise-free twin whose orbits are parabolas, as the procedure assumes, and the truth."""
     options = ZonguldakOptions(errors="none", image_noise_px=0.0, ground_noise_m=(0.0, 0.0, 0.0))
     block, truth = zonguldak_block(options)
     images, line, sample = [], block.observations.line.copy(), block.observations.sample.copy()
@@ -417,7 +435,10 @@ def _exact_block() -> tuple[Block, np.ndarray]:
 @pytest.mark.parametrize("kind", [1, 2])
 @pytest.mark.parametrize("eop_set", [2, 10])
 def test_perfect_data_are_left_alone(eop_set: int, kind: two_stage.Kind) -> None:
-    """No correction, and check points at their true places: to the 1e-8 px of image points (times of day)."""
+    """Perfect data get no corrections above 1e-5 m, and control and check points have no errors above 1e-6 m.
+
+    Image points have 1e-8 px, by the times of day.
+    """
     block, _ = _exact_block()
     run = TwoStage(block, look_model="corrections")
     assert run.look.m0_rad < 1e-13
@@ -430,7 +451,10 @@ def test_perfect_data_are_left_alone(eop_set: int, kind: two_stage.Kind) -> None
 
 @pytest.mark.consistency
 def test_a_real_orbit_is_no_parabola() -> None:
-    """Of perfect data the published model keeps what parabolas leave of the orbit: about 3 cm."""
+    """For perfect data of a real orbit the check points have an error between 0.1 mm and 0.1 m.
+
+    Parabolas leave about 3 cm of the orbit.
+    """
     options = ZonguldakOptions(errors="none", image_noise_px=0.0, ground_noise_m=(0.0, 0.0, 0.0))
     run = TwoStage(zonguldak_block(options)[0], look_model="corrections")
     assert 1e-4 < run.bundle(None, 1, SOLVER).accuracy.icp_max < 0.1
@@ -446,7 +470,7 @@ def grid(columns: int = 3, **options: object) -> Block:
 
 @pytest.mark.behaviour
 def test_three_images_and_tie_points() -> None:
-    """A point in three images counts three times; tie points are unknowns without an accuracy."""
+    """A point in three images counts three times, and tie points are unknowns without an accuracy."""
     block = grid()
     run = TwoStage(block)
     rays = np.bincount(block.observations.point)
@@ -468,7 +492,7 @@ def without(block: Block, point: int, image: int) -> Block:
 
 @pytest.mark.behaviour
 def test_a_control_point_of_one_image_is_no_failure() -> None:
-    """The point is used, has no intersection, and is not in the accuracy."""
+    """A control point in one image takes part in the bundle and is not in the accuracy."""
     block = zonguldak_block(ZonguldakOptions())[0]
     full, less = TwoStage(block), TwoStage(without(block, int(block.points.where(Role.CONTROL)[5]), 1))
     assert less.control_ids == full.control_ids
@@ -504,7 +528,10 @@ def pleiades(repository: Path, real_data: Path) -> Block:
 @pytest.mark.consistency
 @pytest.mark.real_data
 def test_pleiades_pair(pleiades: Block) -> None:
-    """Quaternions fixed to the Earth: the same procedure, sane numbers (direct georeferencing is 8 m off)."""
+    """The Pléiades pair has check points within 5 m and control points within 0.1 m.
+
+    Its quaternions refer to the Earth; without corrections the error is 3 to 15 m.
+    """
     run = TwoStage(pleiades)
     assert not pleiades.images[0].sensor.follows_orbit
     assert 3.0 < np.linalg.norm(run.uncorrected().gcp_rmse) < 15.0
@@ -519,7 +546,7 @@ def test_pleiades_pair(pleiades: Block) -> None:
 @pytest.mark.consistency
 @pytest.mark.real_data
 def test_pleiades_pair_as_run(pleiades: Block) -> None:
-    """The real radial velocity leaves its constant error at the control points, cos(V, Z)^2 of the distance."""
+    """As run, the Pléiades pair has a constant error at control points of the size cos(V, Z)^2 of the distance."""
     run = TwoStage(pleiades, as_run=True)
     errors = run.look_only().gcp_m
     states = pleiades.images[0].sensor.states(0.0)
@@ -573,7 +600,7 @@ def test_cholesky_breaks_down_on_a_set_with_velocity(run: TwoStage) -> None:
 def test_wild_corrections_are_reported(
     run: TwoStage, monkeypatch: pytest.MonkeyPatch, as_run: bool, iterations: int, size: float
 ) -> None:
-    """Impossible numbers give nan or huge errors, but never an exception or a warning."""
+    """Impossible corrections give nan or huge errors and no exception, and further iterations report a failure."""
     wild = TwoStage(run.block, as_run=as_run)
     monkeypatch.setattr(two_stage, "attempt", lambda _, system, as_run: LinearSolution(np.full(len(system), size)))
     for eop_set in (15, 20):
@@ -589,7 +616,7 @@ def test_wild_corrections_are_reported(
 def test_control_points_that_cannot_be_intersected_are_a_failure(
     run: TwoStage, monkeypatch: pytest.MonkeyPatch, eop_set: int
 ) -> None:
-    """Good check points must not hide that the rays of the orientation do not meet."""
+    """If control points cannot be intersected, the bundle fails and states no accuracy, not even of check points."""
 
     def half_wild(_: str, system: object, as_run: bool) -> LinearSolution:
         return LinearSolution(np.where(np.arange(len(system)) < len(system) - 30, 1e200, 0.0))
@@ -669,7 +696,7 @@ def test_rms_of_wild_and_of_no_values() -> None:
 
 @pytest.mark.oracle
 def test_two_rays_meet_on_the_first(rng: np.random.Generator) -> None:
-    """Skew rays: the foot of the common perpendicular on the first ray; parallel ones and single ones are nan."""
+    """Two skew rays meet at the foot of the common perpendicular on the first ray; parallel or single rays give nan."""
     centre = rng.normal(size=(6, 3))
     direction = rng.normal(size=(6, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)

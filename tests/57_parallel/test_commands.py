@@ -115,7 +115,7 @@ def test_compare_shares_the_sets(project: Path, client: Any, tmp_path: Path) -> 
 def test_a_lost_cluster_leaves_the_checkpoint(
     project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, kept: bool
 ) -> None:
-    """The workers failed, not the equations; therefore the checkpoint is kept."""
+    """If the workers fail, the checkpoint is kept; if the equations fail, it is removed."""
 
     def lost(problem: Problem, execution: object, callback: object, checkpoint: Checkpoint, begin: object) -> None:
         checkpoint.keep(problem, "schur", Carried(problem.start))

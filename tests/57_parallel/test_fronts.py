@@ -54,7 +54,7 @@ def problem_of(kind: str, **options: object) -> Problem:
 
 @pytest.fixture(autouse=True)
 def always(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Use fronts, and blocks of the inverse, for the smallest blocks."""
+    """Set the limits so that the smallest blocks use fronts and blocks of the inverse."""
     monkeypatch.setattr(cofactors, "WHOLE_LIMIT", 0)
     monkeypatch.setattr(dissection, "HELD", 0.0)
     monkeypatch.setattr(dissection, "SMALLER", 0.0)
@@ -69,7 +69,10 @@ def problem(request: pytest.FixtureRequest) -> Problem:
 @pytest.mark.oracle
 @pytest.mark.parametrize("optimizer", ["gauss-newton", "levenberg-marquardt", "dogleg"])
 def test_solution_and_cofactors_are_those_of_one_part(problem: Problem, optimizer: str) -> None:
-    """Cofactors of images, pairs with common points, images far apart, and points."""
+    """A block in fronts has solution and cofactors of the block in one part, for all optimisers.
+
+    Cofactors are those of images, pairs with common points, images far apart, and points.
+    """
     chosen = compile_problem(replace(problem.block, options=replace(problem.block.options, optimizer=optimizer)))
     whole, parted = solve(chosen), solve_in_parts(chosen, Execution(parts=5))
     assert whole.converged and parted.converged
@@ -92,7 +95,7 @@ def test_solution_and_cofactors_are_those_of_one_part(problem: Problem, optimize
 
 @pytest.mark.oracle
 def test_observations_of_one_image_and_images_without_points() -> None:
-    """A front eliminates both; an observation of two images is not eliminated there."""
+    """A front eliminates observations of one image and images without points; a joint observation prevents fronts."""
     own = block("grid")
     k = len(problem_of("grid").parameters[0])
     extra = tuple(
@@ -117,7 +120,7 @@ def test_observations_of_one_image_and_images_without_points() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("parts", [1, 2])
 def test_one_front_and_a_root_without_images(parts: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two halves of a strip without a common point have an empty root, and no joint cofactors."""
+    """One front, or two without a common image, have the solution and cofactors of the block in one part."""
     whole = problem_of("strip")
     o, middle = whole.observations, whole.n_images // 2
     left, right = (np.bincount(o.point[m], minlength=len(whole.active)) for m in (o.image < middle, o.image >= middle))
@@ -139,7 +142,7 @@ def test_one_front_and_a_root_without_images(parts: int, monkeypatch: pytest.Mon
 
 @pytest.mark.behaviour
 def test_fronts_hold_the_images_of_their_parts(problem: Problem) -> None:
-    """Each image is eliminated once, where no other part observes it; borders are in the front of the parent."""
+    """Each image is in one front, which no other part observes, and the parent's front contains its borders."""
     found = nested(problem, 7)
     seen = np.unique(problem.observations.point)
     np.testing.assert_array_equal(np.sort(np.concatenate(found.points)), seen)
@@ -167,7 +170,7 @@ def test_separators_of_a_strip_are_narrow() -> None:
 
 @pytest.mark.behaviour
 def test_small_blocks_and_wide_fronts_are_summed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By default one process solves a block that fits in its memory, or that fronts would not make smaller."""
+    """A block is divided into fronts only if it exceeds the memory of one process and fronts make it smaller."""
     problem = problem_of("strip")
     assert dissected(problem, 4, joined=False).levels
     monkeypatch.setattr(dissection, "SMALLER", 1e6)
@@ -183,7 +186,10 @@ def test_small_blocks_and_wide_fronts_are_summed(monkeypatch: pytest.MonkeyPatch
 
 @pytest.mark.oracle
 def test_singular_fronts_raise_the_error_of_the_whole_system(tmp_path: Path) -> None:
-    """Images without priors: one without image points, one with a matrix that is not definite."""
+    """A singular front raises the error of the whole system and leaves no file.
+
+    One has an image without image points, one a matrix that is not definite.
+    """
     size, first = np.array([3]), np.array([0, 3])
     at = np.zeros(1, np.int64)
     front = dissection.Front(0, 1, at, np.arange(3), 3, at[:0])
@@ -224,7 +230,7 @@ def test_covariance_of_an_ill_conditioned_block_is_unavailable(monkeypatch: pyte
 
 @pytest.mark.behaviour
 def test_files_exist_as_long_as_the_solution(tmp_path: Path) -> None:
-    """Of a step only the last factors exist; of the solution those of its covariance."""
+    """Only the last factors of a step have files, those of the solution exist as long as it, and none remains."""
     counts = Counter[int]()
 
     def count(_: object) -> None:

@@ -76,7 +76,10 @@ def test_the_number_of_parts_follows_from_the_block(problem: Problem, monkeypatc
 def test_a_step_in_parts_is_the_step_in_one_piece_and_of_numpy(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
-    """Any set, look polynomial, damping, number of parts: step, errors, lengths, and the state that follows."""
+    """For any options and number of parts the step equals that in one part and numpy's.
+
+    Error, length, norm, predicted error and next state are compared.
+    """
     problem = with_options(
         compile_problem(block()), eop_set=data.draw(st.integers(1, 20), label="set"),
         look_polynomial=data.draw(st.sampled_from([None, 1]), label="look"),
@@ -135,7 +138,10 @@ def test_solution_and_cofactors_in_parts(problem: Problem, optimizer: str, loss:
     ("optimizer", "loss"), [("gauss-newton", "none"), pytest.param("dogleg", "huber", marks=pytest.mark.slow)]
 )
 def test_parts_that_are_opened_again_give_the_same_bits(problem: Problem, optimizer: str, loss: str) -> None:
-    """Records are computed part by part, and one or three of five parts are open at once."""
+    """With one or three of five parts open at once the solution has the same bits as with all.
+
+    Records are computed part by part.
+    """
     chosen = with_options(problem, optimizer=optimizer, loss=loss)
     release(chosen, "records")
     every = solve_in_parts(chosen, Execution(parts=5))
@@ -179,9 +185,9 @@ def test_losses_that_change_reach_the_parts(problem: Problem, tmp_path: Path) ->
 @pytest.mark.oracle
 @pytest.mark.slow
 def test_graduated_non_convexity_in_parts(problem: Problem) -> None:
-    """Stages change the losses and look at all residuals: bad image points are found alike.
+    """Graduated non-convexity in parts ends at the solution of one part, a minimum of the loss by numpy.
 
-    The end is a minimum of the loss: by numpy no step is left.
+    Its stages change the losses and use all residuals.
     """
     line = problem.block.observations.line.copy()
     line[::17] += 40.0
@@ -246,7 +252,7 @@ def test_the_work_folder_does_not_grow_and_is_removed(problem: Problem, tmp_path
 
 @pytest.mark.behaviour
 def test_parts_that_cannot_be_read_are_named(problem: Problem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A worker may have another version, and a file may be incomplete or missing."""
+    """A part of another version, incomplete or missing is refused with the folder's option as remedy."""
     PartedBackend(problem, Pool(), tmp_path, 2)
     path = part_file(tmp_path, 1)
 

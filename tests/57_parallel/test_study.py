@@ -88,7 +88,7 @@ def test_claims_are_shared_by_seed() -> None:
 
 
 def assert_same_comparison(a: Comparison, b: Comparison) -> None:
-    """All but the times."""
+    """Assert that two comparisons are equal but for the times."""
     np.testing.assert_equal(without_times(a.rows), without_times(b.rows))
     for x, y in zip(a.spectra, b.spectra, strict=True):
         np.testing.assert_array_equal(x.values, y.values)
@@ -100,7 +100,7 @@ def without_times(rows: Any) -> list[dict[str, Any]]:
 
 @pytest.mark.consistency
 def test_a_comparison_keeps_its_sets(small: Block, tmp_path: Path) -> None:
-    """The rows are the same as without storing; a second run reuses them, a comparison with other options does not."""
+    """A comparison with a folder has the same rows, a second run reuses them, and other options do not."""
     given: dict[str, Any] = {"eop_sets": [1, 15], "solvers": "qr", "backends": "dense"}
     alone, shared = fg.compare(small, **given), fg.compare(small, **given, folder=tmp_path)
     assert_same_comparison(shared, alone)

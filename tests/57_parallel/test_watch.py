@@ -64,7 +64,7 @@ def test_a_process_that_dask_has_given_up_is_started_again() -> None:
 
 
 def test_too_many_ends_close_the_client(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One worker ends repeatedly; waiting calls then end with exit code 3 and the number of processes."""
+    """If workers end too often, the client closes, and the error states the number of processes and the remedy."""
     monkeypatch.setattr(watch, "PAUSE_S", 0.0)
     cluster, client = Processes(2), Client()
     with Watch(cluster, client, 2) as seen:
@@ -105,7 +105,10 @@ def test_processes_that_end_while_they_start_are_started_again(failing: int, cod
 @pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="processes are found in /proc")
 def test_workers_killed_at_random_times_change_nothing() -> None:
-    """Ten kills among four workers at work, one while they start; 200 are a run of ``tests.faults.workers``."""
+    """Ten workers killed at random times and one at its start do not change the result.
+
+    A run of ``tests.faults.workers`` has 200 kills.
+    """
     pytest.importorskip("distributed")
     words = [sys.executable, "-m", "tests.faults.workers", "--kills", "10", "--starts", "1", "--longest", "2"]
     done = subprocess.run(words, capture_output=True, text=True, timeout=300)

@@ -115,7 +115,10 @@ def test_nor_of_more_workers(problem: Problem, four: Any, alone: State, count: i
 @pytest.mark.consistency
 @pytest.mark.parametrize("count", [1, 2, 3, 7, 8])
 def test_branches_are_those_of_the_tree(count: int) -> None:
-    """Words show the order of the sum; whatever the depth, the top adds the branches as the whole tree does."""
+    """Sums of branches of any depth add in the order of the whole tree.
+
+    The summands are words, which show the order.
+    """
     arguments = [(k,) for k in range(count)]
 
     class Word(str):
@@ -132,7 +135,7 @@ def test_branches_are_those_of_the_tree(count: int) -> None:
 
 @pytest.mark.oracle
 def test_workers_agree_with_one_piece(small: Block, problem: Problem, client: Any) -> None:
-    """Within 1e-9 prior sigma; ground points within 1e-7 m."""
+    """A run on workers has the solution of one process within 1e-9 prior sigma and 1e-7 m, and no step left."""
     whole, shared = solve(problem), fg.adjust(small, parts=PARTS, cluster=client)
     assert shared.status == fg.Status.CONVERGED
     image, ground = step_of_numpy(problem, shared.state)
@@ -143,7 +146,7 @@ def test_workers_agree_with_one_piece(small: Block, problem: Problem, client: An
 
 @pytest.mark.consistency
 def test_workers_that_die_change_nothing(problem: Problem, client: Any, alone: State, tmp_path: Path) -> None:
-    """A worker ends when it has nearly eliminated its points; another worker repeats its work."""
+    """If a worker ends during its elimination, another one repeats its work and the result has the same bits."""
     deadly = Deadly(client, tmp_path, (3,))
     before = set(client.run(os.getpid).values())
     assert_same_bits(run(problem, deadly), alone)
@@ -156,7 +159,7 @@ def test_workers_that_die_change_nothing(problem: Problem, client: Any, alone: S
 def test_fronts_do_not_depend_on_the_workers(
     problem: Problem, client: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The result is the same if workers end that have eliminated the images of a part or of an inner node."""
+    """Fronts have the same bits on any number of workers, also if workers end that have eliminated images."""
     for name in ("HELD", "SMALLER"):
         monkeypatch.setattr(dissection, name, 0.0)
     alone = run(problem, Pool())
@@ -184,10 +187,7 @@ def test_a_worker_killed_between_tasks_changes_nothing(small: Block, four: Any) 
 @pytest.mark.consistency
 @pytest.mark.slow
 def test_a_large_block_on_workers_that_die(four: Any, tmp_path: Path) -> None:
-    """1e5 image points in 36 images give the result of one part.
-
-    The bits are the same on any workers, two of them killed.
-    """
+    """A block of 1e5 image points has the same bits on any workers, two of them killed, and the result of one part."""
     large, _ = grid_block(BlockOptions(rows=6, columns=6, points=29_000, seed=2))
     problem = compile_problem(replace(large, options=replace(large.options, eop_set=20, backend="schur")))
     assert len(problem.observations) > 1e5
@@ -214,7 +214,7 @@ def test_workers_share_a_study(client: Any) -> None:
 
 @pytest.mark.behaviour
 def test_own_processes_answer_on_this_machine_with_a_certificate_only(client: Any) -> None:
-    """Scheduler and workers; neither a client without a certificate nor one with another certificate is let in."""
+    """Scheduler and workers listen on 127.0.0.1 only and refuse a client without the right certificate."""
     import distributed
 
     with certificate_of(client) as address:
@@ -231,7 +231,7 @@ def test_own_processes_answer_on_this_machine_with_a_certificate_only(client: An
 
 @pytest.mark.behaviour
 def test_the_end_of_every_worker_is_said() -> None:
-    """The message is that of dask; the slow test below ends the workers."""
+    """If dask reports a killed worker, the error has the code ``parallel.killed`` and the worker's address."""
     lost = pytest.importorskip("distributed").KilledWorker("task", "tcp://127.0.0.1:9", 1)
     with pytest.raises(fg.NoSolutionError) as caught, pool_module._failures():
         raise lost

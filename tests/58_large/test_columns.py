@@ -34,7 +34,7 @@ figures = st.one_of(st.sampled_from([0.0, -0.0, -1.5, float("nan"), float("inf")
 
 
 def digits(cell: str) -> str:
-    """Return the significant digits of a number."""
+    """Return the significant digits in the text of a number."""
     return re.sub(r"[^0-9]", "", cell.partition("e")[0]).strip("0")
 
 
@@ -42,7 +42,10 @@ def digits(cell: str) -> str:
 @quiet
 @given(st.lists(st.tuples(words, figures, st.integers(), figures), min_size=1, max_size=9))
 def test_written_table_has_the_cells_of_its_rows(tmp_path: Path, rows: list[tuple[str, float, int, float]]) -> None:
-    """Read by the module csv; numbers have the same value as, and no more digits than, those of Python."""
+    """A written table has the cells of its rows, and numbers with no more digits than Python's.
+
+    The module csv reads it.
+    """
     ids, first, counts, second = zip(*rows, strict=True)
     place = np.arange(len(rows))[::-1]
     given = {"id": ids, "x,m": np.array(first), "n": np.array(counts, object), "y": np.array(second),
@@ -92,7 +95,7 @@ LINES = st.lists(st.one_of(
 def test_a_table_by_columns_is_that_line_by_line(
     tmp_path: Path, before: list[str], after: list[str], ended: bool
 ) -> None:
-    """Cells, numbers, masks, line numbers and faults; with and without comments, blank lines and a last line end."""
+    """A table read by columns has the cells, numbers, masks, line numbers and errors of one read line by line."""
     comments = [line for line in before if line.startswith("#") or not line]
     text = "\n".join([*comments, "a,b,c", *after]) + "\n" * ended
     (tmp_path / "t.csv").write_text(text, "utf-8", newline="")
@@ -141,7 +144,10 @@ def test_observations_are_refused_if_and_only_if_a_fault_is_listed(
 def test_points_without_faults_have_the_numbers_of_their_cells(
     tmp_path: Path, changes: list[tuple[int, int, str]]
 ) -> None:
-    """In Earth-fixed coordinates, which are not transformed; cells converted here, one by one."""
+    """Points without errors have the numbers of their cells, and an error is reported for every other table.
+
+    Earth-fixed coordinates are not transformed.
+    """
     rows = [["c", "control", "30", "40", "5", "1", "1", "2"], ["k", "check", "31", "40.5", "6", "1", "1", "2"],
             ["t", "tie", "", "", "", "", "", ""]]  # fmt: skip
     for row, column, cell in changes:
@@ -190,7 +196,10 @@ def test_rows_of_an_image_are_those_of_its_equation(block: Block, degree: int | 
 
 @pytest.mark.consistency
 def test_rows_of_many_images_are_those_of_their_equations() -> None:
-    """Images of several kinds with numbers of unknowns of their own; all image points, some, and none."""
+    """Rows computed for many images at once equal those of single equations, for all, some or no image points.
+
+    Images differ in kind and number of unknowns.
+    """
     problem = compile_problem(mixed_block(MixedOptions(seed=3, points=40))[0])
     value, j_image, j_ground = scalar_rows(problem, problem.start)
     some = np.random.default_rng(1).permutation(len(value))[:20]
@@ -213,7 +222,7 @@ def test_rows_of_many_images_are_those_of_their_equations() -> None:
 def test_cofactors_of_all_points_are_those_of_the_full_matrix(
     block: Block, monkeypatch: pytest.MonkeyPatch, backend: str
 ) -> None:
-    """In one go, in small chunks, and without all cofactors of the images; fixed points have none."""
+    """Cofactors of all points equal those of the full matrix, for any size of chunks; fixed points have zeros."""
     fixed = block.points.known.fixed.copy()
     fixed[np.flatnonzero(np.isfinite(block.points.known.ecef_m).all(axis=1))[:2]] = True
     points = replace(block.points, known=replace(block.points.known, fixed=fixed))

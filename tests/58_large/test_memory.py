@@ -30,7 +30,10 @@ def block() -> Block:
 @pytest.mark.oracle
 @pytest.mark.parametrize("backend", ["schur", "graph", "dense"])
 def test_estimate_covers_what_is_allocated_and_not_much_more(block: Block, backend: str) -> None:
-    """tracemalloc counts the arrays; it does not count GTSAM's own memory."""
+    """The memory estimate of each backend is above the peak of its arrays and below four times the peak.
+
+    tracemalloc counts arrays, but not GTSAM's own memory.
+    """
     adjust(block, backend=backend, max_iterations=1)  # what is loaded or compiled once does not count
     tracemalloc.start()
     try:
@@ -44,7 +47,10 @@ def test_estimate_covers_what_is_allocated_and_not_much_more(block: Block, backe
 
 @pytest.mark.behaviour
 def test_dense_needs_more_than_explicit_factors_and_these_more_than_eliminated_points(block: Block) -> None:
-    """Without priors the graph has one factor for each image point."""
+    """The estimate grows from eliminated points over explicit factors (twice as much) to dense.
+
+    Without priors the graph has one factor for each image point.
+    """
     kinds = ({"backend": "graph"}, {"backend": "graph", "priors": False, "eop_set": 1}, {"backend": "dense"})
     needed = [adjust(block, max_iterations=1, **kind).memory for kind in kinds]
     sizes = [need.needed for need in needed if need is not None]
@@ -53,7 +59,7 @@ def test_dense_needs_more_than_explicit_factors_and_these_more_than_eliminated_p
 
 @pytest.mark.behaviour
 def test_blocks_of_a_wide_network_count_only_where_they_are_formed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """100 images of random visibility: without their matrix, unless the graph or a full factor needs the blocks."""
+    """The estimate of a wide network contains the blocks of its matrix only if graph or full factor need them."""
     wide = pinhole_block(100, 500, mixed=True)[0]
     wide = replace(wide, options=replace(wide.options, statistics="basic"))
     for module in (memory, reduced_choice):
@@ -81,7 +87,7 @@ def test_refused_before_anything_is_compiled(block: Block, monkeypatch: pytest.M
 
 @pytest.mark.behaviour
 def test_statistics_are_left_out_where_only_they_exceed_the_limit(tmp_path: Path) -> None:
-    """The coordinates are the same, and the record names what is missing, why and the remedy."""
+    """If only the statistics exceed the memory limit, they are omitted with a warning and sigma0 is unchanged."""
     project = simulate_block(tmp_path / "block", BlockOptions(points=900))
     full, basic = (
         in_process("adjust", project, "--statistics", kind, "--out", tmp_path / kind, "--json").json
@@ -98,7 +104,7 @@ def test_statistics_are_left_out_where_only_they_exceed_the_limit(tmp_path: Path
 
 @pytest.mark.behaviour
 def test_a_block_above_the_limit_is_adjusted_in_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Only some parts are open at once; the note states this."""
+    """A block above the memory limit is adjusted in parts with the same result, and a note states the parts."""
     monkeypatch.setattr("fg_orient.adjustment.memory.PART_SIZE", 400)
     monkeypatch.setattr("fg_orient.quality.deficiency.affordable", lambda problem: False)  # as of a large block
     monkeypatch.setattr("fg_orient.quality.deficiency.ENOUGH", 1000)

@@ -28,7 +28,7 @@ def block() -> Block:
 
 @pytest.fixture
 def large(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
-    """No decomposition of more than ten unknowns."""
+    """Forbid decompositions of more than ten unknowns."""
     monkeypatch.setattr(regularisation, "MAX_UNKNOWNS", 10)
     return monkeypatch
 
@@ -36,7 +36,10 @@ def large(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
 @pytest.mark.oracle
 @pytest.mark.parametrize("more", [{}, {"look_polynomial": 1, "look_shared": True}], ids=["own", "shared"])
 def test_normal_equations_are_those_of_numpy(block: Block, more: dict[str, Any]) -> None:
-    """A^T A, A^T l and the squares of the residuals with the points eliminated; shared unknowns once."""
+    """The reduced normal equations of a large block equal numpy's: right-hand side, squares, products and factor.
+
+    Shared unknowns count once.
+    """
     problem = compiled_problem(with_options(block, "test", **{**OPTIONS, "eop_set": 1, "priors": True, **more}))
     plain = compiled_problem(with_options(block, "test", **{**OPTIONS, "eop_set": 1, **more}))
     found, (a, right) = NormalEquations.of(problem, problem.start), dense_of(plain)[:2]
@@ -54,7 +57,10 @@ def test_normal_equations_are_those_of_numpy(block: Block, more: dict[str, Any])
 @pytest.mark.consistency
 @pytest.mark.parametrize("rule", ["l_curve", "discrepancy", "quasi_optimality", "gcv"])
 def test_sampled_rules_are_those_of_the_decomposition(block: Block, rule: str, large: pytest.MonkeyPatch) -> None:
-    """GCV by its interval, five times as wide; the others have no sampled trace."""
+    """Each kappa rule with sampled traces chooses the kappa of the decomposition within 1e-3.
+
+    For GCV the exact kappa lies in its interval, widened five times; the other rules have no sampled trace.
+    """
     problem = compiled_problem(with_options(block, "test", **OPTIONS, kappa_rule=rule))
     sampled = regularisation.with_regularisation(problem).regularisation
     large.undo()
@@ -105,7 +111,10 @@ def test_what_needs_a_decomposition_is_refused(
 
 @pytest.mark.consistency
 def test_small_kappa_that_gtsam_refuses_is_solved(block: Block) -> None:
-    """GTSAM's Cholesky refuses pivots of very different size; the Schur backend then solves the same equations."""
+    """With a small kappa the Schur backend is used and agrees with dense within 1e-5 m.
+
+    GTSAM's Cholesky refuses pivots of very different size.
+    """
     small = fg.adjust(block, **OPTIONS, kappa=1e-5)
     assert small.backend == "schur"
     dense = fg.adjust(block, **OPTIONS, kappa=1e-5, backend="dense")

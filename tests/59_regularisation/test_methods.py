@@ -52,10 +52,11 @@ def test_tikhonov_is_ridge_of_numpy(block: Block, eop_set: int, kappa: float) ->
 @pytest.mark.oracle
 @pytest.mark.parametrize("eop_set", DEFICIENT)
 def test_minimum_norm_is_pinv_of_numpy(block: Block, eop_set: int) -> None:
-    """At the cut of 1e-9, where each set has a gap, the weakest direction has 1e9 as condition.
+    """The minimum-norm step equals numpy's pseudo-inverse with the rank of the cut at 1e-9, where each set has a gap.
 
-    A solution of size |x| is then known to some eps cond |x| in double precision (Wedin 1973), which is 1e-4 to 2
-    prior sigmas here: 1e-8 is impossible for any solver. Twenty times that is allowed.
+    The weakest direction has 1e9 as condition. A solution of size |x| is then known to some eps cond |x| in double
+    precision (Wedin 1973), which is 1e-4 to 2 prior sigmas here: 1e-8 is impossible for any solver. Twenty times that
+    is allowed.
     """
     plain, problem = regularised(block, eop_set, regularisation="minimum_norm")
     chosen, oracle = problem.regularisation, dense_of(plain)
@@ -135,7 +136,7 @@ def test_backends_end_at_the_same_place(block: Block, eop_set: int, options: dic
 
 @pytest.mark.consistency
 def test_kappa_1_is_the_priors(block: Block) -> None:
-    """In prior sigmas kappa 1 gives the equations with priors; priors plus kappa 3 are kappa 4."""
+    """In prior sigmas kappa 1 gives the solution with priors, and priors plus kappa 3 that of kappa 4."""
     prior = fg.adjust(block, eop_set=20)
     ridge = fg.adjust(block, eop_set=20, priors=False, regularisation="tikhonov")
     np.testing.assert_allclose(ridge.state.image, prior.state.image, rtol=0.0, atol=1e-9)
@@ -149,7 +150,7 @@ def test_kappa_1_is_the_priors(block: Block) -> None:
 
 @pytest.mark.truth
 def test_minimum_norm_counts_the_rank(block: Block) -> None:
-    """Held directions are as many equations as they remove unknowns; the redundancy is n - rank."""
+    """With minimum norm the redundancy is the number of observations minus ground unknowns and rank."""
     solution = fg.adjust(block, eop_set=17, priors=False, regularisation="minimum_norm", rank_cut=1e-6)
     problem = solution.problem
     assert problem.regularisation is not None
@@ -197,7 +198,10 @@ def test_a_problem_is_regularised_once(block: Block) -> None:
 
 @pytest.mark.behaviour
 def test_a_penalty_that_contradicts_the_observations_is_named(block: Block) -> None:
-    """Kappa 1e4: deviations of 0.01 prior sigmas are expected; sigma0 rises by the penalty."""
+    """If a large kappa contradicts the observations, the verdict names the penalty as cause of sigma0.
+
+    Kappa 1e4 expects deviations of 0.01 prior sigmas.
+    """
     solution = fg.adjust(block, eop_set=15, priors=False, regularisation="tikhonov", kappa=1e4)
     assert solution.verdict.code == "verdict.sigma0_regularised"
     assert 0.0 < solution.verdict.data["share"] < 1.0
@@ -213,7 +217,7 @@ def test_tests_of_unknowns_refuse_a_biased_estimate(block: Block) -> None:
 
 @pytest.mark.consistency
 def test_factor_graph_of_a_block_has_the_penalties(block: Block) -> None:
-    """GTSAM's own optimiser on the graph that a user gets ends at the solution of ``adjust``."""
+    """GTSAM's optimiser on the graph of a regularised block ends at the solution of ``adjust``."""
     options: dict[str, Any] = {"eop_set": 19, "priors": False, "regularisation": "tikhonov", "kappa": 0.5}
     graph = fg.factor_graph(with_options(block, "test", **options))
     found = gtsam.GaussNewtonOptimizer(graph.graph, graph.values).optimize()

@@ -27,7 +27,10 @@ def parameters(*names: str, sigma: tuple[float, ...]) -> ImageParameters:
 @pytest.mark.truth
 @pytest.mark.parametrize("order", [1, 2])
 def test_penalty_is_the_mean_square_of_the_derivative(order: int) -> None:
-    """f = s0 x0 + s1 x1 t + s2 x2 t^2 over s0: f' and f'' written out, at the middles of the times."""
+    """The penalty of a polynomial is the mean square of its first or second derivative in prior sigmas.
+
+    For f = s0 x0 + s1 x1 t + s2 x2 t^2 the test writes out f' and f'' over s0 at the middles of the times.
+    """
     sigma, x = (2.0, 0.5, 0.25), np.array([3.0, -1.0, 2.0])
     rows = image_penalty(parameters("roll_0", "roll_1", "roll_2", sigma=sigma), order, 0)
     t = np.linspace(-1.0, 1.0, TIMES + order)
@@ -39,7 +42,7 @@ def test_penalty_is_the_mean_square_of_the_derivative(order: int) -> None:
 
 @pytest.mark.truth
 def test_penalty_of_a_curve_is_that_of_its_values() -> None:
-    """A curve and the quadratic of the same component are one function; other components do not mix."""
+    """The penalty of a curve is that of curve and polynomial of its component together, without other components."""
     from factors.geometry import polynomials
 
     names = ("x_0", "x_1", "roll_1", "roll_c0", "roll_c1")
@@ -64,7 +67,7 @@ def test_line_and_sample_of_an_rpc_image_are_different_variables() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("units", ["raw", "columns"])
 def test_units_change_the_norm(block: Block, units: str) -> None:
-    """The pseudo-inverse in raw coefficients per line, or with columns of unit length."""
+    """Units of raw coefficients or of columns of unit length give numpy's units, singular values, rank and fit."""
     cut = 1e-6
     plain, problem = regularised(block, 1, regularisation="minimum_norm", regularised_units=units, rank_cut=cut)
     oracle, chosen = dense_of(plain), problem.regularisation
@@ -86,7 +89,7 @@ def test_units_change_the_norm(block: Block, units: str) -> None:
 
 @pytest.mark.behaviour
 def test_rows_of_one_image_are_its_own_observation(block: Block) -> None:
-    """Tikhonov keeps the images apart; held directions of several images are one observation of them."""
+    """Tikhonov's penalty is one observation per image; directions held in several images are joint ones."""
     options: list[dict[str, Any]] = [{"regularisation": "tikhonov"}, {"regularisation": "truncated"}]
     own, joint = (
         [len(e.unknowns) for e in regularised(block, 20, **o)[1].block.extra if isinstance(e, Penalty)] for o in options

@@ -33,7 +33,10 @@ def block() -> Block:
 
 
 def inverse_rows(problem: Problem, state: Any) -> tuple[Array, Array]:
-    """All rows J (n, u) without the penalty, and the estimator M (u, n) of numpy with it, in columns of unit length."""
+    """Return all rows J (n, u) without the penalty, and numpy's estimator M (u, n) with it.
+
+    Columns have unit length in the inversion.
+    """
     design = assemble(without_penalties(problem), state)[1]
     held = np.zeros((len(problem.regularisation.rows), design.shape[1]))  # type: ignore[union-attr]
     held[:, : problem.n_free_unknowns] = problem.regularisation.rows  # type: ignore[union-attr]
@@ -45,7 +48,7 @@ def inverse_rows(problem: Problem, state: Any) -> tuple[Array, Array]:
 @pytest.mark.oracle
 @pytest.mark.parametrize("options", CASES, ids=IDS)
 def test_redundancy_is_that_of_the_hat_matrix(block: Block, options: dict[str, Any]) -> None:
-    """Number of all observations and priors minus the trace of their hat matrix, ground points included."""
+    """The redundancy is the number of observations and priors minus the trace of their hat matrix."""
     _, problem = regularised(block, 19, **options)
     design, estimator = inverse_rows(problem, problem.start)
     trace = float(np.einsum("nu,un->", design, estimator))
@@ -58,7 +61,7 @@ def test_redundancy_is_that_of_the_hat_matrix(block: Block, options: dict[str, A
 @pytest.mark.oracle
 @pytest.mark.parametrize("backend", ["dense", "schur", "graph"])
 def test_sigma0_has_no_rows_of_the_penalty(block: Block, backend: str) -> None:
-    """Residuals of image points and control points alone, whitened by the test's own sum."""
+    """chi2 and sigma0 count residuals of image points and control points only, without the penalty."""
     solution = fg.adjust(block, eop_set=20, priors=False, regularisation="tikhonov", kappa=30.0, backend=backend)
     plain = without_penalties(solution.problem)
     residual = assemble(plain, solution.state, jacobian=False)[0]
@@ -71,7 +74,10 @@ def test_sigma0_has_no_rows_of_the_penalty(block: Block, backend: str) -> None:
 
 @pytest.mark.oracle
 def test_sigma0_of_simulated_blocks_is_one() -> None:
-    """Linear model of a block, true deviations N(0, 1 / kappa), noise 1: squares over redundancy have the mean 1."""
+    """Squares over redundancy of simulated blocks have the mean 1, unlike with the penalty counted as priors.
+
+    True deviations are N(0, 1 / kappa) and the noise is 1 in the block's linear model.
+    """
     kappa, draws = 4.0, 4000
     _, problem = regularised(twin(), 15, regularisation="tikhonov", kappa=kappa)
     design, estimator = inverse_rows(problem, problem.start)
@@ -90,7 +96,10 @@ def test_sigma0_of_simulated_blocks_is_one() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("options", [CASES[0], CASES[1], CASES[5]], ids=["ridge", "priors", "truncated"])
 def test_expected_errors_of_check_points_are_those_of_simulated_blocks(block: Block, options: dict[str, Any]) -> None:
-    """True deviations N(0, 1) of the images and noise 1 in the linear model, all unknowns estimated by numpy."""
+    """Expected errors and biases of check points equal those of 20 000 simulated blocks.
+
+    True deviations of the images are N(0, 1), the noise is 1, and numpy estimates all unknowns.
+    """
     options = {"priors": False, **options}
     solution = fg.adjust(block, eop_set=19, **options)
     points = solution.problem.block.points.where(Role.CHECK)[:3]
@@ -115,7 +124,10 @@ def test_expected_errors_of_check_points_are_those_of_simulated_blocks(block: Bl
 
 @pytest.mark.truth
 def test_expected_errors_of_a_true_prior_are_its_covariance(block: Block) -> None:
-    """Kappa 1 for deviations of one prior sigma is Bayes' estimate: its error is its posterior covariance."""
+    """With kappa 1 the expected errors of check points are the posterior covariance of the adjustment with priors.
+
+    Kappa 1 for deviations of one prior sigma is Bayes' estimate.
+    """
     prior = fg.adjust(block, eop_set=20)
     ridge = fg.adjust(block, eop_set=20, priors=False, regularisation="tikhonov", kappa=1.0)
     points = block.points.where(Role.CHECK)

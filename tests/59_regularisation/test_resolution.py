@@ -35,7 +35,10 @@ def estimate(rows: Array, held: Array, right: Array) -> Array:
 @pytest.mark.oracle
 @pytest.mark.parametrize("options", CASES, ids=["ridge", "priors", "gradient"])
 def test_resolution_is_the_response_to_the_true_value(block: Block, options: dict[str, Any]) -> None:
-    """Observations of a linear model with one deviation of 1, all unknowns estimated by numpy: column of Q N."""
+    """Each column of the resolution matrix is the estimate for one true deviation of 1 without noise.
+
+    numpy estimates all unknowns of the linear model; the column is that of Q N.
+    """
     plain, problem = regularised(block, 19, regularisation="tikhonov", **options)
     j, z = dense_of(plain).j, plain.n_free_unknowns
     n = j.shape[0] - (z if plain.block.options.priors else 0)
@@ -51,7 +54,7 @@ def test_resolution_is_the_response_to_the_true_value(block: Block, options: dic
 
 @pytest.mark.oracle
 def test_noise_and_posterior_are_those_of_the_estimator(block: Block) -> None:
-    """Variance of the estimate for unit noise, and the inverse of the whole normal matrix, by numpy."""
+    """Noise and posterior sigmas equal numpy's estimator and inverse of the whole normal matrix."""
     plain, problem = regularised(block, 19, regularisation="tikhonov", kappa=0.5)
     j, z = dense_of(plain).j, plain.n_free_unknowns
     held = np.pad(np.sqrt(0.5) * np.eye(z), ((0, 0), (0, j.shape[1] - z)))
@@ -66,7 +69,10 @@ def test_noise_and_posterior_are_those_of_the_estimator(block: Block) -> None:
 
 @pytest.mark.truth
 def test_simulated_error_is_noise_and_bias(block: Block) -> None:
-    """Mean square error for true deviations N(0, 1): squares of noise and of I - Q N; 5 standard errors."""
+    """The simulated error for true deviations N(0, 1) is that of noise and bias within 5 standard errors.
+
+    The bias is I - Q N.
+    """
     _, problem = regularised(block, 19, regularisation="tikhonov", kappa=0.5)
     found = resolution(problem, problem.start)
     bias = np.linalg.norm(np.eye(len(found.bias)) - found.matrix, axis=1)
@@ -77,7 +83,7 @@ def test_simulated_error_is_noise_and_bias(block: Block) -> None:
 @pytest.mark.truth
 @pytest.mark.parametrize("method", ["truncated", "minimum_norm"])
 def test_held_directions_have_no_resolution_and_their_own_bias(block: Block, method: str) -> None:
-    """A held direction v is not estimated: resolution 0, bias of one prior sigma for a deviation of one."""
+    """A held direction has the resolution 0 and a bias of one prior sigma for a deviation of one."""
     _, problem = regularised(block, 19, regularisation=method, rank_cut=1e-5)
     found, chosen = resolution(problem, problem.start), problem.regularisation
     assert chosen is not None and chosen.held > 0

@@ -29,7 +29,10 @@ def kappa_of(rule: str, system: LinearSystem) -> float:
 @pytest.mark.oracle
 @pytest.mark.parametrize("eop_set", DEFICIENT)
 def test_reduced_rules_are_those_of_the_dense_form(block: Block, eop_set: int) -> None:
-    """All rows with the points projected out by numpy; HKB there starts from the minimum norm with u = rank."""
+    """Each kappa rule on the reduced system chooses the kappa of the dense form within 1e-6.
+
+    numpy projects the points out of all rows; HKB there starts from the minimum norm with u = rank.
+    """
     plain, problem = regularised(block, eop_set, regularisation="tikhonov")
     assert problem.regularisation is not None
     reduced, oracle = problem.regularisation.standard, dense_of(plain)
@@ -45,7 +48,10 @@ def test_reduced_rules_are_those_of_the_dense_form(block: Block, eop_set: int) -
 @pytest.mark.oracle
 @pytest.mark.parametrize("eop_set", DEFICIENT)
 def test_gcv_is_least_with_the_hat_matrix_of_all_observations(block: Block, eop_set: int) -> None:
-    """Ground points are unknowns here; rows are all whitened image and control observations."""
+    """GCV chooses the kappa that minimises GCV with the hat matrix of all observations.
+
+    Ground points are unknowns there; rows are all whitened image and control observations.
+    """
     plain, problem = regularised(block, eop_set, regularisation="tikhonov", kappa_rule="gcv")
     chosen, oracle = problem.regularisation, dense_of(plain)
     assert chosen is not None and chosen.kappa is not None
@@ -65,7 +71,7 @@ def test_gcv_is_least_with_the_hat_matrix_of_all_observations(block: Block, eop_
 @pytest.mark.oracle
 @pytest.mark.parametrize("eop_set", DEFICIENT)
 def test_hkb_and_lw_by_their_formulas(block: Block, eop_set: int) -> None:
-    """T(3.5) and T(3.6) with the minimum-norm solution and u = rank.
+    """HKB and LW choose kappa by T(3.5) and T(3.6) with the minimum-norm solution and u = rank.
 
     LW has |A x|^2 as denominator; its form with eigenvalues of N = A^T A loses five digits in the dense form.
     """

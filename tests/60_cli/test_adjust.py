@@ -27,7 +27,7 @@ FIGURES = {"n", "ce90_m", "le90_m"} | {f"{kind}_{axis}_m" for kind in ("rmse", "
 
 
 def absent(record: dict[str, Any], figure: str) -> str:
-    """Return the code of the finding that says why a figure is null."""
+    """Return the code of the finding that explains why a figure is null."""
     (code,) = [found["code"] for found in record["findings"] if figure in found["data"].get("figures", [])]
     return str(code)
 
@@ -52,10 +52,11 @@ def test_keys(adjusted: tuple[Path, Any]) -> None:
 
 @pytest.mark.behaviour
 def test_seconds_cover_the_work(run: Any, twin: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """From the end of the imports to the printing of the result, and the phases add up: within 5 % of the work.
+    """The times of ``adjust`` cover the work from the end of the imports to the printed result, within 5 %.
 
-    The clock counts the calls of functions in place of seconds, so that the same work is the same on each machine,
-    however busy it is. The record as text is in no phase, for it holds the phases: an eighth of the calls.
+    The phases add up. The clock counts the calls of functions in place of seconds, so that the same work is the same on
+    each machine, however busy it is. The record as text is in no phase, for it holds the phases: an eighth of the
+    calls.
     """
     seen: dict[str, list[tuple[int, int]]] = {"load": [], "answer": [], "dumps": []}
     with counted() as calls:
@@ -96,7 +97,10 @@ def test_one_json_object_and_nothing_else_on_standard_output(fresh: Any, twin: P
 
 @pytest.mark.behaviour
 def test_not_trustworthy_is_exit_4_with_result(run: Any, twin: Path) -> None:
-    """Set 5 (velocity) cannot represent a constant offset of position and attitude."""
+    """A set that does not fit the errors gives exit code 4, the reasons and a written result.
+
+    Set 5 (velocity) cannot represent a constant offset of position and attitude.
+    """
     ended = run("adjust", twin, "--eop-set", "V", "--json")
     record = ended.json
     assert (ended.code, record["status"], record["eop_set"]) == (4, "not_trustworthy", 5)
@@ -166,7 +170,7 @@ def test_rank_deficient_for_people(run: Any, twin: Path) -> None:
 
 @pytest.mark.behaviour
 def test_directions_without_control_points_are_one_line(run: Any, twin: Path) -> None:
-    """Without control points one line suggests the datum, instead of a line for each free direction."""
+    """Without control points one line names some free directions and suggests the datum; the JSON output has all."""
     points = twin.parent / "points.csv"
     points.write_text(points.read_text("utf-8").replace(",control,", ",check,"), "utf-8")
     ended = run("adjust", twin, "--datum", "inner", "--no-priors")
@@ -199,7 +203,10 @@ def test_not_converged_is_exit_3(run: Any, twin: Path) -> None:
 
 @pytest.mark.behaviour
 def test_without_redundancy_sigma0_is_null_with_a_reason(run: Any, twin: Path) -> None:
-    """One control and two check points, two times roll, pitch, yaw: 12 + 3 equations, 6 + 9 unknowns."""
+    """Without redundancy sigma0 is null with a reason, and sigmas are in prior scale.
+
+    One control and two check points, two times roll, pitch, yaw: 12 + 3 equations, 6 + 9 unknowns.
+    """
     folder = twin.parent
     rows = (folder / "points.csv").read_text("utf-8").splitlines()
     head = [row for row in rows if row.startswith(("#", "id"))]
@@ -230,7 +237,7 @@ def test_options_replace_those_of_the_project(run: Any, twin: Path) -> None:
 
 @pytest.mark.consistency
 def test_dense_backend_and_its_solver(run: Any, twin: Path) -> None:
-    """From the command line and from the project file; the figures are those of the graph."""
+    """``--backend dense`` with a solver has the figures of the graph, and the project file can choose both."""
     graph = run("adjust", twin, "--eop-set", 16, "--backend", "graph", "--json").json
     dense = run("adjust", twin, "--eop-set", 16, "--backend", "dense", "--solver", "pivot_inverse", "--overwrite",
                 "--json").json  # fmt: skip

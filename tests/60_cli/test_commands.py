@@ -68,7 +68,7 @@ def test_validate(run: Any, twin: Path) -> None:
     ("entry", "place"), [('loss = "nonsense"', "loss"), ("gnc = true", "gnc"), ('optimizer = "newton"', "optimizer")]
 )
 def test_validate_refuses_what_adjust_refuses(run: Any, twin: Path, entry: str, place: str) -> None:
-    """Both commands name the same file and entry."""
+    """``validate`` and ``adjust`` refuse a wrong entry with the same file and place."""
     text, count = re.subn(rf"^{place} = .*$", entry, twin.read_text("utf-8"), flags=re.MULTILINE)
     assert count == 1
     twin.write_text(text, "utf-8")
@@ -79,7 +79,7 @@ def test_validate_refuses_what_adjust_refuses(run: Any, twin: Path, entry: str, 
 
 
 def test_self_test_notices_a_wrong_jacobian(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A sensor whose projection is wrong by 0.01 px must not pass."""
+    """The self-test fails if the projection of a sensor is wrong by 0.01 px per 1000 lines."""
     from fg_orient.sensors.pushbroom import PushbroomSensor
 
     assert self_test()[0]

@@ -183,7 +183,7 @@ def test_damaged_folder_is_refused(run: Any, copied: tuple[Output, Path], case: 
 
 
 def test_whole_and_old_folders_are_read(run: Any, copied: tuple[Output, Path]) -> None:
-    """The folders are renamed, have another page, or come from a version without manifest."""
+    """Result folders that are renamed, have another page or no manifest are read by each command."""
     output, folder = copied
     result = (folder / "result").rename(folder / "renamed")
     (result / "report.html").write_text("edited", "utf-8")

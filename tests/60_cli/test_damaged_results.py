@@ -22,7 +22,7 @@ MANIFEST, RECORD = "manifest.json", "result.json"
 
 
 def _text(name: str, old: str, new: str) -> Callable[[Path, Path], object]:
-    """Replace a text in a file; of the same length, so that sizes do not show it."""
+    """Return a function that replaces a text in a file by one of the same length, so that its size is unchanged."""
     assert len(old) == len(new)
 
     def change(folder: Path, other: Path) -> None:
@@ -57,7 +57,10 @@ def _link(folder: Path, other: Path) -> None:
 
 
 def _half(folder: Path, other: Path) -> None:
-    """Leave what a copy in alphabetical order wrote before it was interrupted: the manifest came before the tables."""
+    """Leave the files that a copy in alphabetical order has written when it ends after the manifest.
+
+    The tables are missing.
+    """
     names = sorted(path.name for path in folder.iterdir())
     for name in names[names.index(MANIFEST) + 1 :]:
         (folder / name).unlink()
@@ -174,7 +177,7 @@ def test_damaged_folder_is_refused_by_each_command(
 def refused_by(
     run: Any, result: Path, other: Path, twin: Path, dem: Path, tmp_path: Path, case: str, *, each: bool
 ) -> None:
-    """Damage a result, and give it to the command ``report`` or to each command."""
+    """Damage a result, and assert that the command ``report`` or each command refuses it and writes nothing."""
     damage, code = DAMAGED[case]
     damage(result, other)
     before, out = content(result), tmp_path / "out"
@@ -201,7 +204,7 @@ def test_folder_of_version_0_1_is_read(run: Any, result: Path, twin_source: Path
 
 
 def test_residuals_of_an_unknown_image_are_refused(result: Path) -> None:
-    """In a folder without manifest; found by fuzzing."""
+    """Residuals of an unknown image in a folder without manifest are refused. Fuzzing found this case."""
     of_version_0_1(result)
     path = result / "residuals.csv"
     path.write_text(path.read_text("utf-8").replace("left,", "other,", 1), "utf-8")
@@ -211,7 +214,7 @@ def test_residuals_of_an_unknown_image_are_refused(result: Path) -> None:
 
 
 def test_whole_folder_is_read(run: Any, result: Path, twin_source: Path, dem: Path, tmp_path: Path) -> None:
-    """The page and the figures may be written again; the folder may be renamed and copied."""
+    """A result folder is read after it is copied, renamed and given another page, and its manifest lists all files."""
     copy = shutil.copytree(result, tmp_path / "another name")
     (copy / "report.html").write_text("edited", "utf-8")
     for name in ("report", "locate"):

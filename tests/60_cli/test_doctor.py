@@ -49,7 +49,7 @@ def test_doctor(run: Any, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_doctor_of_a_broken_installation(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The exit code is 1, and all other checks are still made."""
+    """``doctor`` of a broken installation has exit code 1, names the failures and still makes all other checks."""
 
     def broken() -> list[Path]:
         raise RuntimeError("numba is broken")
@@ -76,7 +76,10 @@ def test_no_cache_is_a_warning_with_a_remedy(run: Any, monkeypatch: pytest.Monke
 
 
 def test_caches_without_a_reason_to_warn(cache: Path) -> None:
-    """The cache belongs to the user alone, is below a sticky folder such as /tmp, or does not exist yet."""
+    """``doctor`` does not warn of a cache of the user alone, below a sticky folder, or that does not exist.
+
+    An example of a sticky folder is /tmp.
+    """
     assert checks.cache_findings(cache) == []
     found = checks.examine_cache([cache, cache / "deep" / "er"])
     assert (found["files"], found["bytes"]) == (2, 20)
@@ -88,7 +91,10 @@ def test_caches_without_a_reason_to_warn(cache: Path) -> None:
 
 
 def test_cache_that_may_not_be_read(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The folder of another user cannot be read; root may read everything, so that the refusal is simulated."""
+    """A cache that cannot be read counts as absent, without a warning.
+
+    Root may read everything, so that the refusal is simulated.
+    """
     true_stat = os.stat
 
     def refused(path: Any, *args: Any, **options: Any) -> os.stat_result:
@@ -135,9 +141,9 @@ def status(mode: int, user: int, group: int) -> os.stat_result:
 
 
 def test_who_can_write(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Another owner (also of a sticky folder) and a group with other members can write.
+    """``open_to`` names another owner or a group with other members that can write to a folder.
 
-    Root and the user's own group do not count.
+    Root and the user's own group do not count; in a sticky folder only another owner counts.
     """
     me, stranger = os.getuid(), 54321
     name = checks._user(me)
@@ -159,7 +165,7 @@ def test_who_can_write(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_doctor_without_numba(fresh: Any) -> None:
-    """Missing modules are reported, and no code of fg_orient needs them before."""
+    """``doctor`` without numba has exit code 1 and reports the missing module at each check that needs it."""
     ended = fresh("doctor", before="sys.modules['numba'] = None")
     assert (ended.code, ended.stderr) == (1, "")
     text = " ".join(ended.stdout.split())

@@ -24,7 +24,7 @@ def reason() -> str:
 
 
 def reports(*words: str) -> list[dict[str, Any]]:
-    """Run the harness in a process of its own, which no test has given threads."""
+    """Run the harness in a separate process, in which no test has started threads."""
     if reason():
         pytest.skip(reason())
     done = subprocess.run([sys.executable, "-m", "tests.faults", *words], capture_output=True, text=True, timeout=3600)
@@ -34,7 +34,7 @@ def reports(*words: str) -> list[dict[str, Any]]:
 
 
 def test_a_sample_of_failing_calls() -> None:
-    """``rectify fit``: one folder; the output is whole or absent, the message one line, and nothing is left."""
+    """A failing or killed call of ``rectify fit`` leaves a whole output or none, one message and no hidden file."""
     (report,) = reports("--command", "rectify", "--most", "2", "--errors", "ENOSPC,KILL")
     assert report["failures"] == [] and report["calls"] > 15 and report["runs"] == 4
 
@@ -42,7 +42,10 @@ def test_a_sample_of_failing_calls() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(SCENARIOS))
 def test_failing_calls(name: str) -> None:
-    """A random sample of the calls, with the errors in turn; ``python -m tests.faults`` tries all of them."""
+    """A failing call of each command leaves a whole output or none; calls are a random sample.
+
+    ``python -m tests.faults`` tries all of them.
+    """
     (report,) = reports("--command", name, "--most", "12", "--in-turn")
     assert report["failures"] == [] and report["runs"] == report["tried"] >= 8
 
@@ -57,7 +60,7 @@ def test_killed_at_random_times(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["rectify", "pair", "match"])
 def test_two_writers(name: str) -> None:
-    """Two runs write a folder, tables, or tables and a folder; the outputs are never mixed."""
+    """Two runs that write the same outputs never mix them. Outputs are a folder, tables, or tables and a folder."""
     (report,) = reports("--command", name, "--writers", "--most", "20")
     assert report["failures"] == [] and report["runs"] == 2 * report["tried"] >= 30
 
@@ -69,7 +72,7 @@ def test_a_disk_that_stays_full() -> None:
 
 
 def test_the_harness_sees_a_fault(tmp_path: Path) -> None:
-    """A writer that leaves half a file is found by the harness."""
+    """The harness finds the half file of a writer that fails or is killed between two calls."""
     if reason():
         pytest.skip(reason())
     from tests.faults.harness import ERRORS, run

@@ -37,7 +37,7 @@ def test_locate_one_pixel(run: Any, twin_source: Path) -> None:
 
 @pytest.mark.oracle
 def test_csv_there_and_back(run: Any, twin_source: Path, tmp_path: Path) -> None:
-    """Pixels to ground and back: the same pixels within 1e-6 px, the bound of the projection."""
+    """Pixels located and projected by tables return within 1e-6 px, the bound of the projection."""
     image, pixels = twin_source / "right.DIM", tmp_path / "pixels.csv"
     given = [("a", 0.0, 0.0, 0.0), ("b b", 11999.0, 0.25, 900.0), ("c", 6000.5, 11999.0, 1800.0)]
     text = "id,line,sample,height_m\n" + "".join(",".join(map(str, row)) + "\n" for row in given)
@@ -73,7 +73,7 @@ def test_point_far_outside_is_null_and_not_inside(run: Any, twin_source: Path) -
 
 @pytest.mark.oracle
 def test_locate_on_a_dem(run: Any, twin_source: Path, tmp_path: Path) -> None:
-    """On a raster of constant height the result is that for the height."""
+    """``locate --dem`` on a raster of constant height gives the point of ``--height`` within 0.5 mm."""
     rasterio = pytest.importorskip("rasterio")
 
     dem = tmp_path / "dem.tif"
@@ -154,7 +154,10 @@ def test_bad_cells_are_listed_together(run: Any, twin_source: Path, tmp_path: Pa
 
 @pytest.mark.oracle
 def test_two_rays_miss_by_their_shortest_distance(run: Any, twin_source: Path) -> None:
-    """Against |(P2 - P1) . (u1 x u2)| / |u1 x u2|."""
+    """``intersect`` states the miss of two rays as their shortest distance, within 1e-6 m.
+
+    It is |(P2 - P1) . (u1 x u2)| / |u1 x u2|.
+    """
     images = [twin_source / "left.DIM", twin_source / "right.DIM"]
     ended = run("intersect", *images, "--pixel", "6000,6000", "--pixel=5990.5,6010", "--json")
     assert ended.code == 0
@@ -225,7 +228,10 @@ def test_frame_of_the_twin(run: Any, twin_source: Path) -> None:
 
 @pytest.mark.oracle
 def test_misfit_is_model_minus_file(run: Any, twin: Path) -> None:
-    """A corner moved by 1e-4 degrees to the East in the file: 8.36 m at its latitude, to the West."""
+    """The misfit of a frame point is model minus file: a corner moved to the east by 8.36 m misfits to the west.
+
+    The corner is moved by 1e-4 degrees.
+    """
     path = twin.parent / "left.DIM"
     before = run("locate", path, "--frame", "--json").json["points"][0]
     text = path.read_text("utf-8")
@@ -247,7 +253,10 @@ def test_misfit_is_model_minus_file(run: Any, twin: Path) -> None:
      ("SPOT4.DIM", 26.0, True)],
 )  # fmt: skip
 def test_frame_of_real_scenes(run: Any, real_data: Path, name: str, limit_m: float, flagged: bool) -> None:
-    """Bounds of the issue: the print resolution for SPOT 5, the model of the file for the older ones."""
+    """``locate --frame`` has misfits below the limit of each real scene, and a note where attitudes are missing.
+
+    The limits are the print resolution for SPOT 5, the file's model for the older ones.
+    """
     ended = run("locate", real_data / "geocosicorr3d" / name, "--frame", "--json")
     points = ended.json["points"]
     assert ended.code == 0

@@ -96,7 +96,10 @@ def test_gdal_reads_the_files_beside_the_image(
 def test_images_get_their_rpc_as_virtual_raster_or_copy(
     shifted: tuple[RpcTwin, Path], run: Run, tmp_path: Path
 ) -> None:
-    """Files are named after the raster, which is unchanged; another size is refused."""
+    """``rpc convert --image`` writes a virtual raster or a copy with the RPC and leaves the raster unchanged.
+
+    A raster of another size is refused.
+    """
     twin, result = shifted
     sensor = twin.block.images[0].sensor
     image = blank(tmp_path / "PAN.tif", (sensor.n_lines, sensor.n_samples))
@@ -120,7 +123,10 @@ def test_images_get_their_rpc_as_virtual_raster_or_copy(
 
 @pytest.mark.oracle
 def test_keyword_lists_of_ossim(shifted: tuple[RpcTwin, Path], run: Run, tmp_path: Path) -> None:
-    """OTB and shareloc read them: one key, a colon and a value per line, a type of OSSIM, 80 coefficients from 00."""
+    """Keyword lists for OTB and CARS have OSSIM's keys and 80 coefficients, and project as the result.
+
+    Each line has a key, a colon and a value.
+    """
     twin, result = shifted
     for program in ("otb", "cars"):
         assert run("rpc", "convert", result, "--for", program, "--out", tmp_path / program).code == 0
@@ -137,7 +143,7 @@ def test_keyword_lists_of_ossim(shifted: tuple[RpcTwin, Path], run: Run, tmp_pat
 
 @pytest.mark.oracle
 def test_dimap_of_a_result_has_both_directions(shifted: tuple[RpcTwin, Path], run: Run, tmp_path: Path) -> None:
-    """Readers of DIMAP want the model to the ground, too: fitted, its points are seen in their pixels."""
+    """A DIMAP RPC of a result has both directions, and located pixels project back within 0.05 px."""
     twin, result = shifted
     assert run("rpc", "convert", result, "--to", "dimap", "--out", tmp_path).code == 0
     ground, pixels = wanted(result, "left", twin)
@@ -154,7 +160,7 @@ def test_dimap_of_a_result_has_both_directions(shifted: tuple[RpcTwin, Path], ru
 
 @pytest.mark.truth
 def test_a_translation_of_the_camera_is_found() -> None:
-    """For a model moved by 3 m the shift of the image is a translation within the limit; a change of scale is not."""
+    """A shift of the image is written for ASP as a translation within its limit; a change of scale is not."""
     model = twin_with_models()[2][0]
     small = np.array([0.6, -0.4, 0.0, 0.0, 0.0, 0.0])
     move = translation(Handed(corrected(model, small).model, small, "a"))
@@ -318,7 +324,10 @@ def handed(real_data: Path, name: str, folder: Path, run: Run) -> tuple[Array, A
 @pytest.mark.parametrize("name", list(REAL))
 @pytest.mark.parametrize("peer", list(PEERS))
 def test_other_programs_project_alike(real_data: Path, tmp_path: Path, run: Run, name: str, peer: str) -> None:
-    """Within 0.005 px (OTB: 1e-7 degrees of its places are 0.01 m); the others within 1e-5 px."""
+    """Other programs project with the written RPC as we do, within 1e-5 px, and OTB within 0.005 px.
+
+    OTB's places have 1e-7 degrees, 0.01 m.
+    """
     function, is_here, count = PEERS[peer]
     if not is_here:
         pytest.skip(f"{peer} is not installed")

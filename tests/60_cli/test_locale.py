@@ -117,9 +117,10 @@ def test_files_and_words_do_not_depend_on_the_locale(plain: tuple[Path, str], tm
 def test_numbers_keep_their_point_in_this_process(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """The fast twin: written, read again and converted under the Turkish locale, as without.
+    """Commands write the same files and messages under the Turkish locale as under C.
 
-    GDAL compares names by the locale's case, and complains of its own options where i is not the small form of I.
+    GDAL compares names by the locale's case, and rejects its own options where i is not the small form of I. This is
+    the fast version of the tests in other processes.
     """
     environment = locales(tmp_path, "tr_TR.UTF-8")
     if "LOCPATH" in environment:

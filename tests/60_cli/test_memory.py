@@ -67,7 +67,7 @@ def test_linear_algebra_without_work_space_is_too_little_memory(monkeypatch: pyt
     not sys.platform.startswith("linux"), reason="the system limits the addresses of a process on Linux"
 )
 def test_any_limit_of_memory_is_one_line_or_a_result(project: Path, tmp_path: Path) -> None:
-    """The limits range from the memory that Python needs to the memory that the command needs.
+    """Under any memory limit ``adjust`` ends with a result, or with one line, exit code 3 and no file.
 
     With 500 to 640 MB, OpenBLAS did not get its work space during the adjustment, and asked for it without end.
     """

@@ -23,7 +23,7 @@ def rows(path: Path) -> list[dict[str, str]]:
 
 @pytest.fixture(scope="module")
 def solution(twin_source: Path) -> fg.Solution:
-    """Adjusted twin."""
+    """Return the adjusted twin."""
     return fg.adjust(fg.read_project(twin_source / "project.toml"))
 
 

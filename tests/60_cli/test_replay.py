@@ -157,7 +157,7 @@ def test_what_people_read(capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.behaviour
 def test_the_project_is_found_by_its_content(run: Any, spoiled: Path, tmp_path: Path) -> None:
-    """The project is beside the result or in a folder above it; another file of the same name is ignored."""
+    """``replay`` finds the project next to the result or in a folder above it by content, not by name."""
     work = tmp_path / "work"
     (work / "decoy").mkdir(parents=True)
     (work / "decoy" / "project.toml").write_text("schema = 1\n", "utf-8")

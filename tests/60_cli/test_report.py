@@ -57,7 +57,7 @@ def test_figures_of_the_record(adjusted: tuple[Path, Any]) -> None:
 
 @pytest.mark.consistency
 def test_exaggeration_is_true(adjusted: tuple[Path, Any]) -> None:
-    """Bar of errors and bar on the ground, both in drawing units, give the factor written beside them."""
+    """The exaggeration stated on the map is the ratio of its two scale bars."""
     text = (adjusted[0] / "report.html").read_text("utf-8")
     bars = re.findall(r'd="M[\d.]+ [\d.]+v5h([\d.]+)v-5"/><text[^>]*>([\d.]+) (k?m) ([^<]*)</text>', text)
     ground, error = bars[0], bars[1]
@@ -115,7 +115,10 @@ def test_hostile_names_are_escaped(run: Any, twin: Path) -> None:
 
 @pytest.mark.behaviour
 def test_bad_folders(run: Any, result: Path, twin: Path, tmp_path: Path) -> None:
-    """Without result or truth, or with the truth of other images or a missing table, the page does not change."""
+    """``report`` refuses a folder without result or truth, with another truth or a missing table.
+
+    The page does not change.
+    """
     path = twin.parent / "truth" / "eop.csv"
     path.write_text(path.read_text("utf-8").replace("left,", "west,"), encoding="utf-8")
     for words, code in (
@@ -198,7 +201,7 @@ def test_numbers_for_people() -> None:
 
 @pytest.mark.behaviour
 def test_page_under_a_loss(twin_source: Path, tmp_path: Path, run: Any) -> None:
-    """Sigmas are in prior scale, sections without figures say why, and no warning speaks the keys of result.json."""
+    """Under a loss the page states sigmas in prior scale and why figures are missing, without keys of the record."""
     out = tmp_path / "result"
     ended = run("adjust", twin_source / "project.toml", "--loss", "tukey", "--out", out, "--json")
     assert ended.code == 0

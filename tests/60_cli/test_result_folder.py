@@ -46,7 +46,7 @@ def test_record_equals_what_was_printed(adjusted: tuple[Path, Any]) -> None:
 
 @pytest.mark.oracle
 def test_statistics_follow_from_tables_and_input(adjusted: tuple[Path, Any], twin_source: Path) -> None:
-    """RMSE, sigma0 and redundancy from points.csv, residuals.csv, eop.csv and the input, to 1e-9."""
+    """RMSE, sigma0 and redundancy of the record follow from the tables and the input within 1e-9."""
     out, ended = adjusted
     points, residuals, eop = (rows(out / f"{name}.csv") for name in ("points", "residuals", "eop"))
     given = {row["id"]: row for row in rows(twin_source / "points.csv")}
@@ -72,7 +72,7 @@ def test_statistics_follow_from_tables_and_input(adjusted: tuple[Path, Any], twi
 
 @pytest.mark.oracle
 def test_differences_are_adjusted_minus_measured(adjusted: tuple[Path, Any], twin_source: Path) -> None:
-    """Against PROJ: the measured coordinates of the input, turned to ECEF."""
+    """The differences of points are adjusted minus measured coordinates, converted by PROJ, within 5e-9 m."""
     to_ecef = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
     given = {row["id"]: row for row in rows(twin_source / "points.csv")}
     for p in rows(adjusted[0] / "points.csv"):
@@ -100,7 +100,7 @@ def test_arrays_need_no_pickle_and_agree_with_the_tables(adjusted: tuple[Path, A
 
 @pytest.mark.oracle
 def test_per_line_coefficients(adjusted: tuple[Path, Any]) -> None:
-    """q_k = c_k / c^k with c = (12000 - 1)/2, value and sigma alike."""
+    """Per-line values and sigmas of EOP coefficients are c_k / c^k with c = (12000 - 1)/2."""
     for row in rows(adjusted[0] / "eop.csv"):
         power = 5999.5 ** int(row["degree"])
         assert float(row["per_line_value"]) == pytest.approx(float(row["value_per_tau"]) / power, rel=1e-14)
@@ -141,7 +141,10 @@ def test_provenance_names_inputs_without_folders(adjusted: tuple[Path, Any], twi
 
 @pytest.mark.behaviour
 def test_moving_check_coordinates_changes_no_estimate(run: Any, twin: Path, adjusted: tuple[Path, Any]) -> None:
-    """The check points are moved 1 km to the North: 0.009 degrees of latitude."""
+    """Check points moved by 1 km change their differences and the exit code, but no estimate.
+
+    They are moved to the north, by 0.009 degrees of latitude.
+    """
     path = twin.parent / "points.csv"
     lines = path.read_text("utf-8").splitlines()
     for k, line in enumerate(lines):
@@ -178,7 +181,7 @@ def test_deleting_the_truth_changes_nothing(run: Any, twin: Path, adjusted: tupl
 
 
 def content(folder: Path) -> dict[str, bytes]:
-    """Every file of a folder and below."""
+    """Return the bytes of every file in a folder and below."""
     return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
@@ -206,7 +209,7 @@ def test_overwrite_replaces_a_result(run: Any, twin: Path) -> None:
 
 @pytest.mark.behaviour
 def test_overwrite_spares_a_folder_that_is_no_result(run: Any, twin: Path) -> None:
-    """``--out`` names the folder of the project by mistake."""
+    """``--out --overwrite`` with the folder of the project is refused, and the folder does not change."""
     before = content(twin.parent)
     ended = run("adjust", twin, "--out", twin.parent, "--overwrite", "--json")
     assert (ended.code, ended.json["errors"][0]["code"]) == (2, "output.foreign")
@@ -240,7 +243,7 @@ def test_file_or_link_is_no_output_folder(run: Any, twin: Path, result: Path, tm
 @pytest.mark.behaviour
 @pytest.mark.parametrize("existing", [False, True])
 def test_interrupted_run_leaves_nothing(run: Any, twin: Path, monkeypatch: pytest.MonkeyPatch, existing: bool) -> None:
-    """Ctrl-C in the first iteration gives exit code 130; an earlier result remains, and nothing can be resumed."""
+    """Ctrl-C in the first iteration gives exit code 130 and leaves earlier results as they were, without new files."""
     if existing:
         assert run("adjust", twin, "--quiet").code == 0
     before = content(twin.parent)
@@ -308,7 +311,10 @@ def test_staged_folder_yields_to_somebody_faster_and_needs_a_place(tmp_path: Pat
 
 @pytest.mark.behaviour
 def test_error_of_the_computation_is_not_blamed_on_the_folder(tmp_path: Path) -> None:
-    """An OSError of the computation, for instance of a missing raster, passes unchanged, and the folder is removed."""
+    """An OSError of the computation passes unchanged, and the folder in work is removed.
+
+    An example is a missing raster.
+    """
     with pytest.raises(FileNotFoundError), staged_folder(tmp_path / "out"):
         raise FileNotFoundError("planted")
     assert list(tmp_path.iterdir()) == []

@@ -39,7 +39,7 @@ def drifting(tmp_path_factory: pytest.TempPathFactory, run: Run) -> tuple[RpcTwi
 
 @pytest.mark.consistency
 def test_files_give_the_solution_of_the_block_in_memory(drifting: tuple[RpcTwin, Path, Any]) -> None:
-    """RPC through _RPC.TXT, options through the project file."""
+    """A project with RPC files and options has the solution of the block in memory within 1e-7."""
     twin, project, ended = drifting
     assert ended.code == 0, ended.stderr
     record = ended.json
@@ -57,7 +57,7 @@ def _result(project: Path) -> Any:
 
 @pytest.mark.oracle
 def test_table_of_compensation(drifting: tuple[RpcTwin, Path, Any]) -> None:
-    """Rows of eop.csv: pixels, per line with the model's scale; the squares count in chi2 as documented."""
+    """The table of EOPs has the compensation in pixels and per line, near the truth, and chi2 follows from it."""
     twin, project, ended = drifting
     out = project.parent / "result"
     rows = table(out / "eop.csv")
@@ -82,7 +82,7 @@ def test_table_of_compensation(drifting: tuple[RpcTwin, Path, Any]) -> None:
 
 @pytest.mark.oracle
 def test_corrected_rpc_are_written(tmp_path: Path, run: Run) -> None:
-    """Shift: read back, they project as sensor and compensation do; affine: fitted, with its error told."""
+    """``adjust`` writes corrected RPC that project with the shift; for affine terms a note states the fit."""
     project = write_folder(tmp_path / "twin", rpc_twin("shift"))
     out = tmp_path / "result"
     assert run("adjust", project, "--out", out, "--quiet").code == 0
@@ -103,7 +103,7 @@ def test_corrected_rpc_are_written(tmp_path: Path, run: Run) -> None:
 
 @pytest.mark.consistency
 def test_run_of_rpc_images_comes_out_again(drifting: tuple[RpcTwin, Path, Any], run: Run, tmp_path: Path) -> None:
-    """``replay``: the option of the command line is in the record, the corrected RPC are compared, too."""
+    """``replay`` repeats a run of RPC images with its options, and compares the corrected RPC."""
     ended = run("replay", drifting[1].parent / "result", "--out", tmp_path / "again", "--json")
     assert (ended.code, ended.json["equal"], ended.json["differences"]) == (0, True, [])
     assert [name for name in ended.json["tables"] if name.startswith("rpc/")] == [
@@ -114,7 +114,7 @@ def test_run_of_rpc_images_comes_out_again(drifting: tuple[RpcTwin, Path, Any], 
 
 @pytest.mark.behaviour
 def test_report_speaks_of_rpc(drifting: tuple[RpcTwin, Path, Any], run: Run) -> None:
-    """Compensation instead of EOP set, no section on metadata orientation; the truth is compared."""
+    """The report of RPC images has the compensation, the truth, and no EOP set or metadata orientation."""
     _, project, _ = drifting
     out = project.parent / "result"
     ended = run("report", out, "--truth", project.parent / "truth", "--json")
@@ -137,7 +137,7 @@ def test_people_are_told_what_was_adjusted(tmp_path: Path, run: Run) -> None:
 
 @pytest.mark.oracle
 def test_gross_errors_are_listed(tmp_path: Path, run: Run) -> None:
-    """A point with an error of 10 px in one image is first in the list of the record, and is in the report."""
+    """A point with an error of 10 px in one image is first in the list of the record, and in the report."""
     twin = rpc_twin("shift")
     block, o = twin.block, twin.block.observations
     j = int(block.points.where(Role.CONTROL)[8])
@@ -155,7 +155,7 @@ def test_gross_errors_are_listed(tmp_path: Path, run: Run) -> None:
 
 @pytest.mark.behaviour
 def test_relative_adjustment_from_the_command_line(tmp_path: Path, run: Run) -> None:
-    """The run is refused without its option; with it the result has parallaxes and the datum, but no accuracy."""
+    """Without control points ``adjust`` needs ``--datum priors``, and then states y-parallaxes and no accuracy."""
     project = write_folder(tmp_path / "twin", rpc_twin("shift", seed=5), control=False)
     refused = run("adjust", project, "--json")
     assert (refused.code, refused.json["errors"][0]["code"]) == (2, "block.no_control")
@@ -180,7 +180,7 @@ def test_relative_adjustment_from_the_command_line(tmp_path: Path, run: Run) -> 
 
 @pytest.mark.behaviour
 def test_points_outside_the_validity_are_named(tmp_path: Path) -> None:
-    """The model is valid up to 300 m; the higher points are named, and the adjustment still runs."""
+    """Points above the valid heights of an RPC give a warning with their number, and the adjustment still runs."""
     _, _, models = twin_with_models()
     twin = rpc_twin("shift")
     low = replace(models[0], stated_validity=models[0].validity._replace(height_m=(-200.0, 300.0)))

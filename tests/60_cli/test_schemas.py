@@ -48,7 +48,7 @@ def test_schemas_are_printed(run: Run) -> None:
 def test_what_is_printed_is_as_the_schema_says(
     run: Run, adjusted: tuple[Path, Ended], twin_source: Path, tmp_path: Path
 ) -> None:
-    """The schema names every key, and each value has one of its types."""
+    """The JSON output of each command follows its schema: every key is named, each value has an allowed type."""
     out, adjust = adjusted
     project, image = twin_source / "project.toml", twin_source / "left.DIM"
     rpc = tmp_path / "scene_RPC.TXT"
@@ -74,7 +74,10 @@ def test_what_is_printed_is_as_the_schema_says(
 
 @pytest.mark.truth
 def test_joined_schemas_allow_what_each_allowed() -> None:
-    """By hand: an optional key, an integer that is a number elsewhere, null, a map of ids; and what is refused."""
+    """A joined schema allows what each schema allowed, and names types, keys and missing keys that it refuses.
+
+    Cases are an optional key, an integer that is a number elsewhere, null and a map of ids.
+    """
     both = joined(schema_of({"a": 1, "b": None, "m": {"P 1": 2.0}}), schema_of({"a": 1.5, "m": {"P 2": 3.0}}))
     assert both["required"] == ["a", "m"]
     assert both["properties"]["a"]["type"] == ["null", "number"]

@@ -17,7 +17,8 @@ from typing import Any
 import pytest
 import typer
 
-from fg_orient.cli import app
+from factors._preparation import on_compilation, report_compilation
+from fg_orient.cli import app, command
 from fg_orient.cli.app import COMMANDS, declared, help_of
 from fg_orient.cli.app import app as application
 from fg_orient.cli.log import LogFile, opened, session
@@ -150,7 +151,7 @@ def test_steps_are_logged_once_a_second_and_at_the_end(tmp_path: Path) -> None:
 
 
 def test_other_work_has_a_rate_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first hundred steps took ten seconds; the second count starts a new clock."""
+    """A second count of a progress bar starts a new clock. The first hundred steps took ten seconds."""
     clock = [0.0]
     log = tmp_path / "run.log"
     with opened(log, as_json=True, quiet=False), progress_bar("orbits") as tell:
@@ -164,12 +165,28 @@ def test_other_work_has_a_rate_of_its_own(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_long_commands_tell_how_far_they_are(tmp_path: Path, run: Run) -> None:
-    """The rate and time left of a bar come from these steps; the log holds the same."""
+    """The log of ``simulate`` has the progress of each stage with its total.
+
+    The rate and time left of a bar come from these steps.
+    """
     log = tmp_path / "run.log"
     words = ("--rows", 1, "--columns", 2, "--points", 60, "--out", tmp_path / "block", "--log", log)
     assert run("simulate", "block", *words).code == 0
     counted = {line["text"]: line["total"] for line in events(log) if line["event"] == "progress"}
     assert counted == {"orbits": 2, "ground points": 60, "images taken": 2, "metadata files": 2}
+
+
+def test_long_compilation_is_noted_once(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """A command prints one note when compilation has taken longer than half a second, and none before."""
+    spent = iter([10.0, 10.4, 10.6, 12.0])
+    monkeypatch.setattr(command, "preparing_seconds", lambda: next(spent))
+    with on_compilation(command._CompilationNote()):
+        report_compilation("first")
+        assert capsys.readouterr().err == ""
+        report_compilation("second")
+        assert re.fullmatch(r"note: compiling kernels, .*\n", capsys.readouterr().err)
+        report_compilation("third")
+        assert capsys.readouterr().err == ""
 
 
 def test_words_of_progress() -> None:
@@ -297,7 +314,10 @@ ASKED: dict[str, Callable[[str], dict[str, str]]] = {
 
 @pytest.mark.parametrize("shell", ASKED)
 def test_the_program_answers_the_script_of_a_shell(shell: str) -> None:
-    """No shell is needed: the variables that its script sets; the slow tests below ask by the shells that there are."""
+    """The program completes options and commands for the variables that the script of each shell sets.
+
+    No shell is needed; the slow tests below run the installed shells.
+    """
     script = entry_point("completion", shell).stdout
     told = []
     for words in WORDS:
@@ -305,8 +325,8 @@ def test_the_program_answers_the_script_of_a_shell(shell: str) -> None:
         assert all(f"{name}=" in script for name in variables) and f"_FG_ORIENT_COMPLETE=complete_{shell}" in script
         told.append(entry_point(**variables, _FG_ORIENT_COMPLETE=f"complete_{shell}").stdout)
     assert "--quiet" in told[0] and "--json" not in told[0]
-    for command in ("replay", "report", "reproduce"):
-        assert command in told[1]
+    for word in ("replay", "report", "reproduce"):
+        assert word in told[1]
     for other in ("adjust", "doctor", "--quiet"):
         assert other not in told[1]
     assert ("Repeat a run" in told[1]) == (shell != "bash")  # bash shows no help
@@ -357,7 +377,7 @@ def test_other_shells_complete_commands_and_options(shell: str, repository: Path
         [found, *OPTIONS[shell], OFFERED[shell]], capture_output=True, text=True, timeout=600, env=environment
     )
     assert done.returncode == 0, done.stderr
-    for offered in ("--quiet", "no progress", "replay", "report", "reproduce", "Repeat a run"):
+    for offered in ("--quiet", "progress", "replay", "report", "reproduce", "Repeat a run"):
         assert offered in done.stdout
     for other in ("--json", "doctor", "adjust"):
         assert other not in done.stdout

@@ -29,7 +29,10 @@ def solution(made: tuple[Block, Truth]) -> Solution:
 
 @pytest.mark.oracle
 def test_probabilities_are_uniform_without_further_jitter(system: JitterSystem) -> None:
-    """Observations are drawn from the model with one curve; p of a further curve is uniform (Kolmogorov, 0.1 %)."""
+    """Without further jitter the probability of another curve is uniform by Kolmogorov's test at 0.1 %.
+
+    Observations are drawn from the model with one curve.
+    """
     rng, current = np.random.default_rng(8), (Strength(1, 8, 0.8),)
     design, _ = system.bordered(current)
     priors = system.design.shape[1]  # the last rows of A
@@ -44,7 +47,10 @@ def test_probabilities_are_uniform_without_further_jitter(system: JitterSystem) 
 
 @pytest.mark.oracle
 def test_planted_jitter_is_found_where_it_is(made: tuple[Block, Truth], solution: Solution) -> None:
-    """Pitch of the left image has three cycles; the test checks verdicts, amplitude, band and orientation."""
+    """Planted jitter is found in its image and angle, with its amplitude, band and better ground points.
+
+    Pitch of the left image has three cycles.
+    """
     assert solution.jitter is not None
     block, truth = made
     (curve,) = solution.jitter.curves
@@ -84,7 +90,7 @@ def test_record_sentences_and_replacement(made: tuple[Block, Truth], solution: S
 
 @pytest.mark.behaviour
 def test_few_points_cannot_tell(made: tuple[Block, Truth]) -> None:
-    """Three control points do not resolve roll; the tie points resolve pitch."""
+    """With three control points the verdict on roll is ``cannot be told``, with the share that points absorb."""
     block = made[0]
     gone = np.zeros(len(block.points.ids), bool)
     gone[block.points.where(fg.Role.CONTROL)[3:]] = True
@@ -99,7 +105,7 @@ def test_few_points_cannot_tell(made: tuple[Block, Truth]) -> None:
 
 @pytest.mark.behaviour
 def test_gross_errors_are_not_jitter(made: tuple[Block, Truth]) -> None:
-    """A gross error of 20 px is rejected, and the same jitter is found as without it."""
+    """A gross error of 20 px is rejected and not taken for jitter, and the planted jitter is still found."""
     block = made[0]
     line = block.observations.line.copy()
     line[5] += 20.0
@@ -180,7 +186,10 @@ def test_command_writes_table_section_and_record(tmp_path: Path) -> None:
 
 @pytest.mark.oracle
 def test_stored_proof_meets_its_bounds(repository: Path) -> None:
-    """1000 pairs without and 1000 pairs with jitter (``python -m benchmarks.jitter``), and the table of the page."""
+    """The stored 1000 pairs with and 1000 without jitter meet the bounds, and docs/jitter.md has their table.
+
+    ``python -m benchmarks.jitter`` makes them.
+    """
     stored = json.loads(pairs.RESULTS.read_text("utf-8"))
     found = pairs.figures(stored["without"], stored["with"])
     assert (found["pairs_without"], found["pairs_with"]) == (1000, 1000)
@@ -202,7 +211,7 @@ def test_upper_bound_is_that_of_scipy() -> None:
 @pytest.mark.slow
 @pytest.mark.oracle
 def test_pairs_with_and_without_jitter() -> None:
-    """40 pairs of each kind, which are not in the stored proof, meet its bounds plus three standard errors."""
+    """40 other pairs of each kind meet the bounds of the proof, widened by three standard errors."""
     seeds = range(5000, 5040)
     found = pairs.figures([pairs.run(k, False) for k in seeds], [pairs.run(k, True) for k in seeds])
     assert found["false_finds"] <= stats.binom.ppf(0.999, 40, 0.02)
@@ -215,7 +224,7 @@ def test_pairs_with_and_without_jitter() -> None:
 
 @pytest.mark.consistency
 def test_a_stored_run_is_repeated() -> None:
-    """A pair of the proof gives the stored record, because random numbers do not depend on the machine."""
+    """A pair of the proof gives the stored verdicts again. Random numbers do not depend on the machine."""
     stored = json.loads(pairs.RESULTS.read_text("utf-8"))["with"][1]
     again = pairs.run(1, True)
     assert [(a["angle"], a["verdict"]) for a in again["angles"]] == [

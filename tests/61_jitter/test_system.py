@@ -28,7 +28,10 @@ CHOSEN = (Strength(1, 8, 1.1), Strength(2, 12, 0.4))
 @pytest.mark.oracle
 @pytest.mark.parametrize("n", [2, 9, 32])
 def test_the_prior_is_that_of_independent_coefficients(n: int) -> None:
-    """Curves without quadratics, and the quadratics, are computed by scipy's splines and a fit of polynomials."""
+    """The prior of jitter curves is that of scipy's splines with independent coefficients, without quadratics.
+
+    The quadratics are computed by a fit of polynomials.
+    """
     knots = -1.0 + 2.0 / n * np.arange(-3, n + 4)
     tau = np.linspace(-1.0, 1.0, 40 * n + 1)
     values = BSpline(knots, np.eye(n + 3), 3)(tau)
@@ -50,7 +53,7 @@ def dense(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
     """Return the whitened rows of image and control points by numpy, from the equations with curves as unknowns.
 
-    Returns the design of the ground points, the design of the orientation and curves in prior sigmas, the residuals,
+    They are the design of the ground points, the design of the orientation and curves in prior sigmas, the residuals,
     the means of the latter, and the first column of the curves of the left image.
     """
     names = []
@@ -85,10 +88,10 @@ def dense(
 def test_likelihood_and_curve_are_those_of_all_rows(
     made: tuple[Block, Truth], plain: Solution, system: JitterSystem
 ) -> None:
-    """The restricted likelihood by the covariance of all observations, with ground points as the fixed effects.
+    """Likelihood and curve equal those from the covariance of all observations, with ground points as fixed effects.
 
-    Differences of log L between choices do not depend on constants. Quadratics of jitter enlarge the prior variances
-    of the degree-2 coefficients, where the linear model has own columns: both are the same process.
+    Differences of log L between choices do not depend on constants. Quadratics of jitter enlarge the prior variances of
+    the degree-2 coefficients, where the linear model has own columns: both are the same process.
     """
 
     def log_likelihood(chosen: tuple[Strength, ...]) -> tuple[float, np.ndarray]:
@@ -116,7 +119,10 @@ def test_likelihood_and_curve_are_those_of_all_rows(
 def test_adjustments_with_these_curves_give_the_curve(
     made: tuple[Block, Truth], system: JitterSystem, backend: str
 ) -> None:
-    """The equations are linear in jitter of some pixels; they agree to the square of 1e-5 rad, 1e-4 px."""
+    """An adjustment with the chosen curves has the linear model's curve within 1e-3 px, and its variance.
+
+    The equations are linear to the square of 1e-5 rad, 1e-4 px.
+    """
     names = []
     for strength in CHOSEN:
         angle = system.angles[strength.angle]
@@ -138,7 +144,10 @@ def test_adjustments_with_these_curves_give_the_curve(
 def test_absorbed_shares_are_those_of_projections(
     made: tuple[Block, Truth], plain: Solution, system: JitterSystem, angle: int
 ) -> None:
-    """numpy projects the columns of curves onto the ground points, then onto the orientation and priors."""
+    """The shares that points and orientation absorb equal numpy's projections of the curves' columns.
+
+    numpy projects onto the ground points first, then onto orientation and priors.
+    """
     fixed, random, _, _, begin = dense(made[0], plain, (Strength(angle, 8, 1.0),), system)
     ends = [begin, begin + 8] if angle < 2 else [2 * begin, 2 * begin + 8]
     curves, orientation = random[:, ends[0] : ends[1]], np.delete(random, np.s_[ends[0] : ends[1]], axis=1)

@@ -30,7 +30,7 @@ PARTS = ("images", "points", "residuals", "observations")
 
 @pytest.fixture(scope="module")
 def truth() -> Solution:
-    """Return a pair with 14 points, 6 of them control points; its solution is what observations are simulated from."""
+    """Return the solution of a pair with 14 points, some of them control; observations are simulated from it."""
     chosen = BlockOptions(rows=1, columns=2, points=14, control_share=0.4, check_share=0.0, seed=4)
     return fg.adjust(options(grid_block(chosen)[0], eop_set=10))
 
@@ -70,9 +70,9 @@ def with_sigmas(block: Block, factor: float) -> Block:
 
 
 def squares(problem: Problem, state: State, cofactors: Cofactors, true: State) -> dict[str, float]:
-    """e^T C^+ e of image unknowns, ground points, residuals and adjusted observations of one adjustment.
+    """Return e^T C^+ e of image unknowns, ground points, residuals and adjusted observations.
 
-    Those of unknowns with the covariance of the backend; C of residuals and adjusted observations is a projector.
+    Those of unknowns use the covariance of the backend; C of residuals and adjusted observations is a projector.
     """
     images, points = tuple(range(problem.n_images)), tuple(np.flatnonzero(problem.active).tolist())
     e_images = problem.image_vector(state) - problem.image_vector(true)
@@ -98,7 +98,7 @@ class Scatter:
 
     @property
     def ratios(self) -> dict[str, tuple[float, float, float]]:
-        """Return the mean per degree of freedom, and its 99.9 % interval."""
+        """Return the mean per degree of freedom and its 99.9 % interval."""
         out = {}
         for part in PARTS:
             total = self.runs * self.freedom[part]
@@ -112,7 +112,7 @@ class Scatter:
 
 
 def scatter(truth: Solution, runs: int, seed: int, sigma_factor: float = 1.0) -> Scatter:
-    """Simulate with the right sigmas and adjust with these times ``sigma_factor``."""
+    """Simulate with the right sigmas; adjust with these times ``sigma_factor``."""
     rng, problem = np.random.default_rng(seed), truth.problem
     u, all_unknowns = problem.n_image_unknowns, problem.n_unknowns
     freedom = dict(zip(PARTS, (u, all_unknowns - u, problem.redundancy, all_unknowns), strict=True))
@@ -132,12 +132,12 @@ def test_covariance_in_twelve_runs(truth: Solution) -> None:
 
 
 def test_wrong_sigma_is_seen_in_twelve_runs(truth: Solution) -> None:
-    """Sigmas are 20 % too small, so that every covariance that depends on image points is too small."""
+    """With sigmas 20 % too small, residuals and observations leave their intervals in twelve runs."""
     assert {"residuals", "observations"} <= set(scatter(truth, 12, seed=621, sigma_factor=0.8).outside)
 
 
 def test_half_the_sigma_is_seen_in_every_part(truth: Solution) -> None:
-    """Twelve runs: images and points, which priors and control hold, too."""
+    """With half the sigmas every part leaves its interval in twelve runs, also images and points."""
     assert scatter(truth, 12, seed=621, sigma_factor=0.5).outside == list(PARTS)
 
 

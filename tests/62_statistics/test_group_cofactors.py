@@ -63,7 +63,7 @@ def assert_equal_to_full_matrix(solution: Solution, groups: tuple[str, ...] = GR
 
 
 def share(r: np.ndarray, select: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Return the shares of one suspect."""
+    """Return the shares of all groups for one suspect."""
     effect = r[:, rows] @ columns
     own = np.linalg.pinv(columns.T @ effect[rows], rcond=1e-6, hermitian=True)
     rank = np.linalg.matrix_rank(own, tol=1e-9 * np.abs(own).max(), hermitian=True)
@@ -84,13 +84,16 @@ def test_points_that_own_observations_name(grid: Block, backend: str) -> None:
 
 @pytest.mark.oracle
 def test_without_priors_and_a_group_of_its_own(grid: Block) -> None:
-    """Image points belong to no group."""
+    """Without priors, and with image points in no group, contributions to cofactors equal the full matrix."""
     assert_equal_to_full_matrix(fg.adjust(options(grid, eop_set=2), priors=False), ("control",))
 
 
 @pytest.mark.oracle
 def test_images_of_different_kinds(twin: Block) -> None:
-    """A frame camera above the pushbroom pair: 6 unknowns beside 12."""
+    """With a frame camera above a pushbroom pair, contributions to cofactors equal the full matrix.
+
+    The images have 6 and 12 unknowns.
+    """
     solution = fg.adjust(with_frame_above(options(twin, eop_set=16)), backend="schur")
     assert_equal_to_full_matrix(solution, ("image_by_sensor", "control"))
 
@@ -121,7 +124,10 @@ def test_any_division_gives_the_full_matrix(grid: Block, monkeypatch: pytest.Mon
 
 @pytest.mark.oracle
 def test_rows_of_S_add_up_to_the_redundancies(grid: Block) -> None:
-    """R is idempotent; with one weight that is not that of the cofactors it is not."""
+    """The rows of S add up to the redundancies, and with one wrong weight they do not.
+
+    R is idempotent only with the weights of the cofactors.
+    """
     solution = fg.adjust(grid, backend="schur")
     residuals = residuals_of(solution)
     assert residuals.parts is not None

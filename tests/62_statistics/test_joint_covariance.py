@@ -29,7 +29,10 @@ def names_of(solution: Solution) -> tuple[str, ...]:
 
 
 def expected(solution: Solution) -> np.ndarray:
-    """Return the same from the full design matrix: rows of unknowns, adjusted observations and residuals."""
+    """Return the joint covariance from the full design matrix.
+
+    Its rows are unknowns, adjusted observations and residuals.
+    """
     problem, (_, tie) = solution.problem, tie_name(solution)
     full, o = Full.of(problem, solution.state), solution.problem.observations
     j, columns = problem.block.points.ids.index(tie), np.eye(len(full.unknowns))
@@ -75,7 +78,7 @@ def test_joint_cofactors_by_name(grid: Block, backend: str) -> None:
 
 @pytest.mark.oracle
 def test_residuals_go_with_nothing_that_is_adjusted(grid: Block) -> None:
-    """Corrected form: unknowns and adjusted observations are independent of the residuals; T(2.76) prints another."""
+    """Residuals have no covariance with unknowns and adjusted observations. This is the corrected form of T(2.76)."""
     solution = fg.adjust(grid)
     wanted, found = expected(solution), solution.cofactor_matrix(*names_of(solution)).values
     residual = slice(-3, -1)
@@ -93,7 +96,7 @@ def test_residuals_go_with_nothing_that_is_adjusted(grid: Block) -> None:
 
 @pytest.mark.oracle
 def test_wrong_weight_is_seen(grid: Block) -> None:
-    """One sigma is wrong by 20 %; then adjusted observation plus residual is not the observation."""
+    """A sigma that is wrong by 20 % changes the covariance by over 10 %, so that the test above can fail."""
     solution = fg.adjust(grid)
     o = solution.problem.observations
     wrong = replace(solution.problem, observations=replace(o, sigma_line_px=1.2 * o.sigma_line_px))
@@ -104,7 +107,7 @@ def test_wrong_weight_is_seen(grid: Block) -> None:
 
 @pytest.mark.oracle
 def test_measured_twice(grid: Block) -> None:
-    """Both measurements of a point in one image: their residuals are correlated, each with its own sigma."""
+    """Two measurements of a point in one image have the joint residual covariance of the full matrix."""
     solution = fg.adjust(measured_twice(grid, 1))
     o, block = solution.problem.observations, solution.block
     name = f"residual:{block.images[o.image[0]].id}/{block.points.ids[o.point[0]]}"

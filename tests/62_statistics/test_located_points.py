@@ -115,7 +115,10 @@ def pixels_of(solution: Solution, j: int) -> dict[str, tuple[float, float]]:
 
 @pytest.mark.consistency
 def test_many_images_are_those_of_excluded_check_points(twin: Block) -> None:
-    """Check points that took no part are located by other code; default sigmas are the block's own times sigma0."""
+    """``intersect`` has the place and sigmas of an excluded check point.
+
+    Other code locates check points; default sigmas are the block's times sigma0.
+    """
     solution = fg.adjust(twin, eop_set=10, check_points="exclude")
     check = solution.accuracy.check
     for k, j in enumerate(check.index[:3]):
@@ -131,7 +134,7 @@ def test_images_with_rpc() -> None:
     sensor, adjusted = solution.block.images[0].sensor, np.asarray(solution.correction("left"))
 
     def ground(x: np.ndarray) -> np.ndarray:
-        """Of line, sample, and the two shifts."""
+        """Return the ground point by changes of line, sample and the two shifts."""
         place = adjusted + np.append(x[2:], np.zeros(4))
         return sensor.locate(np.array([3100.0 + x[0]]), np.array([4200.0 + x[1]]), height_m=500.0,
                              correction=place)[0]  # fmt: skip
@@ -202,7 +205,7 @@ def test_radii_of_circle_sphere_and_line() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("ratio", [0.8, 0.3, 0.1, 0.02, 0.004])
 def test_radii_of_ellipses_hold_their_share(ratio: float) -> None:
-    """The probability inside is computed by an integral over angles, which the function does not use."""
+    """The radius of an ellipse contains 90 % of the probability, by an integral over angles, for any axis ratio."""
     r = radius(np.diag([ratio**2, 1.0]))
     angle = np.linspace(0.0, 2.0 * np.pi, 200_001)[:-1]
     a = np.cos(angle) ** 2 / ratio**2 + np.sin(angle) ** 2

@@ -32,7 +32,7 @@ def found(solution: Solution) -> BlockReliability:
 
 @pytest.mark.truth
 def test_noncentrality_is_that_of_baarda() -> None:
-    """17.075 as printed; for one coordinate the sum of two normal quantiles, for more the distribution itself."""
+    """The non-centrality is Baarda's 17.075, and that of scipy's distribution for other levels and dimensions."""
     assert round(noncentrality(), 3) == 17.075
     both_tails = (stats.norm.ppf(1.0 - ALPHA / 2.0) + stats.norm.ppf(POWER)) ** 2
     assert noncentrality() == pytest.approx(both_tails, rel=1e-9)
@@ -69,7 +69,7 @@ def biased(solution: Solution, whitened: np.ndarray) -> np.ndarray:
 
 @pytest.mark.oracle
 def test_effects_of_a_bias_are_those_of_the_adjustment_with_it(solution: Solution, found: BlockReliability) -> None:
-    """A bias of its minimal size in one coordinate: shift of the ground point, of the image, and the test statistic."""
+    """A bias of minimal detectable size moves ground point, image and test statistic as stated."""
     problem, full = solution.problem, Full.of(solution.problem, solution.state)
     o = problem.observations
     for row, axis in ((0, 0), (17, 1), (60, 0)):
@@ -91,7 +91,7 @@ def test_effects_of_a_bias_are_those_of_the_adjustment_with_it(solution: Solutio
 
 @pytest.mark.oracle
 def test_control_points_in_their_own_axes(solution: Solution, found: BlockReliability) -> None:
-    """Redundancy of East, North, Up and the shift by the minimal bias, from a bias put into the measured point."""
+    """A minimal detectable bias along East, North or Up moves the control point as stated, with its redundancy."""
     problem, full = solution.problem, Full.of(solution.problem, solution.state)
     rows, n = np.flatnonzero(problem.observed), 2 * len(problem.observations)
     measured = problem.control_records[rows, POINT.place]
@@ -124,7 +124,7 @@ def test_normalised_residuals(solution: Solution, found: BlockReliability) -> No
 
 @pytest.mark.oracle
 def test_smallest_and_largest_bias_of_an_image_point(solution: Solution, found: BlockReliability) -> None:
-    """Over all directions of the plane both values are reached and not exceeded."""
+    """The smallest and largest minimal detectable bias are the extremes over all directions of the image plane."""
     o, q = solution.problem.observations, solution.residual_cofactors.image
     angles = np.linspace(0.0, np.pi, 20_001)
     for row in np.flatnonzero(~found.image.not_checkable)[:5]:
@@ -146,7 +146,7 @@ def test_probabilities_that_are_none_are_refused(solution: Solution, alpha: floa
 
 @pytest.mark.oracle
 def test_two_rays_do_not_check_the_epipolar_line(grid: Block, solution: Solution, found: BlockReliability) -> None:
-    """In the direction with redundancy 0 the point moves along its other ray."""
+    """For a point of two rays the direction of redundancy 0 is the epipolar line, and it is not checkable."""
     problem, o = solution.problem, solution.problem.observations
     rays = np.bincount(o.point, minlength=len(problem.active))
     tie = np.isin(np.arange(len(rays)), grid.points.where(Role.TIE))
@@ -190,9 +190,9 @@ def test_figures_that_do_not_exist_have_a_reason(grid: Block) -> None:
 
 @pytest.mark.oracle
 def test_second_measurement_checks_the_first(grid: Block, solution: Solution, found: BlockReliability) -> None:
-    """Measured twice, an image point of two rays has no direction left that nothing checks.
+    """A second measurement makes the least redundancy of a point of two rays larger than 0.1.
 
-    The least checked direction is the smallest eigenvalue of its part of the full matrix, before and after.
+    Before and after it is the smallest eigenvalue of its part of the full matrix.
     """
     o = solution.problem.observations
     row = int(np.flatnonzero((found.image.least < 1e-9) & (np.bincount(o.point)[o.point] == 2))[0])
@@ -246,7 +246,7 @@ def test_power_is_the_stated_one(solution: Solution) -> None:
 
 @pytest.mark.oracle
 def test_power_of_another_bias_is_not(solution: Solution) -> None:
-    """Weights that are wrong by 20 % make a bias wrong by 20 %, and the check finds it."""
+    """With weights wrong by 20 % the power of the test leaves its interval, so that the test above can fail."""
     for factor in (0.8, 1.2):
         rates = power_of_the_test(solution, 2000, factor=factor)
         assert not rates.low <= rates.single <= rates.high
@@ -264,9 +264,9 @@ def test_power_in_ten_thousand_runs(solution: Solution, seed: int) -> None:
 
 @pytest.mark.oracle
 def test_wrong_weight_is_seen_in_the_test_statistic(solution: Solution) -> None:
-    """The bias found with a sigma that is 20 % too large gives another non-centrality than asked for.
+    """With the right sigma the bias has Baarda's non-centrality, with a sigma 20 % too large it has not.
 
-    Both from elsewhere: the redundancy number from the full matrix, Baarda's non-centrality from normal quantiles.
+    The redundancy number is that of the full matrix, the non-centrality that of normal quantiles.
     """
     number = Full.of(solution.problem, solution.state).residuals[2 * 17, 2 * 17]
     asked = (stats.norm.ppf(1.0 - ALPHA / 2.0) + stats.norm.ppf(POWER)) ** 2

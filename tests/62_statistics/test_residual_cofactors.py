@@ -90,13 +90,19 @@ def test_fixed_points_only(grid: Block) -> None:
 
 @pytest.mark.oracle
 def test_images_of_different_kinds(twin: Block) -> None:
-    """A frame camera above the pushbroom pair: another equation, 6 unknowns beside 12."""
+    """With a frame camera above a pushbroom pair, cofactors of residuals equal the full matrix.
+
+    It has another equation, and 6 unknowns instead of 12.
+    """
     assert_equal_to_full_matrix(fg.adjust(with_frame_above(options(twin, eop_set=16))))
 
 
 @pytest.mark.oracle
 def test_shared_priors_and_their_variance_component(twin: Block) -> None:
-    """One look polynomial of both images: full matrices in which its columns and its prior rows stand once."""
+    """A look polynomial of both images has one prior in redundancy numbers and variance component.
+
+    The full matrices contain its columns and prior rows once.
+    """
     block = options(twin, eop_set=4, look_polynomial=1, look_shared=True, variance_components=())
     solution = fg.adjust(block, backend="schur")
     problem, n = solution.problem, 2 * len(solution.problem.observations)
@@ -126,7 +132,10 @@ def test_shared_priors_and_their_variance_component(twin: Block) -> None:
 def test_more_images_than_one_matrix_holds_have_statistics_by_default(
     grid: Block, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where blocks of the inverse come from a factor; GTSAM's marginals of each pair of images take too long."""
+    """A block above the limit of one matrix has statistics by default if a factor gives the blocks of the inverse.
+
+    GTSAM's marginals of each pair of images would take too long.
+    """
     monkeypatch.setattr("fg_orient.adjustment.cofactors.WHOLE_LIMIT", 1)
     for solution, given in ((fg.adjust(grid), True), (fg.adjust(grid, priors=False, eop_set=1), False)):
         assert solution.cofactors is not None

@@ -74,7 +74,7 @@ def test_tables_sum_to_the_trace_of_the_full_matrix(project: Path) -> None:
 
 @pytest.mark.behaviour
 def test_unbounded_effects_are_empty_cells(project: Path) -> None:
-    """A tie point of two rays has no bound; nothing in the tables is nan or 0 for want of a figure."""
+    """Points of two rays are stated as not checkable, and no cell of the tables is nan."""
     record, out = run(project, "full")
     points, rays = table(out / "points.csv"), table(out / "residuals.csv")
     two = [k for k, n in enumerate(points["n_rays"]) if n == "2" and points["role"][k] == "tie"]
@@ -141,7 +141,7 @@ def test_limit_is_said(grid: Block, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.oracle
 def test_correlations_are_those_of_the_covariance(grid: Block) -> None:
-    """Position and attitude of a pushbroom image: the pairs above the limit, between images too."""
+    """The record counts the correlations above the limit and states the largest, as the covariance has them."""
     solution = fg.adjust(options(grid, eop_set=16))
     found = statistics.correlation_record(solution)
     assert found is not None
@@ -158,7 +158,10 @@ def test_correlations_are_those_of_the_covariance(grid: Block) -> None:
 
 @pytest.mark.behaviour
 def test_control_points_that_nothing_checks_are_named(grid: Block) -> None:
-    """Control coordinates of a centimetre are not checked by pixels of metres."""
+    """Control coordinates with sigmas of 1 cm are named as not checkable, those of fixed points are not.
+
+    Pixels of metres do not check centimetres.
+    """
     known = grid.points.known
     sigma = np.where(np.isfinite(known.sigma_enu_m), 0.01, known.sigma_enu_m)
     exact = replace(grid, points=replace(grid.points, known=replace(known, sigma_enu_m=sigma)))

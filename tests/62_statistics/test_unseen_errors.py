@@ -18,7 +18,10 @@ from fg_orient.simulate.block import BlockOptions, grid_block
 
 @pytest.mark.oracle
 def test_shift_is_that_of_an_adjustment_with_the_error() -> None:
-    """One ray of a tie point with two is moved by 0.5 px along its unchecked direction: chi2 stays, the point moves."""
+    """An error along the unchecked direction of a ray moves the point as the table states, and chi2 stays.
+
+    Each ray of a point with two is moved by 0.5 px.
+    """
     block, _ = grid_block(BlockOptions(points=80, seed=4))
     solution = fg.adjust(block)
     found = statistics.reliability_of(solution)
@@ -50,7 +53,10 @@ def test_shift_is_that_of_an_adjustment_with_the_error() -> None:
 
 @pytest.mark.oracle
 def test_limit_is_delta_bar_of_three_rays_in_a_plane() -> None:
-    """Two of three rays are nearly parallel: the third one's delta-bar, from the intersection of the other two."""
+    """A point of three or more rays has an unseen shift only if its delta-bar exceeds the limit.
+
+    delta-bar follows from the intersection of the other rays; two of three may be nearly parallel.
+    """
     block, _ = grid_block(BlockOptions(points=80, seed=4, control_share=0.1))
     solution = fg.adjust(block)
     o, problem = solution.problem.observations, solution.problem
@@ -73,7 +79,7 @@ def test_limit_is_delta_bar_of_three_rays_in_a_plane() -> None:
 
 @pytest.mark.consistency
 def test_final_weights_of_a_loss_tell_the_same_points() -> None:
-    """No observation is down-weighted: the shifts are those of least squares, in the table and the record, too."""
+    """Under a loss that down-weights nothing the unseen shifts are those of least squares, with their record."""
     block, _ = grid_block(BlockOptions(points=80, seed=4))
     solution, robust = fg.adjust(block), fg.adjust(block, loss="tls", gnc=True, inlier_probability=1.0 - 1e-12)
     assert robust.weights is not None and robust.weights.image.min() > 1.0 - 1e-12

@@ -109,7 +109,10 @@ def test_mistaken_ids_are_named(block: Block) -> None:
 
 @pytest.mark.truth
 def test_ids_of_points_near_each_other_are_named() -> None:
-    """The points are twelve metres apart, about a pixel; only the solution shows the exchange."""
+    """Exchanged ids of control points twelve metres apart are named as likely cause.
+
+    Only the solution shows the exchange, which is about a pixel.
+    """
     block = zonguldak_block(ZonguldakOptions())[0]
     a, b = block.points.where(Role.CONTROL)[[1, 4]]
     truth = block.points.known.ecef_m[a] + [8.0, -8.0, 4.0]
@@ -134,7 +137,10 @@ def test_ids_of_points_near_each_other_are_named() -> None:
 
 @pytest.mark.truth
 def test_two_points_under_one_id_are_named() -> None:
-    """Two of four images show a point at a distance of 100 m."""
+    """If two of four images show another point under one id, the cause names the point and the images.
+
+    The points are 100 m apart.
+    """
     block = grid_block(BlockOptions(points=60, control_share=0.2, check_share=0.2, seed=1))[0]
     o, tie = block.observations, block.points.where(Role.TIE)
     j = int(tie[np.bincount(o.point)[tie] >= 4][0])
@@ -154,7 +160,10 @@ def test_two_points_under_one_id_are_named() -> None:
 
 @pytest.mark.truth
 def test_an_origin_of_pixels_is_named_where_nothing_takes_it_up() -> None:
-    """With priors of a centimetre and a nanoradian it is named; with the usual ones the record says: not seen here."""
+    """Another pixel origin is named if priors are tight, else the record lists it as not visible.
+
+    Tight priors have sigmas of a centimetre and a nanoradian.
+    """
     block = grid_block(BlockOptions(points=60, control_share=0.2, check_share=0.2, errors="none"))[0]
     wrong = mended.with_shifted_pixels(block, range(len(block.images)), (1.0, 1.0))
     held = fg.adjust(wrong, position_sigma_m=(1e-2,) * 3, attitude_sigma_rad=(1e-9,) * 3)
@@ -173,9 +182,10 @@ def test_an_origin_of_pixels_is_named_where_nothing_takes_it_up() -> None:
 
 @pytest.mark.truth
 def test_a_known_datum_is_named(block: Block) -> None:
-    """In Turkey ED50 differs by -84.1, -101.8, -129.7 m ECEF and a small rotation (EPSG:1784).
+    """Control points in ED50 instead of WGS 84 are named as a shift that ED50 gives.
 
-    Here this is 31 m East and 105 m North.
+    In Turkey ED50 differs by -84.1, -101.8, -129.7 m ECEF and a small rotation (EPSG:1784), here 31 m East and 105 m
+    North.
     """
     ed50 = "EPSG:4230"
 
@@ -191,7 +201,7 @@ def test_a_known_datum_is_named(block: Block) -> None:
 
 @pytest.mark.behaviour
 def test_a_cause_that_the_adjustment_does_not_confirm_is_withdrawn(block: Block) -> None:
-    """The same finding is given with a block that is not better, and with one that cannot be adjusted."""
+    """A likely cause is withdrawn if the corrected block is not better or cannot be adjusted."""
     wrong = fg.adjust(with_control(block, written(lambda x, y, h: (x, y, h - 36.0))))
     assert "no doubt remains" in cause(wrong)
     assert wrong.supposed is None
@@ -260,7 +270,7 @@ def test_misread_angles_are_named(block: Block, reading: Reading, named: str) ->
 
 @pytest.mark.truth
 def test_a_part_of_the_points_with_a_mistake_is_named(block: Block) -> None:
-    """Every third control point with its height in kilometres, or in ED50 (as in EPSG:1784)."""
+    """A mistake in every third control point is named with the number of points: kilometres, or ED50."""
     rows = block.points.where(Role.CONTROL)
     n = f"{len(rows[::3])} of {len(rows)} control points"
     east, north = 31.27, 105.49
@@ -286,7 +296,10 @@ def moved_by(ecef: Array, enu: Array) -> Array:
 
 @pytest.mark.oracle
 def test_the_best_part_is_that_of_all_subsets() -> None:
-    """Of six errors, by brute force; M is a projection, and the errors of two members are in the residuals."""
+    """The best part of six errors is that of all 64 subsets by brute force.
+
+    M is a projection, and the errors of two members are in the residuals.
+    """
     rng = np.random.default_rng(4)
     for _ in range(20):
         design = np.linalg.qr(rng.standard_normal((12, 4)))[0]
@@ -303,7 +316,7 @@ def test_the_best_part_is_that_of_all_subsets() -> None:
 
 @pytest.mark.truth
 def test_a_part_of_a_table_that_is_misread_is_named(block: Block) -> None:
-    """Every second control point in gon, every second one in an image with line and sample exchanged."""
+    """Every second control point in gon, or with line and sample exchanged, is named as likely cause."""
     rows = block.points.where(Role.CONTROL)
 
     def some(ecef: Array) -> Array:
@@ -336,7 +349,7 @@ def test_exchanged_metadata_are_named_first_in_the_report() -> None:
 
 @pytest.mark.behaviour
 def test_a_refusal_names_exchanged_metadata() -> None:
-    """If rays do not meet, the block is refused before any adjustment."""
+    """If rays do not meet because metadata are exchanged, the refusal names both images."""
     block = grid_block(BlockOptions(points=60, control_share=0.25, check_share=0.2))[0]
     one, two, *rest = block.images
     turned = (replace(one, sensor=two.sensor), replace(two, sensor=one.sensor), *rest)
@@ -381,7 +394,7 @@ def test_clean_blocks_have_no_cause(block: Block) -> None:
 
 @pytest.mark.oracle
 def test_score_is_the_decrease_of_the_full_least_squares_problem() -> None:
-    """T of a height offset equals the decrease of v^T v with the offset as a further column of the whole Jacobian."""
+    """T of a height offset is the decrease of v^T v with the offset as a further unknown, by numpy."""
     solution = fg.adjust(zonguldak_block(ZonguldakOptions())[0], backend="dense")
     problem, cofactors = solution.problem, solution.cofactors
     assert cofactors is not None

@@ -37,7 +37,10 @@ def run(project: Path, out: Path, *words: object) -> Any:
 
 
 def test_record_table_and_report(project: Path, tmp_path: Path) -> None:
-    """The error is rejected in the first round and named everywhere; the files are those of the last round."""
+    """``adjust --snoop`` rejects the error in the first round and names it in record, table and report.
+
+    The other files are those of the last round.
+    """
     out = tmp_path / "result"
     ended = run(project, out, "--snoop", "--backend", "schur")
     assert ended.code == 0
@@ -66,7 +69,10 @@ def test_record_table_and_report(project: Path, tmp_path: Path) -> None:
 
 
 def test_options_of_the_project_file_and_the_line(project: Path, tmp_path: Path) -> None:
-    """Options stand in the file or on the line; a run without search has the suspicious ones and no table."""
+    """Options of the search work in the project file and on the command line; without search there is no table.
+
+    Suspicious observations are then in the record.
+    """
     text = project.read_text("utf-8")
     chosen = project.with_name("chosen.toml")
     values = {"snoop": "true", "outlier_test": '"baarda"', "outlier_level": "0.001", "multiple_testing": '"none"'}

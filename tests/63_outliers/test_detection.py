@@ -22,7 +22,10 @@ DRAWS = 10_000
 @pytest.mark.oracle
 @pytest.mark.parametrize("name", list(BLOCKS))
 def test_the_doubts_of_perfect_data_keep_their_shares_in_a_linear_model(name: str) -> None:
-    """Each doubt, by code of the test's own, at most as often as its share allows (99.9 % quantile)."""
+    """In a linear model of perfect data each doubt is raised at most as often as its share allows.
+
+    The limit is the 99.9 % quantile.
+    """
     drawn = detection.source(name).draw(np.random.default_rng(1), noise=0.0)
     linear = LinearBlock.of(drawn.block, drawn)
     e, check = linear.errors(drawn.block, drawn)
@@ -50,7 +53,7 @@ def certain(names: list[str], block: str) -> list[tuple[str, int, int]]:
 
 @pytest.mark.oracle
 def test_mistakes_that_theory_sees_are_doubted_and_named() -> None:
-    """Of the pair of RPC images, one run each: predicted power at least 0.99, exit code 4 or worse, the right name."""
+    """Mistakes with a predicted power of 0.99 give a doubt or worse, and the right name, for the RPC pair."""
     names = [
         "heights of the control points lowered (orthometric)", "longitude and latitude in radians",
         "image turned by half a turn", "one control point measured under two ids", "constant shift of check points",
@@ -69,9 +72,9 @@ def test_mistakes_that_theory_sees_are_doubted_and_named() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("block", list(BLOCKS))
 def test_mistakes_are_doubted_as_often_as_the_linear_model_predicts(block: str) -> None:
-    """Each mistake of each size, 2 runs: the number of doubts within 99.9 % of the sum of the predicted powers.
+    """Mistakes of each kind and size are doubted as often as the predicted powers say, within 99.9 %.
 
-    A power from a number of draws is uncertain itself: by 0.01 of each cell.
+    Each has two runs. A power from a number of draws is uncertain itself: by 0.01 of each cell.
     """
     predicted, found, low = list[float](), 0, 0
     for m in range(len(MISTAKES)):
@@ -91,7 +94,7 @@ def test_mistakes_are_doubted_as_often_as_the_linear_model_predicts(block: str) 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", list(false_alarms.KINDS))
 def test_perfect_blocks_of_each_kind_end_with_exit_code_0(kind: str) -> None:
-    """Of 200 runs no more end with exit code 4 than the sum of the budget allows (99.9 % quantile)."""
+    """Of 200 perfect blocks no more end with exit code 4 than the budget allows (99.9 % quantile)."""
     runs = false_alarms.some_runs(kind, 10_000, 200)
     assert sum(map(bool, runs)) <= binom.ppf(0.999, len(runs), sum(BUDGET.values()))
     count = Counter(code.partition(".")[2] for codes in runs for code in set(codes))

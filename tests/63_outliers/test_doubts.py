@@ -57,7 +57,10 @@ def with_shifted_control(block: Block, place: int, metres: float) -> tuple[Block
                                      for kind in ("twin 1", "twin 15", "twin 20", "rpc", "block"))],
 )  # fmt: skip
 def test_false_alarms_stay_within_the_budget(kind: str, runs: int) -> None:
-    """Exit code 4 of clean blocks, in all and for each doubt (99.9 % quantile of the binomial distribution)."""
+    """Clean blocks have no more doubts, in all and of each kind, than the budget allows.
+
+    The limit is the 99.9 % quantile of the binomial distribution.
+    """
     count, ended = dict.fromkeys(BUDGET, 0), 0
     for seed in range(runs):
         solution = fg.adjust(clean(kind, 1000 + seed))
@@ -73,9 +76,9 @@ def test_false_alarms_stay_within_the_budget(kind: str, runs: int) -> None:
 
 @pytest.mark.behaviour
 def test_a_wrong_control_point_is_named_first(tmp_path: Path) -> None:
-    """A control point is wrong by 1e-4 degrees.
+    """A control point wrong by 1e-4 degrees gives exit code 4, and all outputs name it first.
 
-    The exit code is 4, and first line, last line, result.json and report name the point.
+    These are first line, last line, result.json and report.
     """
     folder = tmp_path / "twin"
     simulate_zonguldak(folder, ZonguldakOptions())
@@ -124,7 +127,10 @@ def test_an_acceptance_has_object_and_limit() -> None:
 
 @pytest.mark.oracle
 def test_a_correction_beyond_its_prior() -> None:
-    """The largest w of the priors is that of numpy's inverse; a prior that is a thousand times too small is named."""
+    """The largest correction beyond its prior is named, with numpy's w and the number of others.
+
+    The prior is a thousand times too small.
+    """
     block = zonguldak_block(ZonguldakOptions())[0]
     assert "verdict.beyond_prior" not in codes(fg.adjust(block))
     narrow = replace(block.options, position_sigma_m=(1e-3, 1e-3, 1e-3), attitude_sigma_rad=(1e-9, 1e-9, 1e-9))
@@ -145,7 +151,10 @@ def test_a_correction_beyond_its_prior() -> None:
 
 @pytest.mark.oracle
 def test_a_required_accuracy() -> None:
-    """Points above it are those whose standard deviation, from all rows by numpy, is larger along East, North or Up."""
+    """The verdict counts points whose sigma along East, North or Up exceeds the required accuracy.
+
+    numpy computes the sigmas from all rows.
+    """
     block = zonguldak_block(ZonguldakOptions())[0]
     plain = fg.adjust(block, backend="dense")
     design = turned_design(plain.problem, plain.state)
@@ -169,7 +178,10 @@ def test_a_required_accuracy() -> None:
 
 @pytest.mark.oracle
 def test_an_error_that_the_sigmas_allow_is_not_a_doubt() -> None:
-    """Errors are a hundredth of the sigmas. The test of the block would find 0.5 m, but the stated 3 m allow it."""
+    """An error of 0.5 m that a stated sigma of 3 m allows is suspicious but not a doubt.
+
+    All other errors are a hundredth of the sigmas.
+    """
     block, _ = with_shifted_control(planted_large().draw(np.random.default_rng(4), 0.01, 0.01, 0.01), 3, 0.5)
     solution = fg.adjust(block)
     tests = solution.outlier_tests()

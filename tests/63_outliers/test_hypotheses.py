@@ -32,7 +32,7 @@ def test_limits_are_those_of_scipy(f: int, level: float) -> None:
 
 @pytest.mark.truth
 def test_known_limits() -> None:
-    """Baarda 1968: 3.29 for 0.1 %, 1.96 for 5 %; Pope 1976: tau never exceeds sqrt(f)."""
+    """The limits are Baarda's 3.29 for 0.1 % and 1.96 for 5 % (1968), and tau is at most sqrt(f) (Pope 1976)."""
     one = np.array([1])
     assert limits(0.001, one, 50, "baarda")[0] == pytest.approx(3.29, abs=0.005)
     assert limits(0.05, one, 50, "baarda")[0] == pytest.approx(1.96, abs=0.005)
@@ -56,9 +56,9 @@ def test_probabilities_are_those_of_scipy_and_pope_decides_as_t(d: int) -> None:
 
 @pytest.mark.oracle
 def test_tau_by_simulation() -> None:
-    """A mean of six numbers, the largest share of one residual: 50 000 samples against Pope's limit at 5 %.
+    """Pope's limit is exceeded by 5 % of 50 000 simulated residuals, and the limit of t is not.
 
-    The t limit in its place, a common mistake, fails the same interval.
+    The residuals are those of a mean of six numbers; the t limit in its place is a common mistake.
     """
     runs, n = 50_000, 6
     x = np.random.default_rng(7).normal(size=(runs, n))
@@ -72,14 +72,14 @@ def test_tau_by_simulation() -> None:
 
 @pytest.mark.behaviour
 def test_what_cannot_be_tested() -> None:
-    """The suspect has no redundancy; for an estimated scale the other observations have none."""
+    """A suspect without redundancy is not tested, nor one that leaves no redundancy for an estimated scale."""
     d = np.array([0, 1, 2, 3])
     assert can_be_tested(d, 2, "baarda").tolist() == [False, True, True, False]
     assert can_be_tested(d, 2, "t").tolist() == can_be_tested(d, 2, "pope").tolist() == [False, True, False, False]
 
 
 def stepwise(p: np.ndarray, level: float, control: str) -> set[int]:
-    """Rejected hypotheses by the definitions (Holm 1979; Benjamini & Hochberg 1995), one after the other."""
+    """Return the rejected hypotheses by the definitions (Holm 1979; Benjamini & Hochberg 1995), one by one."""
     order, n = [int(k) for k in np.argsort(p)], len(p)
     if control == "holm":
         out: set[int] = set()
@@ -98,7 +98,10 @@ def stepwise(p: np.ndarray, level: float, control: str) -> set[int]:
 @pytest.mark.oracle
 @pytest.mark.parametrize("control", ["none", "bonferroni", "sidak", "holm", "benjamini_hochberg"])
 def test_controls_reject_what_their_definitions_reject(control: str) -> None:
-    """200 sets of 1 to 30 probabilities, a third of them small; the step-wise ones reject more than Bonferroni."""
+    """Each control of many tests rejects what its step-by-step definition rejects, for 200 sets.
+
+    All but Bonferroni reject more than Bonferroni at times.
+    """
     rng, more = np.random.default_rng(3), 0
     for _ in range(200):
         n = int(rng.integers(1, 31))
@@ -149,7 +152,7 @@ def test_impossible_choices_are_refused(test: str, control: str, level: float, p
 
 @pytest.mark.oracle
 def test_a_suspect_that_takes_all_squares_has_a_finite_statistic() -> None:
-    """T = v^T v but for rounding: F is bounded by 1 / eps, whatever the scale of the squares."""
+    """A suspect that explains all squares has a finite statistic, bounded by 1 / eps, at any scale."""
     for size in (1e-20, 1.0, 1e20):
         t, d = np.array([size, size * (1.0 + 1e-15)]), np.array([1, 2])
         found = statistics(t, d, size, 12, "t")

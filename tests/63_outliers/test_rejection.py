@@ -27,7 +27,7 @@ def worst(fit: float, out: Sequence[int]) -> list[int]:
 
 
 def both(fit: float, out: Sequence[int]) -> list[int]:
-    """Return all values that are far from the median; the mean hides one of them."""
+    """Return the two values far from the median that are not yet out; the mean hides one of them."""
     return [k for k in (4, 6) if k not in out]
 
 

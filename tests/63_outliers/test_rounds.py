@@ -45,7 +45,10 @@ def searched(block: Block, most: int, monkeypatch: pytest.MonkeyPatch) -> Search
 @pytest.mark.oracle
 @pytest.mark.parametrize("largest_px", [30.0, 600.0])
 def test_all_in_one_round_are_those_of_one_by_one(largest_px: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Image points, two in one point, height and position of control points; rows in any order; also large errors."""
+    """A search with many errors per round rejects the observations of one error per round, in at most four rounds.
+
+    Errors are in image points, two in one point, height and position of control points; rows have any order.
+    """
     whole, _ = grid_block(BlockOptions(rows=1, columns=4, points=300, control_share=0.1, seed=2))
     rng = np.random.default_rng(3)
     block = replace(whole, observations=whole.observations.take(rng.permutation(len(whole.observations))))
@@ -75,7 +78,7 @@ def test_all_in_one_round_are_those_of_one_by_one(largest_px: float, monkeypatch
 
 @pytest.mark.oracle
 def test_what_is_put_back_together_is_tested_as_after_each_adjustment() -> None:
-    """Image points and coordinates of control points: each test in turn is that of the adjustment with those before."""
+    """Tests of several restored observations equal those after an adjustment for each in turn."""
     block = replace(zonguldak_block(ZonguldakOptions(seed=4))[0])
     control, o = block.points.where(Role.CONTROL), block.observations
     out = [Excluded(int(j), (int(np.flatnonzero(o.point == j)[0]),), False, "image") for j in control[:2]]

@@ -48,7 +48,10 @@ def name_of(block: Block, row: int) -> str:
 @pytest.mark.oracle
 @pytest.mark.parametrize(("backend", "test"), [("graph", "t"), ("dense", "pope"), ("schur", "baarda")])
 def test_planted_errors_are_found_in_order(backend: str, test: str) -> None:
-    """Two image points 6 and 4 px off: found in one round, largest first, on every backend alike."""
+    """Two wrong image points are found in one round, largest first, on each backend and with each test.
+
+    They are 6 and 4 px off.
+    """
     block = twin()
     first, second = row_of(block, Role.CONTROL, 3), row_of(block, Role.CONTROL, 20, image=1)
     wrong = with_error(with_error(block, first, 6.0, 0.0), second, 0.0, -4.0)
@@ -69,9 +72,10 @@ def test_planted_errors_are_found_in_order(backend: str, test: str) -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("test", ["t", *(pytest.param(name, marks=pytest.mark.slow) for name in ("pope", "baarda"))])
 def test_several_in_a_round_are_those_of_single_rounds(test: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ten errors of 5 to 50 px, ten blocks: the same observations go, in two rounds in place of eleven.
+    """Rounds with several suspects find the observations of single rounds, in at most four rounds.
 
-    Rays that cannot be told apart are one suspect.
+    The statistics agree within 2 %. Ten blocks have ten errors of 5 to 50 px each. Rays that cannot be separated are
+    one suspect.
     """
     for seed in range(10):
         block, rng = twin(seed), np.random.default_rng(seed)
@@ -95,10 +99,10 @@ def test_several_in_a_round_are_those_of_single_rounds(test: str, monkeypatch: p
 
 @pytest.mark.truth
 def test_rays_that_could_both_be_wrong_both_go() -> None:
-    """Of four rays two are parallel; an error along the plane of the rays fits to either of the other rays.
+    """If either of two rays could be wrong, both are rejected, and the point is right within its covariance.
 
-    If only one of both is rejected by chance, the point has an error of 60 standard deviations. Seeds 9 and 28 have
-    such points.
+    Of four rays two are parallel; an error along the plane of the rays fits to either of the other rays. If only one of
+    both is rejected by chance, the point has an error of 60 standard deviations. Seeds 9 and 28 have such points.
     """
     for seed in (9, 28):
         block, truth = grid_block(BlockOptions(points=200, control_share=0.1, check_share=0.0, seed=seed))
@@ -120,7 +124,7 @@ def test_rays_that_could_both_be_wrong_both_go() -> None:
 
 @pytest.mark.behaviour
 def test_what_went_with_it_is_counted_and_named() -> None:
-    """A check point has one wrong ray of two; both image points are rejected, and the accuracy excludes the point."""
+    """If one ray of two is rejected, the other ray and the check point are named, and the accuracy excludes it."""
     block = twin()
     row = row_of(block, Role.CHECK, 2)
     point = block.points.ids[block.observations.point[row]]
@@ -140,7 +144,10 @@ def test_what_went_with_it_is_counted_and_named() -> None:
 
 
 def left_out_by_numpy(block: Block, rows: list[int]) -> tuple[int, float]:
-    """Dimension, and root of F or F, of rows left out: sums of squares of the linear problem with and without them."""
+    """Return the dimension, and root of F or F, of rows left out.
+
+    They come from sums of squares of the linear problem with and without the rows.
+    """
     all_of_it = Dense.of(compile_problem(block))
     v, design = turned_rows(all_of_it.problem, all_of_it.state)
     design = design / np.linalg.norm(design, axis=0)
@@ -157,10 +164,10 @@ def left_out_by_numpy(block: Block, rows: list[int]) -> tuple[int, float]:
 @pytest.mark.oracle
 @pytest.mark.parametrize("role", [Role.CONTROL, Role.CHECK])
 def test_prediction_is_the_test_with_the_observation_inside(role: Role) -> None:
-    """Statistic from the rest and from the adjustment with it are those of numpy, for points that vanish, too.
+    """The test of a rejected ray from the rest equals that with it inside, both by numpy.
 
-    Of a point seen twice without coordinates the other ray goes along; both are intersected and judged by what is
-    left over.
+    Of a point seen twice without coordinates the other ray is rejected too; both are intersected and tested by what
+    remains.
     """
     block = twin()
     row = row_of(block, role, 2)
@@ -185,7 +192,7 @@ def test_prediction_is_the_test_with_the_observation_inside(role: Role) -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("error", [(8.0, 0.0, 0.0), (0.0, 0.0, 30.0)])
 def test_prediction_of_coordinates(error: tuple[float, float, float]) -> None:
-    """Position or height of a control point: it becomes a tie point, and its test from the rest is that of numpy."""
+    """A control point with wrong position or height becomes a tie point, and its test from the rest is numpy's."""
     block = twin()
     j, known = int(block.points.where(Role.CONTROL)[5]), block.points.known
     turn = fg.adjust(block).problem.axes(known.ecef_m[j][None])[0]
@@ -207,7 +214,7 @@ def test_prediction_of_coordinates(error: tuple[float, float, float]) -> None:
 
 @pytest.mark.oracle
 def test_whole_points() -> None:
-    """A wrong target is measured alike in both images of a control point; the whole point is rejected at once."""
+    """With ``snoop_kind="points"`` a control point that is wrong in both images is rejected as a whole."""
     block = twin()
     j = int(block.points.where(Role.CONTROL)[8])
     wrong = block
@@ -238,7 +245,7 @@ def leave_out_first(block: Block, rows: list[int], monkeypatch: pytest.MonkeyPat
 
 @pytest.mark.behaviour
 def test_what_was_left_out_in_vain_comes_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A good ray is rejected first instead of the wrong one; it is restored, and only the wrong one stays rejected."""
+    """A good ray that was rejected first is restored, and only the wrong one stays rejected."""
     block = twin()
     bad, good = row_of(block, Role.CONTROL, 3), row_of(block, Role.CONTROL, 12, image=1)
     wrong = with_error(block, bad, 6.0, 0.0)
@@ -270,7 +277,7 @@ def test_nothing_comes_back_twice(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.behaviour
 def test_many_errors_end_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A fifth of the image points are wrong by tens of sigmas; the search ends at its limit with the reason."""
+    """If a fifth of the image points is wrong, the search ends at its limit and states the reason."""
     monkeypatch.setattr(outlier_search, "MOST", 0.05)
     block = twin()
     wrong = block
@@ -287,9 +294,9 @@ def test_many_errors_end_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.behaviour
 def test_last_control_point_is_not_given_up() -> None:
-    """The coordinates of the only control point are wrong.
+    """The only control point is not rejected although it is wrong, and the reason is stated.
 
-    Without them there is no datum, and a message states this.
+    Without it there is no datum.
     """
     block = twin()
     roles = [Role.TIE] * len(block.points.ids)
@@ -312,7 +319,7 @@ def test_last_control_point_is_not_given_up() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize(("rows", "columns", "points"), [(1, 4, 300)])
 def test_block_of_several_images(rows: int, columns: int, points: int) -> None:
-    """Twelve wrong image points among 700, seen two to four times: all that are checked are found, nothing else."""
+    """Eight wrong image points of checked points are found, and nothing else, also in parts."""
     block, _ = grid_block(BlockOptions(rows=rows, columns=columns, points=points, seed=2))
     rays = np.bincount(block.observations.point)[block.observations.point]
     rng, wrong = np.random.default_rng(5), block
@@ -331,7 +338,10 @@ def test_block_of_several_images(rows: int, columns: int, points: int) -> None:
 
 @pytest.mark.consistency
 def test_each_round_begins_where_the_last_one_ended() -> None:
-    """The second adjustment begins at a sum of squares near its end, the first at that of the metadata."""
+    """The second round of a search begins near its end, and the result is that of a plain adjustment.
+
+    The first round begins at the metadata.
+    """
     block = twin()
     first: list[float] = []
 

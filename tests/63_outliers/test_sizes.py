@@ -23,13 +23,13 @@ RUNS = [(63, 1000), pytest.param(64, 10_000, marks=pytest.mark.slow)]
 
 
 def interval(rate: float, runs: int) -> tuple[float, float]:
-    """99.9 % interval of a count of independent alarms, as a rate."""
+    """Return the 99.9 % interval of a count of independent alarms, as a rate."""
     low, high = binom.interval(0.999, runs, rate)
     return low / runs, high / runs
 
 
 def preselected(twin: LinearTwin) -> dict[str, tuple[Suspects, int]]:
-    """Return one suspect of each part: that of a control point in the middle of the list."""
+    """Return one suspect of each part, of a control point in the middle of the list."""
     problem = twin.solution.problem
     control = np.flatnonzero(problem.observed)
     j = int(control[len(control) // 2])
@@ -38,7 +38,7 @@ def preselected(twin: LinearTwin) -> dict[str, tuple[Suspects, int]]:
 
 
 def one(found: Suspects, k: int) -> Suspects:
-    """Return a single suspect."""
+    """Return the family that holds suspect ``k`` alone."""
     parts = (found.point, found.row, found.rows, found.v, found.q, found.columns)
     return Suspects(found.part, found.unit, *(part[[k]] for part in parts))
 
@@ -62,7 +62,10 @@ def alarm_rates(twin: LinearTwin, v: np.ndarray, scale: float = 1.0) -> dict[tup
 
 @pytest.mark.parametrize(("seed", "runs"), RUNS)
 def test_rate_of_alarms_is_the_level(seed: int, runs: int) -> None:
-    """Image point, line, sample, position, height, East, North, Up, whole point x Baarda, Pope, t x 5 %, 0.1 %."""
+    """The rate of alarms is the level for each kind of suspect, test and level.
+
+    Suspects are image point, line, sample, position, height, East, North, Up and whole point; levels are 5 and 0.1 %.
+    """
     twin = linear_twin()
     rates = alarm_rates(twin, twin.residuals(twin.noise(seed, runs)))
     assert len(rates) == 9 * len(TESTS) * len(LEVELS)
@@ -74,7 +77,7 @@ def test_rate_of_alarms_is_the_level(seed: int, runs: int) -> None:
 
 
 def test_wrong_sigmas_show_in_the_rates() -> None:
-    """If all errors are 1.3 times the sigmas, Baarda's rate leaves its interval, but those of Pope and t do not."""
+    """With errors of 1.3 sigmas Baarda's rate leaves its interval, but those of Pope and t do not."""
     twin, runs = linear_twin(), 1000
     rates = alarm_rates(twin, twin.residuals(twin.noise(63, runs)), scale=1.3)
     low, high = interval(0.05, runs)
@@ -84,7 +87,7 @@ def test_wrong_sigmas_show_in_the_rates() -> None:
 
 
 def test_wrong_ratios_of_sigmas_show_in_the_rates() -> None:
-    """If the errors in one image are 2 sigmas, the tests of its image points leave their intervals, also t and Pope."""
+    """With errors of 2 sigmas in one image the rates of its image points leave their intervals in all tests."""
     twin, runs = linear_twin(), 1000
     noise = twin.noise(63, runs)
     o, (found, k) = twin.solution.problem.observations, preselected(twin)["image"]
@@ -97,7 +100,7 @@ def test_wrong_ratios_of_sigmas_show_in_the_rates() -> None:
 
 
 def test_wrong_cofactors_show_in_the_rates() -> None:
-    """With Q_vv = I, as if nothing were estimated, residuals look too small and all rates are too low."""
+    """With Q_vv = I, as if nothing were estimated, the rate of alarms is below its interval."""
     twin, runs = linear_twin(), 1000
     v = twin.residuals(twin.noise(63, runs))
     single = one(*preselected(twin)["point"])
@@ -108,7 +111,10 @@ def test_wrong_cofactors_show_in_the_rates() -> None:
 
 @pytest.mark.parametrize(("seed", "runs"), RUNS)
 def test_global_test_keeps_its_level(seed: int, runs: int) -> None:
-    """Both sides together; errors of 1.1 sigmas leave the interval."""
+    """The global test rejects at its level, and with errors of 1.1 sigmas its rate leaves the interval.
+
+    Both sides count together.
+    """
     twin = linear_twin()
     chi2 = np.sum(twin.residuals(twin.noise(seed, runs)) ** 2, axis=1)
     for level in LEVELS:
@@ -149,7 +155,10 @@ def any_alarm(twin: LinearTwin, v: np.ndarray, test: str, level: float) -> dict[
 
 @pytest.mark.parametrize(("seed", "runs"), RUNS)
 def test_any_false_alarm_is_controlled(seed: int, runs: int) -> None:
-    """Between alpha/2 (tests depend on each other) and alpha; without control nearly every block has an alarm."""
+    """The rate of any alarm is between alpha/2 and alpha with each control, and above 90 % without control.
+
+    Tests depend on each other, so that it may be below alpha.
+    """
     twin, level = linear_twin(), 0.05
     v = twin.residuals(twin.noise(seed, runs))
     for test in TESTS:
@@ -163,7 +172,10 @@ def test_any_false_alarm_is_controlled(seed: int, runs: int) -> None:
 
 @pytest.mark.parametrize(("seed", "runs"), RUNS)
 def test_minimal_detectable_bias_is_found_with_its_power(seed: int, runs: int) -> None:
-    """A bias of non-centrality delta(0.001, 80 %): Baarda finds it in 80 %, the others as non-central F says."""
+    """A minimal detectable bias is found in 80 % by Baarda's test, and as non-central F says by others.
+
+    A bias of 0.7 of that size is not.
+    """
     twin, f = linear_twin(), linear_twin().redundancy
     noise = twin.noise(seed, runs)
     print(f"\nseed {seed}, {runs} adjustments")
@@ -189,14 +201,17 @@ def test_minimal_detectable_bias_is_found_with_its_power(seed: int, runs: int) -
 
 
 def biased(single: Suspects, delta: float) -> np.ndarray:
-    """Whitened errors (m,) of a suspect with this non-centrality, along the first of its checked directions."""
+    """Return whitened errors (m,) of a suspect with this non-centrality.
+
+    They lie along its best checked direction.
+    """
     e = single.columns[0] / np.linalg.norm(single.columns[0], axis=0)
     size, axes = np.linalg.eigh(e.T @ single.q[0] @ e)
     return np.asarray(e @ axes[:, -1] * np.sqrt(delta / size[-1]))
 
 
 def test_noncentral_chi_square_of_the_bias() -> None:
-    """The non-centrality of the simulation is that of scipy: 80 % beyond the limit of 0.1 %."""
+    """The non-centrality of the bias has a power of 80 % at the limit of 0.1 % by scipy."""
     for d in (1, 2, 4):
         limit = hypotheses.limits(0.001, np.array([d]), 10, "baarda")[0] ** (1 + (d == 1))
         assert ncx2.sf(limit, d, noncentrality(0.001, 0.80, d)) == pytest.approx(0.80, abs=1e-9)

@@ -23,7 +23,7 @@ ERROR_M = 20.0
 
 
 def with_loose_control(seed: int, stated_m: tuple[float, float]) -> Block:
-    """The twin with coordinates that have errors of 20 m, and these stated sigmas horizontally and vertically."""
+    """Return the twin with errors of 20 m in the coordinates and these stated sigmas (horizontal, vertical)."""
     block = zonguldak_block(ZonguldakOptions(seed=seed))[0]
     known, rng = block.points.known, np.random.default_rng(seed)
     sigma = known.sigma_enu_m.copy()
@@ -41,7 +41,10 @@ def codes(solution: fg.Solution) -> dict[str, str]:
 
 @pytest.mark.oracle
 def test_probability_is_that_of_drawn_residuals() -> None:
-    """Sums of squares of 20 000 draws of residuals, with the cofactors of a QR of all rows, at their quantiles."""
+    """Redundancy and probabilities of each group of sigmas equal those of 20 000 drawn residuals within 2 %.
+
+    The residuals have the cofactors of a QR of all rows.
+    """
     solution = fg.adjust(with_loose_control(1, (ERROR_M, ERROR_M)))
     q = np.linalg.qr(turned_design(solution.problem, solution.state))[0]
     n, free = len(q), solution.problem.observed
@@ -66,7 +69,7 @@ def test_probability_is_that_of_drawn_residuals() -> None:
 @pytest.mark.slow
 @pytest.mark.truth
 def test_clean_blocks_have_calibrated_probabilities() -> None:
-    """Of 60 blocks with right sigmas, as many are below 5 % as the binomial distribution allows; the factor is 1."""
+    """In 60 blocks with right sigmas probabilities below 5 % are as rare as they should be, and the factor is 1."""
     seen: dict[str, list[tuple[float, float, float]]] = {}
     for seed in range(60):
         solution = fg.adjust(with_loose_control(100 + seed, (ERROR_M, ERROR_M)))
@@ -95,7 +98,7 @@ def test_too_small_sigmas_are_a_doubt_with_their_factor() -> None:
 
 @pytest.mark.behaviour
 def test_adopted_sigmas_end_the_doubt() -> None:
-    """The remedy names variance components; with them the block converges and the sigma is that of the errors."""
+    """The remedy of a doubt about sigmas is ``variance_components``, with which the block converges without doubt."""
     block = with_loose_control(3, (ERROR_M / 4.0, ERROR_M))
     doubt = next(f for f in fg.adjust(block).findings if f.code == "verdict.sigmas")
     assert "variance_components" in str(doubt.remedy)

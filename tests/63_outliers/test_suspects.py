@@ -23,7 +23,7 @@ KINDS: tuple[Kind, ...] = ("groups", "coordinates", "points")
 @pytest.mark.oracle
 @pytest.mark.parametrize("kind", KINDS)
 def test_quadratic_forms_are_what_more_unknowns_gain(kind: Kind) -> None:
-    """Mean-shift model: v^T v with and without the error as unknown, by projection of the full matrix.
+    """T of each suspect is the decrease of v^T v with its error as unknown, by projection of the full matrix.
 
     With the residuals of another observation in the place of the suspect's the same comparison fails.
     """
@@ -47,7 +47,7 @@ def test_quadratic_forms_are_what_more_unknowns_gain(kind: Kind) -> None:
 @pytest.mark.consistency
 @pytest.mark.parametrize("backend", ["graph", "schur"])
 def test_all_backends_test_alike(backend: str) -> None:
-    """The same statistics as from full matrices: all kinds, all tests."""
+    """Each backend has the quadratic forms and dimensions of the dense one, for all kinds of suspects."""
     block = rpc_twin("affine", seed=5).block
     dense, other = fg.adjust(block, backend="dense"), fg.adjust(block, backend=backend)
     for kind in KINDS:
@@ -79,13 +79,13 @@ def test_rows_and_columns_say_the_same() -> None:
 
 
 def one_ray_more_than_needed() -> Block:
-    """Return the tie points alone but for the control: points of two rays are checked in one direction only."""
+    """Return a block in which tie points of two rays are checked in one direction only."""
     return rpc_twin("shift").block
 
 
 @pytest.mark.behaviour
 def test_inseparable_suspects_are_one_hypothesis() -> None:
-    """Both rays of a tie point have the same statistic: two suspects count as one test."""
+    """The two rays of a tie point, which have the same statistic, count as one test."""
     solution = fg.adjust(one_ray_more_than_needed())
     tests = solution.outlier_tests()
     roles = solution.block.points.roles
@@ -96,7 +96,10 @@ def test_inseparable_suspects_are_one_hypothesis() -> None:
 
 @pytest.mark.behaviour
 def test_what_is_not_tested_has_no_figures() -> None:
-    """Without redundancy for the scale: None, not 0 or nan, and the sentence says why."""
+    """A suspect that is not tested has None as statistic, limit and probability, and a sentence with the reason.
+
+    Baarda's test needs no redundancy for the scale.
+    """
     twin = rpc_twin("shift")
     block = twin.block
     control = np.flatnonzero([role == "control" for role in block.points.roles])[:1]
@@ -114,7 +117,7 @@ def test_what_is_not_tested_has_no_figures() -> None:
 
 @pytest.mark.behaviour
 def test_tests_that_cannot_be_are_refused() -> None:
-    """There is no covariance, the weights are those of a loss, or the kind does not exist."""
+    """Tests are refused with the reason without covariance, under a loss, or for an unknown kind."""
     plain = linear_twin().solution
     bare, robust = (
         replace(plain, cofactors=None, unavailable=(finding("unavailable.indeterminate", why="singular"),)),
@@ -131,7 +134,7 @@ def test_tests_that_cannot_be_are_refused() -> None:
 
 @pytest.mark.behaviour
 def test_what_an_intersection_takes_up_is_not_checked() -> None:
-    """Errors of observations that only determine their own point leave nothing or rounding errors."""
+    """Errors that an intersection absorbs have no dimension to test, also if rounding leaves 1e-17 of them."""
     v, s = np.array([0.3, -0.2]), np.eye(2)
     for left in (0.0, 1e-17):
         e = np.array([[1.0, 0.0], [0.0, left]])
@@ -153,7 +156,7 @@ def test_what_an_intersection_takes_up_is_not_checked() -> None:
 
 @pytest.mark.behaviour
 def test_suspects_of_different_points_are_never_one_class() -> None:
-    """The same T and d by chance in another point: told apart by the point, in the tests and in the names."""
+    """Suspects of different points with equal T and d stay separate hypotheses."""
     twin = linear_twin()
     found = suspects(twin.solution.residual_cofactors)[0]
     one = replace(found, point=np.array([0, 0, 1]), row=np.array([0, 1, 2]), v=10.0 * found.v[[0, 0, 0]],

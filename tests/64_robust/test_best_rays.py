@@ -54,7 +54,10 @@ def at(problem: Problem, state: State, j: int, place: Array) -> State:
 @pytest.mark.slow
 @pytest.mark.oracle
 def test_no_subset_of_rays_gives_a_smaller_cost() -> None:
-    """Against the least-squares position of every subset of two and more rays, by scipy."""
+    """No subset of two or more rays gives a doubtful point a smaller cost, by scipy.
+
+    Each subset has its least-squares position.
+    """
     _, problem, state, _ = solved(1)
     o = problem.observations
     rays = np.bincount(o.point, minlength=len(problem.active))
@@ -92,7 +95,7 @@ def test_points_without_contradiction_stay() -> None:
 @pytest.mark.truth
 @pytest.mark.parametrize("options", [{"loss": "tls", "gnc": True}])
 def test_right_rays_outlive_wrong_ones(options: dict[str, Any]) -> None:
-    """A point with at least three right rays keeps the right ones, and no wrong ray that contradicts them."""
+    """97 % of the points with at least three right rays keep all of these, or all but one."""
     kept = points = 0
     for seed in range(4):
         block, _, _, bad = solved(seed)

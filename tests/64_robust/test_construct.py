@@ -21,7 +21,7 @@ NAMES = tuple(losses())
 
 
 def integral(loss: Loss, end: float) -> float:
-    """``int_0^end s w(s) ds`` by an adaptive quadrature between the corners."""
+    """Return ``int_0^end s w(s) ds`` by an adaptive quadrature between the corners."""
     places = [0.0, *(c for c in loss.corners if c < end), end]
     return sum(
         quad(lambda s: s * float(loss.weight(np.array(s))), a, b, epsabs=1e-13, limit=200)[0]
@@ -84,7 +84,10 @@ def test_efficiency_against_scipy(dimension: int) -> None:
 
 @pytest.mark.truth
 def test_constants_of_the_literature() -> None:
-    """Hampel's 1.7 : 3.4 : 8.5 has 0.98 or so; Andrews 1.339, Danish 2 (Holland & Welsch 1977; Kubik)."""
+    """The constants of Andrews and Danish are 1.339 and 2, and Hampel's 1.7 : 3.4 : 8.5 has an efficiency of 0.98.
+
+    The sources are Holland & Welsch 1977 and Kubik.
+    """
     known = losses()
     assert known["andrews"].constants[0] == pytest.approx(1.339, abs=5e-4)
     assert known["danish"].constants[0] == pytest.approx(2.0, abs=0.01)
@@ -94,7 +97,7 @@ def test_constants_of_the_literature() -> None:
 
 
 def hard_weight(u: np.ndarray) -> np.ndarray:
-    """1 up to 1, 0.05 beyond: a jump, and a cost that grows without end."""
+    """Return 1 up to 1 and 0.05 beyond: the weight jumps, and the cost grows without end."""
     return np.where(u <= 1.0, 1.0, 0.05)
 
 

@@ -42,7 +42,10 @@ def test_errors_are_where_and_as_large_as_the_case_says() -> None:
 
 @pytest.mark.truth
 def test_what_is_checkable_follows_from_the_redundancy_of_its_direction() -> None:
-    """An error of 20 sigmas in a direction that keeps 1 % of it leaves 2 sigmas; in another that keeps half, 14."""
+    """An error counts as checkable if enough of it remains in the residual of its direction.
+
+    20 sigmas in a direction that keeps 1 % leave 2 sigmas; in one that keeps half, 14.
+    """
     q = np.array([[[0.01, 0.0], [0.0, 0.5]]] * 3)
     error = np.array([[20.0, 0.0], [0.0, 20.0], [42.0, 0.0]])
     assert study._trace(error, q).tolist() == [False, True, True]
@@ -51,7 +54,7 @@ def test_what_is_checkable_follows_from_the_redundancy_of_its_direction() -> Non
 
 @pytest.mark.oracle
 def test_a_small_twin_of_the_study() -> None:
-    """In one pair 20 % are wrong: Tukey's and Hampel's losses keep the check points right, least squares does not."""
+    """With 20 % of the rays wrong, Tukey's and Hampel's losses keep the check points right; least squares does not."""
     records = study.study(1, ["twin"], 1, shares=(0.0, 0.2), methods=(PLAIN, "tukey", "hampel"))
     mean = means(records)
     for method in ("tukey", "hampel"):
@@ -66,9 +69,9 @@ def test_a_small_twin_of_the_study() -> None:
 
 @pytest.mark.behaviour
 def test_only_what_is_missing_runs_and_is_added(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A file with one seed gets the second one.
+    """With ``--missing`` only the second seed runs, and its results are added to the file.
 
-    The first one does not run again, and gathered results can be separated.
+    Gathered results can be separated.
     """
     asked: list[tuple[str, int, float]] = []
 
@@ -110,7 +113,7 @@ def test_the_page_is_made_of_the_results() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["twin", "block"])
 def test_at_20_percent_the_winners_keep_the_check_points(case: str) -> None:
-    """Mean RMSE of 20 seeds within 1.2 of the clean least squares; seeds 1 to 20."""
+    """With 20 % wrong rays the winners have at most 1.2 of the clean RMSE over 20 seeds; least squares has twice it."""
     mean = means(study.study(SEEDS, [case], 1, shares=(0.0, 0.2), methods=(PLAIN, *WINNERS)))
     for method in WINNERS:
         assert mean[0.2, method] <= LIMIT * mean[0.0, PLAIN], method
@@ -120,6 +123,9 @@ def test_at_20_percent_the_winners_keep_the_check_points(case: str) -> None:
 @pytest.mark.truth
 @pytest.mark.parametrize(("seed", "share"), [(14, 0.05), (15, 0.3)])
 def test_no_right_point_moves_for_a_little_better_fit(seed: int, share: float) -> None:
-    """Points with few rays, which moved by 100 m for less than a unit of the cost: 18 and 15 m at check points."""
+    """Points with few rays stay in their place: the RMSE of check points is below 6.5 m.
+
+    They moved by 100 m for less than a unit of the cost, which made 18 and 15 m.
+    """
     record = study.measure(study.spoil("block", seed, share), "GNC, tls")
     assert record["rmse_m"] < 6.5

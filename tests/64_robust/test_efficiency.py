@@ -15,7 +15,7 @@ LEVEL = 0.999
 
 
 def centres(x: np.ndarray, loss: Loss, constant: float) -> np.ndarray:
-    """Return the centres (runs, d) of clouds (runs, n, d) by reweighting, from the mean."""
+    """Return the centres (runs, d) of clouds (runs, n, d) by reweighting that starts at the mean."""
     at = x.mean(axis=1)
     for _ in range(40):
         w = loss.weight(np.linalg.norm(x - at[:, None], axis=2) / constant)[..., None]
@@ -59,7 +59,10 @@ def test_a_constant_too_small_is_found() -> None:
 @pytest.mark.parametrize("dimension", [1, 2, 3])
 @pytest.mark.parametrize("name", NAMES)
 def test_all_dimensions(name: str, dimension: int) -> None:
-    """4000 clouds of 300, seed 17; 1/300 is left to the limit of many."""
+    """The robust centre of a normal cloud has an efficiency of 95 % for each loss and dimension.
+
+    4000 clouds of 300 are drawn; 1/300 is allowed for the limit of many.
+    """
     loss = losses()[name]
     value, half = relative_variance(loss, loss.constant(dimension), dimension, 4000, 300, 17)
     assert abs(value - 0.95) <= half + 1.0 / 300.0

@@ -27,7 +27,7 @@ def line(seed: int, n: int = 40, bad: int = 8) -> tuple[Array, Array]:
 
 
 def fitted(a: Array, b: Array, dimension: int, rule: Rule = least_absolute) -> Array:
-    """Return the unknowns by the cycles; rows of one observation stand together."""
+    """Return the unknowns by reweighting; rows of one observation follow one another."""
 
     def fit(groups: tuple[Array, ...], last: Array | None) -> Array:
         root = np.sqrt(np.repeat(groups[0], dimension)) if groups else np.ones(len(b))
@@ -42,7 +42,10 @@ def fitted(a: Array, b: Array, dimension: int, rule: Rule = least_absolute) -> A
 @pytest.mark.oracle
 @pytest.mark.parametrize("seed", [1, 2, 3, 4])
 def test_one_dimension_against_linear_programming(seed: int) -> None:
-    """min sum s, -s <= b - a x <= s."""
+    """Least absolute values of a line have the cost of linear programming within 2e-4.
+
+    The program is min sum s, -s <= b - a x <= s.
+    """
     a, b = line(seed)
     n = len(b)
     found = linprog(
@@ -58,7 +61,10 @@ def test_one_dimension_against_linear_programming(seed: int) -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("seed", [1, 2])
 def test_two_dimensions_between_bounds_of_a_polygon(seed: int) -> None:
-    """|r| is at least its projections on 64 directions, and at most 1 / cos(pi / 64) of the largest: 0.12 %."""
+    """Least norms in two dimensions lie between bounds of linear programming, 0.12 % apart.
+
+    |r| is at least its projections on 64 directions, and at most 1 / cos(pi / 64) of the largest.
+    """
     rng, n, k = np.random.default_rng(seed), 20, 64
     a, x = rng.standard_normal((2 * n, 3)), np.array([1.0, -2.0, 0.5])
     b = a @ x + rng.standard_normal(2 * n)
@@ -77,7 +83,7 @@ def test_two_dimensions_between_bounds_of_a_polygon(seed: int) -> None:
 
 @pytest.mark.oracle
 def test_another_weight_misses_the_bound() -> None:
-    """With 1 / t^2 instead of 1 / t the check above fails."""
+    """With the weight 1 / t^2 instead of 1 / t the cost misses the limit of the test above."""
     a, b = line(1)
     x = fitted(a, b, 1, lambda last, norm, cycle, dimension, sigma0: 1.0 / np.maximum(norm, 0.3) ** 2)
     assert np.abs(b - a @ x).sum() > np.abs(b - a @ fitted(a, b, 1)).sum() * (1.0 + 2e-4)
@@ -101,7 +107,10 @@ def test_rules() -> None:
 
 @pytest.mark.oracle
 def test_least_absolute_values_of_a_block() -> None:
-    """No state around the end has a smaller sum of norms (and half squares of priors); least squares has."""
+    """The solution for ``lad`` has a smaller sum of norms than states around it and than least squares.
+
+    Priors count as half squares.
+    """
     block, bad = spoiled(twin(), 0.1, 3)
     end = adjusted(block, loss="lad")
     assert end.converged, end.reason
@@ -138,7 +147,7 @@ def test_the_danish_method_on_a_block() -> None:
 
 @pytest.mark.consistency
 def test_rows_weighted_in_place_and_problems_weighted_anew_end_alike() -> None:
-    """The Schur backend keeps its arrays from cycle to cycle, the dense one makes a problem of each."""
+    """Schur, which weights its arrays, and dense, which makes new problems, have the same end and weights."""
     block, _ = spoiled(twin(), 0.1, 3)
     arrays, matrices = (adjusted(block, loss="danish_original", backend=name) for name in ("schur", "dense"))
     assert (arrays.backend, matrices.backend) == ("schur", "dense")

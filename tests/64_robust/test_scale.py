@@ -39,7 +39,10 @@ def exact_image_scale(solution: fg.Solution) -> float:
 @pytest.mark.oracle
 @pytest.mark.parametrize("block", [twin(), grid()], ids=["twin", "grid"])
 def test_as_with_exact_cofactors(block: fg.Block) -> None:
-    """Points and images one at a time instead of all unknowns together: 5 % on blocks of this size."""
+    """The robust scale equals that with exact cofactors within 5 %, and is 1 within 25 %.
+
+    It uses cofactors of points and images one at a time.
+    """
     solution = fg.adjust(block)
     image, _ = robust_scale(solution.problem, solution.state)
     assert image == pytest.approx(exact_image_scale(solution), rel=0.05)
@@ -48,7 +51,7 @@ def test_as_with_exact_cofactors(block: fg.Block) -> None:
 
 @pytest.mark.oracle
 def test_residuals_taken_as_errors_are_found_out() -> None:
-    """Without the share that the unknowns absorb, the check above fails by far."""
+    """Without the share that the unknowns absorb the scale would be below 0.75 of the exact one."""
     solution = fg.adjust(grid())
     v = residuals(solution.problem, solution.state)
     plain = float(np.sqrt(np.median(np.sum(v**2, axis=1)) / chi2.median(2)))
@@ -57,7 +60,7 @@ def test_residuals_taken_as_errors_are_found_out() -> None:
 
 @pytest.mark.oracle
 def test_wrong_sigmas_are_seen() -> None:
-    """If the sigmas are a third as large, both scales are three times as large."""
+    """If the sigmas are a third as large, both scales are three times as large within 10 %."""
     right, wrong = (fg.adjust(with_sigmas(grid(), f)) for f in (1.0, 1.0 / 3.0))
     scales = [robust_scale(s.problem, s.state) for s in (right, wrong)]
     assert np.divide(*scales[::-1]) == pytest.approx([3.0, 3.0], rel=0.1)
@@ -77,9 +80,9 @@ def test_few_control_points_and_vanishing_residuals() -> None:
 
 @pytest.mark.oracle
 def test_gross_errors_hardly_move_it() -> None:
-    """30 % of the rays of control points are wrong by 10 to 100 sigmas.
+    """With 30 % wrong rays the final scale is between 0.8 and 1.6, while sigma0 is above 10.
 
-    The scale at the end is below 1.6, sigma0 above 10.
+    Rays of control points are wrong by 10 to 100 sigmas.
     """
     block, bad = spoiled(twin(), 0.3, 3)
     end = adjusted(block, loss="tukey", robust_scale="mad")
@@ -92,7 +95,7 @@ def test_gross_errors_hardly_move_it() -> None:
 
 @pytest.mark.oracle
 def test_wrong_sigmas_without_and_with_the_scale() -> None:
-    """Sigmas a tenth as large: half of the points are turned down unless the scale is measured."""
+    """With sigmas a tenth as large the measured scale keeps 90 % of the rays; without it 40 % are down-weighted."""
     block = with_sigmas(grid(), 0.1)
     plain, measured = (adjusted(block, loss="tukey", robust_scale=s) for s in ("prior", "mad"))
     assert plain.weights is not None and measured.weights is not None

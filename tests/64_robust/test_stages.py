@@ -59,7 +59,7 @@ def test_scale_settles_or_the_stages_end() -> None:
 
 @pytest.mark.oracle
 def test_the_start_decides_between_minima() -> None:
-    """35 % wrong: from least squares Tukey's loss turns down good points, from Huber's minimum it does not."""
+    """With 35 % wrong rays Tukey's loss keeps all good ones from Huber's minimum, but not from least squares."""
     block, bad = spoiled(twin(), 0.35, 8, (3.0, 60.0))
     good = np.setdiff1d(control_rays(block), bad)
     down = {}
@@ -97,7 +97,10 @@ def test_a_stopped_run_goes_on_with_its_scale(tmp_path: Path, options: dict[str,
 
 @pytest.mark.behaviour
 def test_an_image_turned_down_is_said() -> None:
-    """30 of 47 points of the left image are wrong by 30 to 60 px in different directions. No majority exists."""
+    """If a loss down-weights most points of an image, the result is not trustworthy and names the image.
+
+    30 of 47 points are wrong by 30 to 60 px in different directions, so that no majority exists.
+    """
     block, rng = twin(), np.random.default_rng(4)
     rows = np.flatnonzero(block.observations.image == 0)[:30]
     wrong = moved(block, rows, rng.choice([-1, 1], 30) * rng.uniform(30, 60, 30), rng.uniform(-60, 60, 30))
@@ -124,7 +127,10 @@ def test_a_point_without_ray_is_said() -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize("image", [0, 1])
 def test_a_wrong_ray_of_two_costs_the_point(image: int) -> None:
-    """A check point has a line wrong by 40 px; the data do not show which ray is wrong, and its position is doubted."""
+    """If one ray of two is wrong by 40 px, both lose their weight and the point is named, with a large sigma.
+
+    The data do not show which ray is wrong.
+    """
     block = twin()
     point = block.points.where(fg.Role.CHECK)[0]
     o = block.observations
@@ -195,9 +201,10 @@ def test_the_unit_of_the_loss_is_said() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("options", [{"robust_scale": "mad"}, {"robust_start": "lts"}])
 def test_backends_end_where_numpy_has_no_step_left(options: dict[str, str]) -> None:
-    """Schur, dense and parts take the same way to the same end: 1e-9 prior sigma, scales to 1e-9.
+    """Schur, dense and parts have the same stages, scales and end, where numpy has no step left.
 
-    The graph intersects its points anew at each step. Its stages end at other states, and the scale is measured there.
+    Limits are 1e-9 prior sigma, and 1e-9 of the scales. The graph intersects its points anew at each step. Its stages
+    end at other states, and the scale is measured there: it agrees within 1e-3.
     """
     block, _ = spoiled(grid(), 0.1, 3)
     wanted = {"loss": "tukey", "max_iterations": 200, **options}

@@ -22,7 +22,7 @@ Array = np.ndarray[Any, np.dtype[np.float64]]
 
 
 def spoiled(seed: int, share: float) -> tuple[Block, Array, Array]:
-    """Block with errors of 5 to 50 px in a share of all rays, true coordinates, and whether each ray is wrong."""
+    """Return a block with errors of 5 to 50 px in a share of all rays, the truth, and which rays are wrong."""
     block, truth = grid_block(BlockOptions(points=200, control_share=0.1, check_share=0.0, seed=seed))
     o, rng = block.observations, np.random.default_rng(seed)
     bad = rng.random(len(o)) < share
@@ -42,7 +42,7 @@ def across(problem: Problem, state: State, pairs: Array) -> Array:
 @pytest.mark.parametrize("options", [{"loss": "tls", "gnc": True}, {"loss": "tukey", "max_iterations": 200}])
 @pytest.mark.parametrize("share", [0.05, pytest.param(0.1, marks=pytest.mark.slow)])
 def test_regions_of_points_with_two_rays_hold(options: dict[str, Any], share: float) -> None:
-    """Across the rays 95 % in the limits of the binomial distribution; good points in all directions; no wrong ray.
+    """Confidence regions of points with two rays contain 95 %: across the rays of all, in space of good points.
 
     An error along the plane of the rays is not seen by any other observation.
     """
@@ -68,7 +68,7 @@ def test_regions_of_points_with_two_rays_hold(options: dict[str, Any], share: fl
 
 @pytest.mark.oracle
 def test_pairs_are_those_of_a_count() -> None:
-    """Unknown points with two rays and nothing else, in the order of the problem and of the arrays."""
+    """The pairs are those of all unknown points with two rays, in the order of problem and arrays."""
     block, _, _ = spoiled(1, 0.05)
     solution = fg.adjust(block, max_iterations=3)
     problem, backend = solution.problem, SchurBackend(solution.problem)
@@ -84,9 +84,9 @@ def test_pairs_are_those_of_a_count() -> None:
 
 @pytest.mark.truth
 def test_an_error_along_the_plane_of_parallel_rays_costs_both() -> None:
-    """Rays form two parallel pairs.
+    """Of two parallel rays an error across their plane rejects one, and an error along it rejects both.
 
-    An error across their plane rejects one ray; along the plane it rejects the pair.
+    The point has two parallel pairs of rays.
     """
     block, _ = grid_block(BlockOptions(points=80, control_share=0.1, seed=4))
     clean, o = fg.adjust(block), block.observations

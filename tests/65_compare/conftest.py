@@ -32,7 +32,7 @@ def twin() -> Block:
 
 @pytest.fixture(scope="session")
 def comparison(twin: Block) -> Comparison:
-    """Return three sets, all backends."""
+    """Return the comparison of all solvers for the sets of the tests."""
     return compare(twin, eop_sets=SETS, solvers=SOLVERS)
 
 

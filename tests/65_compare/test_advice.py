@@ -38,7 +38,10 @@ def row(backend: str, seconds: float, **more: object) -> Row:
 
 @pytest.mark.behaviour
 def test_check_points_exclude_and_aicc_chooses() -> None:
-    """The standard error of the mean square is a tenth of it: RMSE up to 1.049 times the least one."""
+    """The advice excludes sets by the RMSE of check points, and chooses the least AICc among the rest.
+
+    The standard error of the mean square is a tenth of it: RMSE up to 1.049 times the least one remain.
+    """
     best, why = best_set([result(1, 1.0, 30.0), result(2, 1.04, 10.0), result(3, 1.06, 0.0)])
     assert best is not None and best.eop_set == 2
     assert why[0] == "3-D RMSE 1.04 m at 50 check points; the least of 3 sets is 1 m (set 1)"
@@ -84,7 +87,7 @@ def test_default_engine_unless_another_is_much_faster(graph_s: float, schur_s: f
 
 @pytest.mark.oracle
 def test_limit_of_the_predicted_rmse_against_a_simulation(twin: Block) -> None:
-    """5 % of draws from the joint covariance of the check points are above the limit of the worst axis."""
+    """5 % of draws from the covariance of check points exceed the limit of the predicted RMSE, within 1 %."""
     check = fg.adjust(twin, eop_set=2).accuracy.check
     predicted, limit, freedom = predicted_rmse(check, check.covariance_m2)
     c, n = check.covariance_m2, len(check)
@@ -104,7 +107,10 @@ def test_limit_of_the_predicted_rmse_against_a_simulation(twin: Block) -> None:
 @pytest.mark.slow
 @pytest.mark.behaviour
 def test_mixed_block_has_its_answer() -> None:
-    """Satellite, RPC and frame images share unknowns; engines that cannot adjust them are rows with the reason."""
+    """The comparison of a mixed block recommends a set and a graph, with equal solutions of all engines.
+
+    Engines that cannot adjust shared unknowns are rows with the reason.
+    """
     block = mixed_block(MixedOptions())[0]
     found = compare(block, eop_sets=[2, 9], solvers="qr")
     said = verdict(found)

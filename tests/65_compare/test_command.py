@@ -8,7 +8,6 @@ import math
 import re
 import shutil
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -25,6 +24,7 @@ from fg_orient.studies.comparison import plots
 from fg_orient.studies.comparison import report as heat
 from fg_orient.studies.comparison.model import COLUMNS, Comparison
 from fg_orient.studies.comparison.report import ranges, render, three_digits, verdict
+from tests.support.page import structure
 
 FIGURES = {
     "heatmap_control.svg", "heatmap_check.svg", "conditions.svg", "spectra.svg", "l_curves.svg", "seconds.svg",
@@ -38,40 +38,6 @@ TABLES = {
 ROW_KEYS = {
     "eop_set", "solver", "backend", "control_rmse_m", "check_rmse_m", "cond_raw", "cond_scaled", "rank", "reached",
 }  # fmt: skip
-VOID = {"meta", "br", "img", "link", "input", "hr"}
-
-
-class Structure(HTMLParser):
-    """The parser collects tags, ids and attributes, and fails on tags that do not match."""
-
-    def __init__(self) -> None:
-        super().__init__(convert_charrefs=True)
-        self.open: list[str] = []
-        self.tags: list[str] = []
-        self.attributes: list[tuple[str, str]] = []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append(tag)
-        self.attributes += [(name, value or "") for name, value in attrs]
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.handle_starttag(tag, attrs)
-        if tag not in VOID:
-            self.open.pop()
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open and self.open[-1] == tag, f"</{tag}> closes {self.open[-3:]}"
-        self.open.pop()
-
-
-def structure(text: str) -> Structure:
-    found = Structure()
-    found.feed(text)
-    found.close()
-    assert found.open == []
-    return found
 
 
 def rows_of(path: Path) -> list[dict[str, str]]:
@@ -80,7 +46,7 @@ def rows_of(path: Path) -> list[dict[str, str]]:
 
 
 def same(text: str, value: Any) -> bool:
-    """Tell whether a cell holds a value to its last digit."""
+    """Return whether a cell has a value to its last digit."""
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return text == ""
     if isinstance(value, bool):
@@ -107,7 +73,7 @@ def test_json_keys(written: tuple[Path, Any]) -> None:
 
 @pytest.mark.consistency
 def test_table_equals_the_rows_of_the_library(written: tuple[Path, Any], comparison: Comparison) -> None:
-    """The project folder gives the numbers of the block in memory; times and rounding noise aside."""
+    """``compare`` writes the rows of its record to the table, with the check RMSE of the library."""
     found = rows_of(written[0] / "compare.csv")
     assert list(found[0]) == list(COLUMNS)
     assert len(found) == len(comparison.rows)
@@ -170,7 +136,7 @@ def test_figures_show_the_numbers(written: tuple[Path, Any], comparison: Compari
 
 @pytest.mark.consistency
 def test_heat_maps_and_outcomes_are_the_rows(comparison: Comparison, written: tuple[Path, Any]) -> None:
-    """Each adjustment that was tried stands in its field, on the side of the target where its number lies."""
+    """Each row of a comparison is in its field of the heat map, on the right side of the target, and is counted."""
     counted = heat.counts(comparison)
     assert sum(counted.values()) == len(comparison.rows) and counted["left_out"] == 9
     assert counted["reached"] == sum(r.reached for r in comparison.rows)
@@ -274,7 +240,7 @@ def test_without_matplotlib(run: Any, project: Path, tmp_path: Path, monkeypatch
         "l_curves.csv",
         "error_vectors.csv",
     }  # of the published procedure alone
-    assert "svg" not in structure((out / "report.html").read_text("utf-8")).tags
+    assert "svg" not in structure(out / "report.html").tags
 
 
 @pytest.mark.behaviour
@@ -328,7 +294,10 @@ def test_existing_folders(run: Any, project: Path, written: tuple[Path, Any], tm
 
 @pytest.mark.behaviour
 def test_no_solution_at_all(run: Any, tmp_path: Path) -> None:
-    """Two control points carry no look-angle polynomial: the published procedure alone gives exit code 3."""
+    """If no adjustment has a solution, ``compare`` ends with exit code 3 and the reason, and writes nothing.
+
+    Two control points do not determine a look-angle polynomial.
+    """
     project = simulate_zonguldak(tmp_path / "twin", ZonguldakOptions())
     points = project.parent / "points.csv"
     lines = points.read_text("utf-8").splitlines()

@@ -39,7 +39,10 @@ def test_directions_are_those_of_adjust(twin: Block, comparison: Comparison, num
 
 @pytest.mark.behaviour
 def test_motions_of_the_block_are_named_too(twin: Block) -> None:
-    """With one control point only the priors determine rotations of the whole block."""
+    """A comparison names the motions of the block that priors hold, as ``adjust`` does.
+
+    One control point leaves rotations of the block to the priors.
+    """
     roles = twin.points.roles
     first = next(k for k, role in enumerate(roles) if role == "control")
     o = twin.observations
@@ -88,7 +91,7 @@ def test_hostile_image_ids_are_escaped(comparison: Comparison, written: tuple[Pa
 def test_curves_are_those_of_the_published_bundle(
     twin: Block, comparison: Comparison, written: tuple[Path, Any]
 ) -> None:
-    """The kappa of the row stands on the curve, and the norms of its solution are those of the bundle."""
+    """The L-curve of a Tikhonov solver contains the kappa and norms of the published bundle."""
     assert [(c.eop_set, c.type) for c in comparison.curves] == [
         (n, kind) for n in comparison.eop_sets for kind in (1, 2)
     ]

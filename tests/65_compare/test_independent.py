@@ -54,7 +54,7 @@ def minimum(problem: Problem) -> tuple[Array, Array]:
 
 
 def joined(problem: Problem) -> Array:
-    """Return the unknowns of all images and points (rows) by those without repetitions (columns)."""
+    """Return the matrix from the unknowns without repetitions (columns) to those of all images and points (rows)."""
     assert problem.ties is not None
     z, wide = problem.n_free_unknowns, problem.n_image_unknowns
     out = np.zeros((problem.n_columns, problem.n_unknowns))
@@ -97,7 +97,10 @@ def test_ten_random_rows(twin: Block, comparison: Comparison) -> None:
 @pytest.mark.slow
 @pytest.mark.oracle
 def test_ten_random_rows_of_the_mixed_block() -> None:
-    """Satellite, RPC and frame images with shared unknowns."""
+    """Ten random rows of the mixed block equal independent computations.
+
+    Satellite, RPC and frame images share unknowns.
+    """
     block = mixed_block(MixedOptions())[0]
     check_rows(block, compare(block, eop_sets=[2, 9], solvers="qr,lapack_cholesky"))
 
@@ -106,7 +109,7 @@ def test_ten_random_rows_of_the_mixed_block() -> None:
 @pytest.mark.real_data
 @pytest.mark.oracle
 def test_ten_random_rows_of_the_pleiades_pair(real_data: Path, tmp_path: Path) -> None:
-    """The first screen names set, engine and reasons; ten rows are recomputed."""
+    """Ten random rows of the Pléiades pair equal independent computations, and the advice names set and reasons."""
     block = fg.read_project(pleiades_project(real_data, tmp_path)[0])
     found = compare(block, solvers="qr,svd")
     said = verdict(found)
@@ -118,7 +121,7 @@ def test_ten_random_rows_of_the_pleiades_pair(real_data: Path, tmp_path: Path) -
 
 
 def check_rows(block: Block, comparison: Comparison) -> None:
-    """Ten random rows: errors, sigma0, matrix, elements and operations."""
+    """Check errors, sigma0, matrix, elements and operations of ten random rows."""
     given, known = block, dict[int, tuple[Array, Array]]()
     for row in random_rows(comparison):
         block = replace(given, options=replace(given.options, eop_set=row.eop_set))
@@ -140,7 +143,7 @@ def check_rows(block: Block, comparison: Comparison) -> None:
 
 
 def check_matrix(row: Row, problem: Problem, design: Array) -> None:
-    """Order, rank and condition numbers from numpy."""
+    """Check order, rank and condition numbers by numpy."""
     scale = np.concatenate([np.concatenate([p.sigma for p in problem.parameters]), np.ones(3 * problem.active.sum())])
     if problem.ties is not None:
         scale = np.array([scale[np.flatnonzero(column)[0]] for column in joined(problem).T])
@@ -157,7 +160,7 @@ def check_matrix(row: Row, problem: Problem, design: Array) -> None:
 
 
 def check_work(row: Row, problem: Problem, design: Array) -> None:
-    """Elements and operations from the pattern of the matrix, block by block."""
+    """Check elements and operations from the pattern of the matrix, block by block."""
     u = problem.n_image_unknowns
     sizes = [*([3] * int(problem.active.sum())), *np.diff(problem.first).tolist()]
     ends = np.concatenate([[0], np.cumsum(sizes)])
@@ -188,7 +191,10 @@ def check_work(row: Row, problem: Problem, design: Array) -> None:
 
 @pytest.mark.oracle
 def test_forward_errors_against_extended_precision(twin: Block, comparison: Comparison) -> None:
-    """The error of QR's first step, by iterative refinement in the longest type of numpy."""
+    """Forward errors refer to the exact step, which equals iterative refinement in long doubles.
+
+    Direct solvers are below 1e-10; iterative ones stop earlier on purpose.
+    """
     problem = compile_problem(replace(twin, options=replace(twin.options, eop_set=2)))
     residual, design = assemble(problem, problem.start)
     exact = reference.exact(design, -residual)
@@ -212,7 +218,10 @@ def test_forward_errors_against_extended_precision(twin: Block, comparison: Comp
 
 @pytest.mark.truth
 def test_reference_of_a_known_solution() -> None:
-    """Vandermonde's matrix with whole numbers: the least squares of consistent equations is exact."""
+    """The reference solution is exact for whole numbers in Vandermonde's matrix, and absent if not determined.
+
+    Least squares of consistent equations is exact.
+    """
     design = np.vander(np.arange(1.0, 13.0), 8)
     x = np.array([1.0, -2.0, 3.0, -4.0, 5.0, -6.0, 7.0, -8.0])
     found = reference.exact(design, design @ x)

@@ -32,7 +32,7 @@ WORDS = ("none", "tikhonov:gcv", "tikhonov:1", "minimum_norm:1e-05")
 
 @pytest.fixture(scope="module")
 def free(twin: Block) -> Block:
-    """Without priors, where set 19 has directions that no observation determines."""
+    """Return the block without priors, where set 19 has directions that no observation determines."""
     return with_options(twin, "test", priors=False)
 
 
@@ -56,7 +56,10 @@ def test_deficient_set_has_regularised_rows_only(found: Comparison) -> None:
 
 @pytest.mark.oracle
 def test_regularised_rows_against_numpy(free: Block, found: Comparison) -> None:
-    """Ridge solution by numpy's Gauss-Newton with the points projected out of every step; its errors and sigma0."""
+    """Regularised rows have the errors, kappa, sigma0 and condition of numpy's ridge solution.
+
+    numpy iterates Gauss-Newton with all rows.
+    """
     kappa = next(r.kappa for r in found.rows if r.regularisation == "tikhonov:gcv" and not r.failure)
     for word, of_kappa in (("tikhonov:gcv", kappa), ("tikhonov:1", 1.0)):
         plain, problem = regularised_problem(free, 19, **options_of(word))
@@ -122,7 +125,10 @@ def test_regularisation_of_the_block_is_the_default(free: Block) -> None:
 
 @pytest.mark.behaviour
 def test_an_interrupted_comparison_goes_on(free: Block, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Finished sets are read with their regularisations and error vectors; another selection is computed."""
+    """An interrupted comparison reads finished sets with their error vectors and does not compute them again.
+
+    Another selection is computed.
+    """
     given = {"eop_sets": [2], "solvers": "qr", "types": [1], "backends": "faithful,graph", "folder": tmp_path}
     first = compare(free, regularisations="tikhonov:gcv", **given)  # type: ignore[arg-type]
     assert compare(free, regularisations="none", **given).regularisations == ("none",)  # type: ignore[arg-type]
@@ -141,7 +147,10 @@ def result(eop_set: int, rmse: float, **more: object) -> SetResult:
 
 @pytest.mark.behaviour
 def test_an_unbiased_estimate_is_taken_unless_it_is_worse() -> None:
-    """Variance is never compared: check points decide, and within a standard error the estimate without bias."""
+    """The advice prefers an estimate without bias unless its check RMSE is worse by a standard error.
+
+    Variances are never compared.
+    """
     plain = result(1, 1.04, regularisation="none", aicc=5.0, bic=5.0)
     ridge = result(1, 1.0, regularisation="tikhonov:gcv", bias_m=0.3, predicted_m=0.1)
     other = result(2, 1.0, regularisation="tikhonov:gcv")
@@ -205,7 +214,7 @@ def test_command_page_and_tables(run: Run, project: Path, tmp_path: Path) -> Non
 
 @pytest.mark.oracle
 def test_error_vectors_are_those_of_the_published_rows(twin: Block, written: tuple[Path, object]) -> None:
-    """Turned to ECEF by the test, the vectors of each row have the RMSE of the row."""
+    """The error vectors of each published row have its RMSE, after conversion to ECEF."""
     with (written[0] / "error_vectors.csv").open(encoding="utf-8", newline="") as stream:
         vectors = list(csv.DictReader(stream))
     with (written[0] / "compare.csv").open(encoding="utf-8", newline="") as stream:
@@ -236,7 +245,7 @@ def geodetic(block: Block) -> tuple[float, float]:
 
 @pytest.mark.truth
 def test_error_vectors_point_from_measured_to_computed(twin: Block, comparison: Comparison) -> None:
-    """The published sign is measured minus computed; the vectors are the opposite."""
+    """Error vectors point from measured to computed, opposite to the published sign."""
     one = next(v for v in comparison.vectors if v.solver == "qr")
     errors = TwoStage(twin).bundle(one.eop_set, one.type, "qr").accuracy  # type: ignore[arg-type]
     assert one.ids["check"] == errors.icp_ids
@@ -247,7 +256,7 @@ def test_error_vectors_point_from_measured_to_computed(twin: Block, comparison: 
 
 @pytest.mark.oracle
 def test_points_project_out_of_regularised_rows(free: Block) -> None:
-    """Condition of the whole reduced system of a Tikhonov row, one decomposition: singular values by numpy."""
+    """The condition of a Tikhonov row is that of numpy's singular values of the reduced system."""
     plain, problem = regularised_problem(free, 19, regularisation="tikhonov", kappa=0.01)
     s = np.linalg.svd(dense_of(plain).a, compute_uv=False)
     assert problem.regularisation is not None

@@ -97,7 +97,7 @@ def test_engines_have_the_same_solution_with_priors(comparison: Comparison) -> N
 
 @pytest.mark.truth
 def test_difference_is_measured(twin: Block, comparison: Comparison) -> None:
-    """A reference with a known error shows this error as the difference."""
+    """A reference with a known error shows this error as difference of the row."""
     with one_blas_thread():
         of_set = engines.Adjustments(twin, 2, Limits(None, 60.0))
         assert of_set.solution is not None
@@ -155,7 +155,7 @@ def test_singular_sets_lack_rank(comparison: Comparison) -> None:
 
 @pytest.mark.truth
 def test_priors_add_one_to_the_squares_of_each_image_unknown(comparison: Comparison) -> None:
-    """Trace of N: in prior units every prior row adds exactly 1."""
+    """Each prior adds 1 to the sum of squared singular values, in prior units."""
     for eop_set, count in ((2, 3), (5, 9), (17, 18)):
         trace = {
             s.system: float((s.values**2).sum())
@@ -211,7 +211,7 @@ def test_reached_follows_the_target(twin: Block, comparison: Comparison) -> None
 
 @pytest.mark.consistency
 def test_target_is_one_pixel_without_check_points(twin: Block) -> None:
-    """Half a target off the centre projects to at most half a pixel in any image."""
+    """Without check points the target is the ground size of a pixel: it projects to 1 px within 1e-3."""
     target = ground_sampling_m(twin)
     o, control = twin.observations, twin.points.where(Role.CONTROL)
     alone = replace(twin, observations=o.take(np.isin(o.point, control)))
@@ -244,7 +244,7 @@ def test_look_polynomial_goes_to_dense_and_graph(twin: Block) -> None:
 
 @pytest.mark.behaviour
 def test_as_run_reaches_the_published_procedure() -> None:
-    """With a radial velocity the matrices as run leave decimetres at the control points; as specified, nothing."""
+    """With ``as_run`` a radial velocity leaves over 0.1 m at control points; without it nothing."""
     block = zonguldak_block(ZonguldakOptions(radial_velocity_m_s=8.0))[0]
     options = {"eop_sets": [2], "solvers": "moore_penrose_inverse", "backends": "faithful", "types": [1]}
     (as_run,) = compare(block, as_run=True, **options).rows  # type: ignore[arg-type]
@@ -275,7 +275,7 @@ def test_all_sets_and_published_solvers(twin: Block) -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize("limit", ["memory", "time"])
 def test_too_large_for_dense(monkeypatch: pytest.MonkeyPatch, limit: str) -> None:
-    """Dense rows state the estimate, graph rows are computed, and no u x u array is made."""
+    """If dense exceeds the limit of memory or time, its rows state the estimate and the graph is computed."""
     block = grid_block(BlockOptions(rows=1, columns=2, points=700))[0]
     monkeypatch.setattr(engines, "assemble", None)
     if limit == "memory":
@@ -294,7 +294,7 @@ def test_too_large_for_dense(monkeypatch: pytest.MonkeyPatch, limit: str) -> Non
 @pytest.mark.slow
 @pytest.mark.consistency
 def test_dense_matrices_beyond_two_thousand_unknowns(twin: Block) -> None:
-    """The limit of `adjust` does not apply to a comparison."""
+    """A comparison computes dense rows above the limit of ``adjust``, 2000 unknowns."""
     block = grid_block(BlockOptions(rows=1, columns=2, points=700))[0]
     found = compare(block, eop_sets=[2], solvers="lapack_cholesky", backends="dense")
     (row,) = found.rows
@@ -304,7 +304,7 @@ def test_dense_matrices_beyond_two_thousand_unknowns(twin: Block) -> None:
 
 @pytest.mark.behaviour
 def test_single_image_has_no_published_procedure(twin: Block) -> None:
-    """The rows of the published procedure state the reason; the other rows are computed."""
+    """For a single image the published procedure states its reason, and other rows are computed."""
     o = twin.observations
     control = np.isin(o.point, twin.points.where(Role.CONTROL))
     block = replace(twin, images=twin.images[:1], observations=o.take((o.image == 0) & control))

@@ -41,7 +41,7 @@ def solution() -> fg.Solution:
 
 
 def relative_errors(seeds: range) -> tuple[np.ndarray, np.ndarray]:
-    """Return the estimated over true variances minus 1 (runs, groups), and their stated covariances (runs, g, g)."""
+    """Return estimated over true variances minus 1 (runs, groups), and their stated covariances (runs, g, g)."""
     errors, stated = [], []
     for seed in seeds:
         found = estimated(drawn(seed)).components
@@ -52,10 +52,10 @@ def relative_errors(seeds: range) -> tuple[np.ndarray, np.ndarray]:
 
 
 def calibrated(errors: np.ndarray, stated: np.ndarray) -> bool:
-    """Return whether the mean of e^T C^-1 e is within its 99.9 % interval; variances are spread by C of the true ones.
+    """Return whether the mean of e^T C^-1 e is in its 99.9 % interval; C belongs to the true variances.
 
-    e is a sum of squares of normal errors: its kurtosis widens the interval of the chi-square by the root of
-    1 + 12 / (2 nu) per component, nu = 2 / C_ii.
+    e is a sum of squares of normal errors: its kurtosis widens the chi-square's interval by the root of 1 + 12 / (2 nu)
+    per component, nu = 2 / C_ii.
     """
     c = stated.mean(axis=0)
     m = np.einsum("ni,ij,nj->n", errors, np.linalg.inv(c), errors)
@@ -88,7 +88,10 @@ def test_planted_components_of_200_seeds() -> None:
 
 @pytest.mark.oracle
 def test_maximum_of_an_independent_restricted_likelihood() -> None:
-    """The linear model at the solution as full matrices: -2 ln L = ln|V| + ln|A^T V^-1 A| + l^T P l, by scipy."""
+    """The factors of sigmas maximise the restricted likelihood of full matrices, by scipy.
+
+    It is -2 ln L = ln|V| + ln|A^T V^-1 A| + l^T P l for the linear model at the solution.
+    """
     start = fg.adjust(drawn(1), **DENSE)
     problem = start.problem
     given, a = assemble(problem, start.state)
@@ -121,7 +124,10 @@ def test_maximum_of_an_independent_restricted_likelihood() -> None:
 
 @pytest.mark.oracle
 def test_after_the_rounds_each_group_has_the_squares_that_its_redundancy_says(solution: fg.Solution) -> None:
-    """The squares are computed from pixel residuals and the found sigmas, without the code of the components."""
+    """With the found sigmas the squares of the image points equal their redundancy, and all factors are 1.
+
+    The squares are computed from pixel residuals.
+    """
     o, components = solution.problem.observations, solution.components
     assert components is not None
     assert solution.block.options.variance_components == GROUPS
@@ -137,7 +143,10 @@ def test_after_the_rounds_each_group_has_the_squares_that_its_redundancy_says(so
 
 
 def moments(solution: fg.Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Sums of squares (3,) of the groups, their redundancies (3,) and S (3, 3) of the full matrix, with its weights."""
+    """Return sums of squares (3,) and redundancies (3,) of the groups, and S (3, 3), from the full matrix.
+
+    The weights of the solution apply.
+    """
     v, a = turned_rows(solution.problem, solution.state)
     n, m = 2 * len(solution.problem.observations), int(solution.problem.observed.sum())
     basis = np.linalg.qr(a / np.linalg.norm(a, axis=0)).Q
@@ -148,7 +157,7 @@ def moments(solution: fg.Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @pytest.mark.oracle
 def test_all_backends_and_both_equations_have_one_fixed_point(monkeypatch: pytest.MonkeyPatch) -> None:
-    """There the sum of squares of each group is its redundancy by numpy, with the sigmas found."""
+    """All backends and both equations end at one set of factors, where squares equal numpy's redundancy."""
     block, factors = drawn(1), []
 
     def require_fixed(solution: fg.Solution) -> None:
@@ -207,7 +216,7 @@ def test_too_little_redundancy_is_held_and_said() -> None:
 
 
 def with_sigmas(block: Block, image: float, control: float) -> Block:
-    """Other given sigmas, the same errors."""
+    """Return the block with other given sigmas and the same errors."""
     o, known = block.observations, block.points.known
     o = replace(o, sigma_line_px=image * o.sigma_line_px, sigma_sample_px=image * o.sigma_sample_px)
     known = replace(known, sigma_enu_m=control * known.sigma_enu_m)
@@ -216,7 +225,7 @@ def with_sigmas(block: Block, image: float, control: float) -> Block:
 
 @pytest.mark.oracle
 def test_the_start_does_not_matter() -> None:
-    """Given sigmas of image points and coordinates are wrong by 100 in opposite directions.
+    """Factors and their sigmas do not depend on the given sigmas, wrong by 100 in opposite directions.
 
     Sums of squares and standard deviations at the end are those of the full matrix by numpy.
     """
@@ -269,7 +278,10 @@ def test_impossible_choices(options: dict[str, object], code: str) -> None:
 
 @pytest.mark.oracle
 def test_medians_withstand_gross_errors() -> None:
-    """A sixth of the image points 30 px wrong; control points twice as good as image points leave them no place."""
+    """With a sixth of the image points wrong by 30 px the median factor is 0.7 to 2, that of sums above 10.
+
+    Control points are better than image points, so that ground points cannot follow the errors.
+    """
     block = drawn(4, image=1.0, position=0.1, height=0.1)
     known, o = block.points.known, block.observations
     rows = np.arange(len(o))
@@ -292,7 +304,10 @@ def test_medians_withstand_gross_errors() -> None:
 
 @pytest.mark.oracle
 def test_freedom_of_a_suspect_is_that_of_the_variance_of_its_error(solution: fg.Solution) -> None:
-    """c_j = dVar / ds_j^2 of the error estimated with the weights held fixed, from full matrices."""
+    """The degrees of freedom of a suspect follow from c_j = dVar / ds_j^2 of its error, from full matrices.
+
+    The weights are held fixed.
+    """
     problem, state, components = solution.problem, solution.state, solution.components
     assert components is not None
     residuals = GroupedResiduals(solution.residual_cofactors, groups_of(problem, GROUPS))
@@ -350,7 +365,7 @@ def test_sigma0_does_not_test_a_model_whose_sigmas_it_gave(solution: fg.Solution
 
 @pytest.mark.oracle
 def test_freedom_of_an_unknown_is_that_of_its_variance(solution: fg.Solution, monkeypatch: pytest.MonkeyPatch) -> None:
-    """c_j from the derivative of the propagated variance by the components, from full matrices."""
+    """The degrees of freedom of an unknown follow from the derivatives of its variance, from full matrices."""
     problem, components = solution.problem, solution.components
     assert components is not None
     found = solution.significance()
@@ -387,7 +402,7 @@ def test_freedom_of_an_unknown_is_that_of_its_variance(solution: fg.Solution, mo
 
 
 def false_alarms(seeds: range, level: float) -> tuple[int, int]:
-    """Return the alarms and tests of good blocks whose sigmas are estimated."""
+    """Return the number of alarms and of tests in good blocks whose sigmas are estimated."""
     alarms, total = 0, 0
     for seed in seeds:
         tests = estimated(drawn(seed)).outlier_tests(level=level, control="none")
@@ -398,7 +413,7 @@ def false_alarms(seeds: range, level: float) -> tuple[int, int]:
 @pytest.mark.oracle
 @pytest.mark.slow
 def test_false_alarms_with_estimated_components() -> None:
-    """Rate of alarms at 1 % each, 100 blocks of 188 tests: within five deviations of independent tests."""
+    """With estimated components the rate of alarms at 1 % is within five deviations of independent tests."""
     alarms, total = false_alarms(range(3000, 3100), 0.01)
     print(f"\n{alarms} alarms in {total} tests: {100 * alarms / total:.2f} %")
     assert abs(alarms - 0.01 * total) < 5.0 * np.sqrt(0.01 * total)

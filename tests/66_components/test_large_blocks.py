@@ -22,16 +22,17 @@ LEVEL = 0.05
 
 
 def interval(runs: int, level: float = LEVEL) -> tuple[int, int]:
-    """Return the alarms of ``runs`` independent tests, 99.9 %."""
+    """Return the 99.9 % interval of the number of alarms in ``runs`` independent tests."""
     low, high = binom.ppf([5e-4, 1.0 - 5e-4], runs, level)
     return int(low), int(high)
 
 
 def alarms(runs: int, seed: int, monkeypatch: pytest.MonkeyPatch) -> dict[str, tuple[int, int]]:
-    """Return the alarms of one preselected observation of each part: with its freedom, and with that of its own group.
+    """Return the numbers of alarms of one preselected observation of each part.
 
-    Linear model at a solution, errors of the stated sigmas; one round of Helmert's equations gives the components, and
-    the variance of each error is the mixture of them.
+    The first uses its own freedom, the second that of its group. The model is linear at a solution, with errors of the
+    stated sigmas; one round of Helmert's equations gives the components, and the variance of each error is the mixture
+    of them.
     """
     block = planted_large().draw(np.random.default_rng(seed))
     solution = fg.adjust(block)
@@ -63,13 +64,13 @@ def alarms(runs: int, seed: int, monkeypatch: pytest.MonkeyPatch) -> dict[str, t
 
 
 def _count(t: np.ndarray, freedom: float) -> int:
-    """Return the alarms at the level, from T and f as ``fg_orient.quality.outliers`` hands them on."""
+    """Return the number of alarms at the level, from T and f of ``fg_orient.quality.outliers``."""
     f = np.full(len(t), freedom)
     return int(np.sum(hypotheses.probabilities(np.minimum(t, f), np.ones(len(t), int), f, f, "t") < LEVEL))
 
 
 def test_sizes_of_the_linear_twin(monkeypatch: pytest.MonkeyPatch) -> None:
-    """600 runs, seed 31; a height judged with the freedom of all heights is rejected far too often."""
+    """Tests with variance components have their level in 600 runs; with the freedom of all heights they have not."""
     found = alarms(600, 31, monkeypatch)
     low, high = interval(600)
     assert {part: low <= mine <= high for part, (mine, _) in found.items()} == dict.fromkeys(found, True), found
@@ -78,7 +79,10 @@ def test_sizes_of_the_linear_twin(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 def test_sizes_of_whole_adjustments() -> None:
-    """300 blocks, seeds 7000 to 7299: components iterated, preselected observations and any alarm at 5 % over all."""
+    """In 300 whole adjustments with components tests of each kind, and any alarm, have the level of 5 %.
+
+    The tested observations are chosen beforehand.
+    """
     runs, planted = 300, planted_large()
     found = {"image": 0, "position": 0, "height": 0, "any": 0}
     for seed in range(7000, 7000 + runs):

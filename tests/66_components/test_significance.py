@@ -31,7 +31,7 @@ LINEAR = {"eop_set": 10, "priors": False, "backend": "dense"}
 
 
 def without_priors(residual: np.ndarray, design: np.ndarray, x: np.ndarray, at: list[int]) -> tuple:  # type: ignore[type-arg]
-    """Return the linear adjustment without the priors of unknowns ``at``: their values, cofactors, and v^T v."""
+    """Return values, cofactors and v^T v of the linear adjustment without priors of unknowns ``at``."""
     alone = np.count_nonzero(design, axis=1) == 1
     rows = [np.flatnonzero(alone & (design[:, k] != 0.0))[0] for k in at]
     rest, v = np.delete(design, rows, axis=0), np.delete(residual, rows)
@@ -74,7 +74,7 @@ def test_t_of_each_unknown_by_full_matrices(twin: Block) -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("backend", ["graph", "schur", "dense"])
 def test_f_of_a_coefficient_is_what_its_removal_costs(twin: Block, backend: str) -> None:
-    """(v^T P v without - with) / (d m0^2), adjusted both ways, without priors."""
+    """F of a coefficient is (v^T P v without - with) / (d m0^2), from an adjustment without it."""
     options = {"priors": False, "backend": backend}
     names = ("roll_0", "pitch_0", "yaw_0")
     full = fg.adjust(twin, image_unknowns=names, **options)
@@ -105,7 +105,10 @@ def test_groups_are_coefficients_components_and_degrees(twin: Block) -> None:
 
 @pytest.mark.oracle
 def test_degrees_of_different_polynomials_are_groups_of_their_own(twin: Block) -> None:
-    """psi_x_s0 is of degree 0 in the detector, x_0 of degree 0 in time; F of each from full matrices."""
+    """Terms of one degree in time and of the look angles are separate groups, with F of full matrices.
+
+    psi_x_s0 is of degree 0 in the detector, x_0 of degree 0 in time.
+    """
     solution = fg.adjust(twin, eop_set=15, look_polynomial=1)
     groups = {g.group: g for g in solution.significance().groups}
     (residual, design), x = assemble(solution.problem, solution.state), solution.problem.image_vector(solution.state)
@@ -125,7 +128,10 @@ def test_degrees_of_different_polynomials_are_groups_of_their_own(twin: Block) -
 @pytest.mark.oracle
 @pytest.mark.parametrize("at", [[0], [3], [1, 4, 5]])
 def test_the_size_of_the_test_under_priors(twin: Block, at: list[int]) -> None:
-    """4000 draws, the other unknowns from their priors: 4 to 6 % alarms at 5 %; with Q as variance not."""
+    """Under priors 4 to 6 % of 4000 draws are significant at 5 %; with Q as variance less than 4 %.
+
+    The other unknowns are drawn from their priors.
+    """
     solution = fg.adjust(twin, eop_set=15)
     _, design = assemble(solution.problem, solution.state)
     n, rng = solution.problem.n_image_unknowns, np.random.default_rng(41)
@@ -168,7 +174,7 @@ def test_holm_is_the_step_down_rule() -> None:
 
 
 def false_alarms(seeds: range) -> tuple[int, int]:
-    """Return the coefficients that are zero in truth, called significant at 5 % each; their number."""
+    """Return how many coefficients that are zero in truth are significant at 5 % each, and their number."""
     alarms, total = 0, 0
     for seed in seeds:
         block, _ = zonguldak_block(ZonguldakOptions(seed=seed))
@@ -190,7 +196,7 @@ def test_false_alarms_of_the_t_test() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize(("direction", "begin"), [("backward", 9), ("forward", 10)])
 def test_constant_errors_leave_constant_coefficients(twin: Block, direction: str, begin: int) -> None:
-    """In truth the errors of position and attitude are constant."""
+    """If position and attitude have constant errors, the reduction keeps constant coefficients only."""
     told: list[str] = []
     found = reduce_unknowns(
         twin, direction=direction, eop_set=begin, progress=lambda done, most, text: told.append(text)
@@ -210,7 +216,7 @@ def test_constant_errors_leave_constant_coefficients(twin: Block, direction: str
 
 @pytest.mark.oracle
 def test_a_drift_in_truth_stays(twin: Block) -> None:
-    """Lines 3 px off at both ends of both images: one linear coefficient stays."""
+    """If samples drift by 3 px at both ends of both images, the reduction keeps the linear roll."""
     o = twin.observations
     tau = o.line / 5999.5 - 1.0
     drifting = replace(twin, observations=replace(o, sample=o.sample + 3.0 * tau))
@@ -219,7 +225,7 @@ def test_a_drift_in_truth_stays(twin: Block) -> None:
 
 @pytest.mark.oracle
 def test_criteria_are_those_of_the_likelihood(twin: Block) -> None:
-    """Sum of ln densities of all residuals, the unit weight at its maximum; unknowns counted; by hand."""
+    """AIC, AICc and BIC are those of the normal density of all residuals at the best unit weight, by hand."""
     solution = fg.adjust(twin, **LINEAR)
     found = criteria(solution)
     o, problem = solution.problem.observations, solution.problem
@@ -254,7 +260,7 @@ PLAIN = {"eop_set": 10, "priors": False, "check_points": "exclude"}
 
 
 def deleted_residuals(block: Block, folds: tuple[tuple[int, ...], ...]) -> np.ndarray:
-    """(I - H_pp)^-1 v_p of points, from the adjustment with them, in pixels."""
+    """Return (I - H_pp)^-1 v_p of points in pixels, from the adjustment with them."""
     solution = fg.adjust(block, backend="dense", **PLAIN)
     _, design = assemble(solution.problem, solution.state)
     hat = design @ np.linalg.solve(design.T @ design, design.T)
@@ -270,7 +276,7 @@ def deleted_residuals(block: Block, folds: tuple[tuple[int, ...], ...]) -> np.nd
 
 @pytest.mark.oracle
 def test_left_out_points_are_predicted_as_deleted_residuals_say(twin: Block) -> None:
-    """Fixed control points: the prediction error of a point is its deleted residual."""
+    """For fixed control points the prediction errors of cross-validation are the deleted residuals."""
     block = fixed_control(twin)
     folds = folds_of(block)[:4]
     found, solution = cross_validate(block, folds, **PLAIN), fg.adjust(block, backend="dense", **PLAIN)
@@ -281,7 +287,7 @@ def test_left_out_points_are_predicted_as_deleted_residuals_say(twin: Block) -> 
 
 @pytest.mark.oracle
 def test_criteria_with_a_wrong_weight_are_others(twin: Block) -> None:
-    """AIC, AICc and BIC recomputed from residuals; those of a block with one sigma doubled do not fit to them."""
+    """With one sigma doubled AIC, AICc and BIC change, and are those of this block and not of the other."""
 
     def by_hand(solution: Solution, block: Block) -> float:
         o, problem = block.observations, solution.problem
@@ -311,7 +317,7 @@ def one_sigma_doubled(block: Block) -> Block:
 
 @pytest.mark.oracle
 def test_predictions_with_a_wrong_weight_are_others(twin: Block) -> None:
-    """A cross-validation with a wrong weight has the deleted residuals of that weight, not those of the right one."""
+    """With a wrong weight cross-validation has the deleted residuals of that weight, not of the right one."""
     block = fixed_control(twin)
     folds = tuple(fold for fold in folds_of(block) if fold[0] != block.observations.point[0])[:2]
     spoiled = cross_validate(one_sigma_doubled(block), folds, **PLAIN)

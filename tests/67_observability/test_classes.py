@@ -50,7 +50,10 @@ def test_sentence_of_the_set_with_position_velocity_and_attitude() -> None:
 
 @pytest.mark.behaviour
 def test_set_15_is_of_full_rank_and_wants_scaled_units() -> None:
-    """Raw units: metres, radians and lines, as in publications, against prior sigmas."""
+    """EOP set 15 has full rank, and in raw units it needs scaling; sets 2 and 3 do not.
+
+    Raw units are metres, radians and lines, as in publications.
+    """
     problem = compile_problem(options(pushbroom(), eop_set=15))
     for found in judge_observability(problem):
         assert found.summary.startswith(
@@ -67,7 +70,10 @@ def test_set_15_is_of_full_rank_and_wants_scaled_units() -> None:
 
 @pytest.mark.oracle
 def test_classes_and_conditions_are_those_of_the_jacobian() -> None:
-    """Counted again from the image points' Jacobian by numpy; raw units by central line and prior sigmas."""
+    """Classes, singular values and conditions of an image are those of its Jacobian, by numpy.
+
+    Raw units follow from the central line and the prior sigmas.
+    """
     problem = compile_problem(options(pushbroom(), eop_set=15))
     _, j_image, _ = scalar_rows(problem, problem.start)
     for k, found in enumerate(judge_observability(problem)):
@@ -86,7 +92,7 @@ def test_classes_and_conditions_are_those_of_the_jacobian() -> None:
 
 @pytest.mark.oracle
 def test_tighter_priors_hold_more() -> None:
-    """With prior sigmas ten times smaller the singular values are a tenth, and the classes must change."""
+    """With prior sigmas ten times smaller singular values are a tenth, and more directions are held by the prior."""
     block = pushbroom()
     o = block.options
     tight = options(
@@ -105,7 +111,7 @@ def test_tighter_priors_hold_more() -> None:
 
 @pytest.mark.behaviour
 def test_names_of_what_the_prior_holds() -> None:
-    """The distortion k2 of a pinhole image is better known from the prior; the words are those of the model."""
+    """Directions that the prior holds have words of the model, also if the prior holds all of them."""
     problem = compile_problem(pinhole((0, 7, 12, 20)))
     for found in judge_observability(problem):
         assert set(found.held) <= set(problem.parameters[0].words)
@@ -118,7 +124,10 @@ def test_names_of_what_the_prior_holds() -> None:
 
 @pytest.mark.truth
 def test_names_stand_in_the_order_of_their_singular_values(rng: np.random.Generator) -> None:
-    """Columns of planted lengths, each a direction of its own: those below 1 are named from the longest down."""
+    """Directions held by the prior are named in the order of their singular values, the largest first.
+
+    Each column has a planted length and is a direction of its own.
+    """
     problem = compile_problem(pushbroom())
     model, words = problem.models[0], problem.parameters[0].words
     k = len(words)

@@ -47,7 +47,11 @@ def motions(error: fg.FgOrientError) -> list[tuple[str, str]]:
 @pytest.mark.truth
 @pytest.mark.parametrize(("kind", "count"), [("shift", 3), ("shift_drift", 4), ("affine", 7)])
 def test_no_control_in_an_rpc_block(kind: str, count: int) -> None:
-    """Images that can only be shifted cannot follow a rotation; therefore three motions are free, not seven."""
+    """Without control an RPC block is refused with its three, four or seven free motions.
+
+    Images that can only be shifted cannot follow a rotation; therefore three motions are free, not seven. With the
+    datum ``priors`` a warning names the motions.
+    """
     block = with_control(rpc(kind), ())
     with pytest.raises(fg.InputError) as caught:
         fg.adjust(block, priors=False)
@@ -66,7 +70,7 @@ def test_no_control_in_an_rpc_block(kind: str, count: int) -> None:
 @pytest.mark.truth
 @pytest.mark.parametrize(("eop_set", "count"), [(2, 3), (15, 7)])
 def test_no_control_in_a_pushbroom_block(eop_set: int, count: int) -> None:
-    """Positions follow shifts only; polynomials of position and attitude follow all seven."""
+    """Without control a pushbroom block has three free motions for positions only, seven with polynomials."""
     with pytest.raises(fg.InputError) as caught:
         fg.adjust(with_control(pushbroom(), ()), priors=False, eop_set=eop_set)
     ((place, _),) = motions(caught.value)
@@ -127,7 +131,10 @@ def test_control_points_on_a_line_in_a_frame_block() -> None:
 
 @pytest.mark.truth
 def test_two_control_points_in_pushbroom_and_rpc_blocks() -> None:
-    """Two are always on a line. With an affine compensation the models resist a little, so only priors-on warns."""
+    """With two control points the rotation about their line is free, or in an RPC block held by the priors alone.
+
+    An affine compensation resists this motion a little.
+    """
     first = pushbroom().points.where(Role.CONTROL)[:2]
     error = refused(with_control(pushbroom(), first), eop_set=15)
     ((place, _),) = motions(error)
@@ -171,7 +178,7 @@ def test_two_blocks_one_of_them_without_control() -> None:
 
 @pytest.mark.behaviour
 def test_images_of_a_pushbroom_pair_that_no_point_links() -> None:
-    """Each image alone with its own control points, the right one without any."""
+    """Images that no point links are two parts, and an image without image points is refused with its unknowns."""
     block = pushbroom()
     control = block.points.where(Role.CONTROL)
     o = block.observations
@@ -207,7 +214,10 @@ def test_points_seen_once_without_coordinates_have_no_start_value(make) -> None:
 
 @pytest.mark.truth
 def test_motions_of_pinhole_images_are_exact() -> None:
-    """A similarity of cameras and ground changes no pixel: singular values at rounding, seven in all."""
+    """A pinhole block without datum has seven motions with singular values at rounding, and a sentence for each.
+
+    A similarity of cameras and ground changes no pixel.
+    """
     view = analyse_block(compile_problem(pinhole()))
     assert view.counts == {"unobservable": 7, "held_by_the_prior": 9, "determined": 20}
     assert view.motions[0].strength.max() < 1e-11
@@ -216,7 +226,7 @@ def test_motions_of_pinhole_images_are_exact() -> None:
 
 @pytest.mark.oracle
 def test_counts_are_those_of_the_full_jacobian() -> None:
-    """Ground points eliminated by numpy's least squares from the dense matrix, point columns projected away."""
+    """The block's singular values are those of the dense Jacobian with the points eliminated by numpy."""
     from fg_orient.adjustment.dense import assemble
 
     for block, changes in ((pushbroom(), {"eop_set": 16}), (pinhole((0, 9)), {})):
@@ -231,7 +241,7 @@ def test_counts_are_those_of_the_full_jacobian() -> None:
 
 @pytest.mark.truth
 def test_images_that_do_not_follow_have_no_motion() -> None:
-    """Mutation: without the question whether images follow, a shifted RPC pair seems free to turn."""
+    """An RPC pair with shifts has three motions; without the test whether images follow it would have seven."""
     from fg_orient.quality import motions as module
 
     problem = compile_problem(options(with_control(rpc("shift"), ()), datum="priors"))
@@ -249,7 +259,7 @@ def test_images_that_do_not_follow_have_no_motion() -> None:
 
 @pytest.mark.consistency
 def test_large_blocks_are_judged_without_elimination() -> None:
-    """The motions found without elimination of the points are the same."""
+    """The motions found without elimination of the points are the same as with it."""
     for block in (pinhole((6,)), pinhole(ON_LINE, on_line=True), two_pinhole_blocks((0, 7, 12, 20))):
         problem = compile_problem(block)
         a, b = analyse_block(problem), analyse_block(problem, whole=False)
@@ -271,7 +281,7 @@ def test_some_points_tell_the_motions_of_large_blocks(monkeypatch: pytest.Monkey
 
 @pytest.mark.behaviour
 def test_own_observations_hold_what_they_see() -> None:
-    """One control point, and two more points observed by own equations: no motion is left, nothing is refused."""
+    """One control point and extra observations of two more points leave no motion free."""
     block = pinhole((6,))
     start = compile_problem(block).start.ground
     own = tuple(

@@ -53,7 +53,10 @@ def pseudo_inverse(design: np.ndarray, rank: int) -> np.ndarray:
 
 
 def with_datum(design: np.ndarray, held: np.ndarray) -> np.ndarray:
-    """Cofactors whose trace is the least at some unknowns (u,), by numpy: (J^T J)^+, moved along the null space."""
+    """Return the cofactors whose trace is the least at some unknowns (u,), by numpy.
+
+    They are (J^T J)^+, moved along the null space.
+    """
     rank = design.shape[1] - 7
     null = np.linalg.svd(design, full_matrices=True)[2][rank:].T
     part = null * held[:, None]
@@ -64,7 +67,10 @@ def with_datum(design: np.ndarray, held: np.ndarray) -> np.ndarray:
 @pytest.mark.oracle
 @pytest.mark.parametrize("backend", ["dense", "graph", "schur"])
 def test_cofactors_are_the_pseudo_inverse(backend: str) -> None:
-    """All unknowns in the datum: (J^T J)^+ by numpy; seven motions, redundancy n - rank."""
+    """With all unknowns in the datum the cofactors of a free network are numpy's pseudo-inverse.
+
+    It has seven motions and the redundancy n - rank; one wrong weight changes it.
+    """
     solution = solved(backend)
     assert solution.status is fg.Status.CONVERGED and solution.backend == backend
     _, design = jacobian(solution)
@@ -83,7 +89,7 @@ def test_cofactors_are_the_pseudo_inverse(backend: str) -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("backend", ["dense", "graph", "schur"])
 def test_state_fulfils_the_inner_constraints_and_is_a_minimum(backend: str) -> None:
-    """E^T (x - x_0) = 0 at the points, J^T r = 0: of all solutions the one whose points moved least."""
+    """A free network fulfils E^T (x - x_0) = 0 at the points and J^T r = 0, so that its points moved least."""
     solution = solved(backend)
     network = solution.in_datum()
     problem = solution.problem
@@ -109,7 +115,7 @@ def test_network_says_what_its_standard_deviations_are() -> None:
 
 @pytest.mark.oracle
 def test_both_backends_give_the_same_network() -> None:
-    """The same state, and the cofactors of the datum of all points by numpy."""
+    """Dense and graph backend give the same free network, with numpy's cofactors in the datum of all points."""
     a, b = solved("dense"), solved("graph")
     assert a.state.ground == pytest.approx(b.state.ground, abs=1e-9)
     assert a.state.image == pytest.approx(b.state.image, abs=1e-9)
@@ -124,10 +130,7 @@ def test_both_backends_give_the_same_network() -> None:
 
 @pytest.mark.oracle
 def test_shape_is_that_of_the_damped_solution() -> None:
-    """Without any constraint the same minimum and the same distances, elsewhere; both are those of numpy.
-
-    numpy takes the shortest steps of all that lead to the minimum.
-    """
+    """Networks with inner constraints and with free datum have the minimum and shape of numpy's shortest steps."""
     problem = compile_problem(options(pinhole(), priors=False, datum="free"))
     problem = replace(problem, block=replace(problem.block, extra=()))
     state = problem.start
@@ -164,7 +167,10 @@ def transformed(solution: Solution, q: np.ndarray, select: np.ndarray) -> np.nda
 
 @pytest.mark.oracle
 def test_s_transformation_equals_adjusting_with_that_datum() -> None:
-    """Seven coordinates of three points held exactly, by numpy, against the transformation of inner constraints."""
+    """An S-transformation gives the cofactors of an adjustment with that datum, and leads back.
+
+    numpy holds seven coordinates of three points exactly.
+    """
     solution = solved("dense")
     network, first = solution.in_datum(), solution.problem.n_image_unknowns
     held = first + np.array([0, 1, 2, 3 * 9, 3 * 9 + 1, 3 * 9 + 2, 3 * 20 + 2])
@@ -185,7 +191,7 @@ def test_s_transformation_equals_adjusting_with_that_datum() -> None:
 
 @pytest.mark.oracle
 def test_trace_is_least_for_what_carries_the_datum() -> None:
-    """Any other minimal datum has a larger trace at the points; all unknowns in it: the least of all.
+    """No other minimal datum has a smaller trace at the points, and all unknowns in the datum have the least of all.
 
     The cofactors of each other datum are those of numpy.
     """
@@ -231,7 +237,7 @@ def variances_of_shape(solution: Solution, q: np.ndarray) -> np.ndarray:
 
 @pytest.mark.oracle
 def test_invariants_have_the_same_variance_in_every_datum() -> None:
-    """The variance is that from the pseudo-inverse of numpy."""
+    """Invariants have the variance of numpy's pseudo-inverse in every datum, while coordinates have not."""
     solution = solved("dense")
     _, design = jacobian(solution)
     base = variances_of_shape(solution, pseudo_inverse(design, design.shape[1] - 7))
@@ -248,7 +254,7 @@ def test_invariants_have_the_same_variance_in_every_datum() -> None:
 
 @pytest.mark.oracle
 def test_residual_statistics_do_not_depend_on_the_datum() -> None:
-    """Redundancy numbers of the image points: from the pseudo-inverse, and from what the solution gives."""
+    """Redundancy numbers of a free network are those of the pseudo-inverse."""
     solution = solved("graph")
     _, design = jacobian(solution)
     q = pseudo_inverse(design, design.shape[1] - 7)
@@ -261,7 +267,7 @@ def test_residual_statistics_do_not_depend_on_the_datum() -> None:
 
 @pytest.mark.consistency
 def test_moved_start_values_move_the_result_and_nothing_else() -> None:
-    """Start values shifted, turned and scaled as a whole: the network follows them, chi2 stays."""
+    """If the start values are moved, rotated and scaled, a free network follows them and chi2 does not change."""
     block = pinhole()
     solution = solved("dense")
     turn = Rotation.from_rotvec([0.0, 0.0, 1e-4]).as_matrix()
@@ -319,9 +325,9 @@ def test_control_points_leave_no_motion_and_inner_is_the_plain_adjustment() -> N
 @pytest.mark.behaviour
 @pytest.mark.parametrize(("make", "changes"), [(rpc, {"rpc_compensation": "shift"}), (pushbroom, {"eop_set": 10})])
 def test_sensors_that_know_where_they_are_have_no_exact_defect(make, changes: dict[str, object]) -> None:
-    """RPC and orbits depend a little on a motion.
+    """For RPC and orbits ``inner`` is ``vendor``, and without priors the near motions are refused with a remedy.
 
-    The images get inner constraints; without priors the run is refused.
+    These sensors depend a little on a motion.
     """
     block = with_control(make(), ())
     inner, vendor = (fg.adjust(block, datum=name, **changes) for name in ("inner", "vendor"))
@@ -335,10 +341,7 @@ def test_sensors_that_know_where_they_are_have_no_exact_defect(make, changes: di
 
 @pytest.mark.oracle
 def test_simulated_errors_have_these_cofactors() -> None:
-    """2000 adjustments of the linearised network, seed 1: the mean of e^T Q^+ e lies in its 99.9 % interval.
-
-    Mutation: with observations half as good as their weights say, it does not.
-    """
+    """The errors of 2000 linear adjustments fit the cofactors of a free network at 99.9 %; doubled errors do not."""
     solution = solved("dense")
     network, runs = solution.in_datum(), 2000
     _, design = jacobian(solution)
@@ -355,7 +358,7 @@ def test_simulated_errors_have_these_cofactors() -> None:
 
 @pytest.mark.oracle
 def test_minimal_datum_holds_as_many_unknowns_as_there_are_motions() -> None:
-    """The rank defect of numpy's Jacobian is the number of held unknowns; with them it is regular."""
+    """A minimal datum holds as many unknowns as the rank defect of the Jacobian, and makes it regular."""
     held = solved("graph").problem
     free = assemble(replace(held, block=replace(held.block, extra=())), held.start)[1]
     s = np.linalg.svd(free / np.linalg.norm(free, axis=0), compute_uv=False)
@@ -368,7 +371,7 @@ def test_minimal_datum_holds_as_many_unknowns_as_there_are_motions() -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize("priors", [True, False])
 def test_control_that_holds_the_datum_is_said(priors: bool) -> None:
-    """Inner constraints are not needed; if there were priors, a message states that they are not used."""
+    """If control determines the datum, a warning states that inner constraints, and priors if any, have no effect."""
     block = pinhole((0, 7, 12, 20))
     solution = fg.adjust(block, datum="inner", priors=priors)
     told = [w for w in solution.warnings if "inner constraints have no effect" in w]
@@ -380,7 +383,7 @@ def test_control_that_holds_the_datum_is_said(priors: bool) -> None:
 
 @pytest.mark.oracle
 def test_network_with_many_images_has_the_cofactors_of_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Twelve images, 200 points: unobservable directions and cofactors of the border against numpy's SVD of J."""
+    """A free network of twelve images has the unobservable directions, cofactors and redundancy numbers of numpy."""
     monkeypatch.setattr("fg_orient.quality.observability.WORK_LIMIT", 0.0)
     block, _ = pinhole_block(12, 200, views=5, seed=4)
     solution = fg.adjust(block, datum="inner")

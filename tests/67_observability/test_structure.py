@@ -46,7 +46,10 @@ def incidence(problem: Problem) -> np.ndarray:
 
 
 def under_determined(design: np.ndarray) -> set[int]:
-    """Columns that alternating paths reach from those that a largest matching leaves out (Dulmage & Mendelsohn)."""
+    """Return the columns that alternating paths reach from those that a largest matching leaves out.
+
+    Dulmage & Mendelsohn's decomposition.
+    """
     of_row = csgraph.maximum_bipartite_matching(sparse.csr_matrix(design), perm_type="column")
     reached = set(range(design.shape[1])) - set(of_row.tolist())
     todo = list(reached)
@@ -91,7 +94,7 @@ def test_a_ray_that_counts_three_is_noticed(monkeypatch: pytest.MonkeyPatch) -> 
 
 @pytest.mark.consistency
 def test_equal_shares_are_never_too_generous() -> None:
-    """A block that passes the quick test has no defect by the flow either."""
+    """A block that passes the quick test of the structural rank has no defect by the flow either."""
     passed = 0
     for seed in range(25):
         problem = thinned(seed, priors=False)
@@ -112,7 +115,10 @@ def test_parts_of_a_block() -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize("priors", [True, False])
 def test_points_seen_once_are_refused_with_their_number(priors: bool) -> None:
-    """Priors of images do not determine the depth of a point; therefore it is also refused with priors."""
+    """Points seen once without control are refused with image and free motions, also with priors.
+
+    Priors of images do not determine the depth of a point.
+    """
     block = seen_once(pinhole((0, 7, 12)), [5, 9])
     image = block.images[block.observations.image[block.observations.point == 5][0]].id
     with pytest.raises(fg.RankDeficientError) as caught:
@@ -147,7 +153,7 @@ def test_images_with_too_few_points_and_without_any() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("seed", range(12))
 def test_parts_are_the_connected_components(seed: int) -> None:
-    """Images are linked at random and sparsely, so that many parts and long chains exist."""
+    """The parts of a block are the connected components of its links, for random sparse links."""
     rng = np.random.default_rng(seed)
     m, n = 40, 25
     links = rng.integers(0, m + n, (int(rng.integers(1, 70)), 2))
@@ -161,7 +167,10 @@ def test_parts_are_the_connected_components(seed: int) -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("seed", range(20))
 def test_directions_are_named_as_by_the_best_assignment(seed: int) -> None:
-    """The test includes two directions with the same best unknown, and equal shares."""
+    """Unobservable directions get the names of scipy's best assignment, also with equal shares.
+
+    Two directions may have the same best unknown.
+    """
     rng = np.random.default_rng(seed)
     directions = np.linalg.qr(rng.normal(size=(7, 7)))[0][:, : 3 + seed % 4].T
     if seed % 3 == 0:

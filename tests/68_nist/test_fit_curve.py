@@ -46,7 +46,7 @@ def test_equals_scipy(observed: tuple[np.ndarray, np.ndarray]) -> None:
 
 @pytest.mark.oracle
 def test_redundancy_numbers_and_correlations(observed: tuple[np.ndarray, np.ndarray]) -> None:
-    """Against the hat matrix; they add up to the redundancy, wrong weights break it."""
+    """Redundancy numbers of a curve are those of the hat matrix and add up; those without weights are others."""
     y, sigma = observed
     fit = fit_curve(decay, X, y, START, sigma=sigma)
     design = decay_derivatives(X, *fit.parameters) / sigma[:, None]
@@ -68,9 +68,9 @@ def test_complex_steps_equal_given_derivatives(observed: tuple[np.ndarray, np.nd
 
 @pytest.mark.oracle
 def test_units_change_nothing(observed: tuple[np.ndarray, np.ndarray]) -> None:
-    """Observations in nanometres or megametres, parameters in any unit: the same steps.
+    """A curve fitted in other units has the same number of steps and the same parameters.
 
-    Powers of two, which multiply without rounding: not one digit differs on the way.
+    The units are powers of two, which multiply without rounding.
     """
     y, _ = observed
     fit = fit_curve(decay, X, y, START)
@@ -89,7 +89,7 @@ def test_units_change_nothing(observed: tuple[np.ndarray, np.ndarray]) -> None:
 
 @pytest.mark.oracle
 def test_monte_carlo_covariance_of_the_parameters() -> None:
-    """Mean of e^T C^-1 e over seeds 0-39 inside its 99.9 % interval; with sigmas halved outside."""
+    """Errors of 40 fits lie in the 99.9 % interval of their covariance, and with sigmas halved outside."""
     from scipy.stats import chi2
 
     truth, runs, means = np.array([5.0, 0.7, 2.0]), 40, {}
@@ -124,7 +124,10 @@ def test_a_parameter_that_acts_on_nothing_of_its_own_is_named() -> None:
 
 @pytest.mark.truth
 def test_far_starts_are_named_by_gauss_newton_and_met_by_damping() -> None:
-    """An exponent diverges at the first full step."""
+    """From a far start Gauss-Newton refuses with the reason, and the damped default finds the parameters.
+
+    An exponent diverges at the first full step.
+    """
     y = 200.0 * (1.0 - np.exp(-0.5 * X[1:])) + np.sin(7.0 * X[1:])
 
     def saturation(x: Any, b1: Any, b2: Any) -> Any:

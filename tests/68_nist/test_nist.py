@@ -48,7 +48,7 @@ DANWOOD = Certified(
 
 
 def least_digits(fit: CurveFit, certified: Certified) -> float:
-    """Of parameters, standard deviations and sum of squares."""
+    """Return the least number of right digits of parameters, standard deviations and sum of squares."""
     assert fit.standard_deviations is not None, fit.unavailable
     pairs = [(fit.parameters, certified.parameters), (fit.standard_deviations, certified.standard_deviations)]
     return min(digits(found, value) for found, value in [*pairs, (fit.chi2, certified.squares)])
@@ -79,7 +79,7 @@ def test_certified_values_from_both_starts(name: str, start: int, real_data: Pat
 
 @pytest.mark.real_data
 def test_gauss_newton_beside_it(real_data: Path) -> None:
-    """Where Gauss-Newton converges, it reaches the certified values, except for one other stationary point."""
+    """Gauss-Newton has the certified values wherever it converges, except at one known stationary point."""
     beyond = set()
     for name in MODELS:
         certified = read_set(real_data / "nist-strd" / f"{name}.dat")

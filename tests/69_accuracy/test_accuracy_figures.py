@@ -59,7 +59,7 @@ def test_radial_figures(rng: np.random.Generator) -> None:
 
 @pytest.mark.oracle
 def test_factors_of_rmse_hold_90_and_95_percent(rng: np.random.Generator) -> None:
-    """200 000 normal errors: shares inside the radii; with the factors of the other axis count they are missed."""
+    """CE90, CE95, LE90 and LE95 from the RMSE contain their share of 200 000 normal errors, and 2 % more do not."""
     d = rng.normal(0.0, 1.0, (200_000, 3))
     found = points(d).statistics()
     radius = np.hypot(d[:, 0], d[:, 1])
@@ -85,9 +85,9 @@ def test_circular_factors_are_absent_where_they_do_not_hold() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("control", [4, 8, 37])
 def test_tests_of_check_points_have_their_size(control: int) -> None:
-    """Draws from the joint covariance of a block: alarms of trend and number at 5 and 0.1 %, unlike Student's.
+    """Tests of trend and number of check points have their level for draws from the joint covariance.
 
-    4000 draws of the trend, 20 000 of the number (a thousandth of 4000 is 4).
+    Student's test has not. 4000 draws of the trend, 20 000 of the number (a thousandth of 4000 is 4).
     """
     check = fg.adjust(with_control(control), eop_set=15).accuracy.check
     c, place = check.covariance_m2, check.joint.place_km[check.selected]
@@ -129,7 +129,7 @@ def with_control(count: int) -> Block:
 
 @pytest.mark.oracle
 def test_trend_is_that_of_generalised_least_squares() -> None:
-    """Weighted sums of squares without and with each trend, by lstsq of whitened rows, and the mean's variance."""
+    """The test of each trend is the decrease of the weighted squares by least squares with whitened rows."""
     check = solved(1).accuracy.check
     c, e = check.covariance_m2, check.enu_m.ravel()
     place = check.joint.place_km
@@ -175,7 +175,7 @@ def with_joint(d: np.ndarray) -> PointDifferences:
 
 @pytest.mark.behaviour
 def test_differences_that_chance_does_not_give_are_doubts() -> None:
-    """Of ten independent points one coordinate beyond three is chance; four such coordinates or one at five are not."""
+    """One of 30 check coordinates beyond three sigmas is chance; four of them, or one at five, are a doubt."""
     d = np.zeros((10, 3))
     scale = np.hypot(1.0, 0.5)
     d[1, 0] = 3.1 * scale
@@ -204,7 +204,7 @@ def solved(seed: int) -> Solution:
 
 @pytest.mark.oracle
 def test_statistic_is_that_of_the_joint_covariance() -> None:
-    """Against the inverse of the dense normal matrix."""
+    """The statistic of the predictions is that of the joint covariance from the dense normal matrix."""
     from fg_orient.adjustment.dense import assemble
 
     solution = solved(1)
@@ -227,7 +227,7 @@ def test_statistic_is_that_of_the_joint_covariance() -> None:
 
 @pytest.mark.oracle
 def test_honest_predictions_are_believed_and_others_not() -> None:
-    """Sum of T over five seeds in its 99.9 % interval; with sigmas halved or doubled outside, and named."""
+    """Predictions pass their test over five seeds; with sigmas halved or doubled they fail and are named."""
     total = {1.0: 0.0, 0.5: 0.0, 2.0: 0.0}
     degrees = 0
     for seed in range(1, 6):

@@ -66,7 +66,7 @@ def all_cofactors(problem: Problem, state: State) -> dict[str, Cofactors | Inver
 
 
 def blocks_of(problem: Problem, found: Cofactors | Inverse, seed: int) -> list[np.ndarray]:
-    """Return all images and points alone, two images with three points jointly, five points alone jointly."""
+    """Return covariances of all images and points alone, of two images with three points, and of five points."""
     active = np.flatnonzero(problem.active)
     chosen = [int(j) for j in np.random.default_rng(seed).permutation(active)[:5]]
     single = [found.image(k) for k in range(problem.n_images)] + list(found.points(active))
@@ -74,7 +74,7 @@ def blocks_of(problem: Problem, found: Cofactors | Inverse, seed: int) -> list[n
 
 
 def largest_difference(problem: Problem, cofactors: dict[str, Cofactors | Inverse], seed: int) -> float:
-    """Return the largest of all pairs of backends, in units of sqrt(c_ii c_jj)."""
+    """Return the largest difference of all pairs of backends, in units of sqrt(c_ii c_jj)."""
     every = [blocks_of(problem, found, seed) for found in cofactors.values()]
     worst = 0.0
     for a, b in itertools.combinations(every, 2):
@@ -130,7 +130,7 @@ def test_parts_agree() -> None:
 
 
 def test_a_wrong_weight_fails_the_check() -> None:
-    """In one backend one of 48 pixel sigmas is wrong by a millionth."""
+    """One pixel sigma that is wrong by a millionth in one backend exceeds the limit of the comparison."""
     problem = small()
     found = all_cofactors(problem, problem.start)
     _, design = assemble(problem, problem.start)

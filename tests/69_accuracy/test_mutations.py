@@ -53,7 +53,7 @@ def test_singular_values_of_the_images(block: Block, solution: Solution) -> None
 
 
 def test_sigma0_and_ratio_of_check_points(block: Block, solution: Solution) -> None:
-    """From rows and inverse of the full Jacobian; with a wrong weight neither agrees."""
+    """sigma0 and ratios of check points are those of the full Jacobian, and not those of a wrong weight."""
     other = fg.adjust(wrong(block), eop_set=15)
     check = solution.accuracy.check
     assert len(check) == len(other.accuracy.check) > 5
@@ -78,7 +78,7 @@ def test_sigma0_and_ratio_of_check_points(block: Block, solution: Solution) -> N
 
 
 def test_located_points_with_a_wrong_weight(block: Block, solution: Solution) -> None:
-    """CE90 and LE90 of an intersection hold 90 % of errors drawn from J Q J^T; with another weight they are others."""
+    """CE90 and LE90 of an intersection contain 90 % of drawn errors, and change with another weight."""
     o = block.observations
     point = int(o.point[np.bincount(o.point)[o.point] == 2][0])
     rows = np.flatnonzero(o.point == point)

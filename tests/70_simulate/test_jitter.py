@@ -19,7 +19,7 @@ WAVES = ZonguldakOptions(jitter_px=1.5, jitter_cycles=2.5, jitter_phase_deg=30.0
 
 @pytest.mark.oracle
 def test_each_pixel_has_the_attitude_of_its_line() -> None:
-    """At the line of a pixel the wave is a constant rotation; a projection with it gives the same pixel."""
+    """A pixel of an image with jitter is the projection with the wave's rotation at its line, within 1e-6 px."""
     block, truth = zonguldak_block(WAVES)
     _, still = zonguldak_block(ZonguldakOptions())
     o, sensor = block.observations, block.images[1].sensor
@@ -37,7 +37,7 @@ def test_each_pixel_has_the_attitude_of_its_line() -> None:
 
 @pytest.mark.consistency
 def test_jitter_changes_no_other_random_number() -> None:
-    """Points, roles, metadata errors and noise do not change; each angle has its own random phase."""
+    """Jitter changes no point, role or noise of a simulated block, and each angle has its own phase."""
     options = BlockOptions(points=60, jitter_px=0.8, jitter_axis="both")
     (block, truth), (plain, still) = grid_block(options), grid_block(BlockOptions(points=60))
     assert np.array_equal(truth.ecef_m, still.ecef_m) and block.points.roles == plain.points.roles

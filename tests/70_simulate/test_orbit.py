@@ -26,7 +26,7 @@ def test_velocity_is_the_derivative_of_the_position(radial_velocity: float) -> N
 
 @pytest.mark.truth
 def test_inertial_motion_is_the_circle_of_the_elements() -> None:
-    """Undo the Earth's rotation: constant radius and orbit normal, Kepler's speed, inclination 98.7 degrees."""
+    """The inertial orbit is a circle with Kepler's speed and an inclination of 98.7 degrees, descending."""
     orbit = find_pass(TARGET, math.radians(20.0))
     t = np.linspace(-120.0, 120.0, 9)
     position, velocity = orbit.states(t)
@@ -57,7 +57,7 @@ def test_radial_velocity_changes_the_distance_only() -> None:
 @pytest.mark.parametrize("attitude", [(0.0, 0.0, 0.0), (-1.6e-4, -7.2e-4, 9e-4)])
 @pytest.mark.parametrize("roll_deg", [-25.0, 0.0, 20.0])
 def test_the_pass_sees_the_point(roll_deg: float, attitude: tuple[float, float, float]) -> None:
-    """Independent check with vectors: the look direction from the satellite leads through the target."""
+    """The look direction of the pass leads through its target within 1e-5 m, and an attitude rotates the ray."""
     orbit = find_pass(TARGET, math.radians(roll_deg), attitude_rad=attitude, radial_velocity_m_s=8.0)
     (position,), (velocity,) = orbit.states(0.0)
     radial = position / np.linalg.norm(position)

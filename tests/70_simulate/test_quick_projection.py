@@ -54,7 +54,7 @@ def test_points_outside_the_image_are_projected_as_well(sensor) -> None:
 
 @pytest.mark.oracle
 def test_each_point_is_measured_where_the_sensor_sees_it() -> None:
-    """The published rays meet the point at its pixel."""
+    """A simulated image measures the points whose published pixel is inside its margin, and no others."""
     block, truth = grid_block(BlockOptions(rows=2, columns=2, points=800, seed=3, errors="none"))
     size = np.array([N_LINES, N_SAMPLES])
     for k, image in enumerate(block.images):

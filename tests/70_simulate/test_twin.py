@@ -52,7 +52,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def assert_same(a: object, b: object, place: str = "") -> None:
-    """Equal to the last bit, arrays and dataclasses inside."""
+    """Assert that two objects are equal to the last bit, with arrays and dataclasses inside."""
     if is_dataclass(a) and not isinstance(a, type):
         assert type(a) is type(b), place
         for field in fields(a):
@@ -226,7 +226,10 @@ def test_true_unknowns_give_the_noise_free_pixels(written: Path) -> None:
 
 @pytest.mark.oracle
 def test_metadata_are_true_minus_error() -> None:
-    """The sensor with errors and the correction is the sensor without errors, also for changing attitudes."""
+    """The sensor with errors and the true correction has the rays of the sensor without errors.
+
+    This includes changing attitudes.
+    """
     wrong, truth = zonguldak_block(replace(OPTIONS, distortion_rad=0.0))
     right, _ = zonguldak_block(replace(OPTIONS, distortion_rad=0.0, errors="none"))
     line = sample = np.linspace(0.0, N_LINES - 1.0, 50)
@@ -243,7 +246,7 @@ def test_metadata_are_true_minus_error() -> None:
 @pytest.mark.consistency
 @pytest.mark.parametrize("eop_set", [1, 6, 10, 12, 15, 20])
 def test_without_errors_nothing_is_corrected(eop_set: int) -> None:
-    """Claim C2: without noise and errors, corrections and residuals are rounding errors."""
+    """Without noise and errors, corrections and residuals are rounding errors (claim C2)."""
     block, truth = zonguldak_block(EXACT)
     solution = adjust(block, eop_set=eop_set)
     assert solution.status is Status.CONVERGED
@@ -255,7 +258,7 @@ def test_without_errors_nothing_is_corrected(eop_set: int) -> None:
 
 @pytest.mark.oracle
 def test_intersection_is_exact() -> None:
-    """Claim C2: the noise-free rays meet in the true points, from pixels alone."""
+    """Rays without noise meet in the true points within 1e-6 m, from pixels alone (claim C2)."""
     block, truth = zonguldak_block(replace(EXACT, point_set="H-40"))
     nothing = np.full_like(truth.ecef_m, np.nan)
     found = initial.ground_points(block.images, block.observations, block.points.ids, nothing)
@@ -279,7 +282,7 @@ def test_noise_is_what_was_asked_for() -> None:
 
 @pytest.mark.truth
 def test_control_and_check_coordinates_are_measured() -> None:
-    """Each has the noise 0.06 / 0.06 / 1.0 m; the check coordinates are those of the file, not the truth."""
+    """Control and check coordinates have the noise 0.06 / 0.06 / 1.0 m; check coordinates are withheld."""
     normalised = []
     for seed in range(1, 5):
         block, truth = zonguldak_block(ZonguldakOptions(seed=seed, point_set="H-20"))
@@ -364,9 +367,10 @@ def test_the_views_come_from_opposite_sides(default: tuple[Block, Truth]) -> Non
     ("roll_deg", "low_km", "high_km"), [(-19.0, 280, 330), (21.0, 280, 330), (-18.0, 268, 278), (20.0, 300, 311)]
 )
 def test_ground_tracks(roll_deg: float, low_km: float, high_km: float) -> None:
-    """The specified 280 to 330 km belong to 19 and 21 degrees; the twin's 18 and 20 see 273 and 306 km.
+    """The ground tracks have the distance of the closed formula on a sphere within 1 m.
 
-    On a sphere through the point: sin(incidence) = r sin(roll) / R, distance = R (incidence - roll).
+    The specified 280 to 330 km belong to 19 and 21 degrees; the twin's 18 and 20 see 273 and 306 km. On a sphere
+    through the point: sin(incidence) = r sin(roll) / R, distance = R (incidence - roll).
     """
     target = geodetic_to_ecef(31.85, 41.3, 0.0)[0]
     position = find_pass(target, math.radians(roll_deg)).states(0.0)[0][0]
@@ -379,7 +383,7 @@ def test_ground_tracks(roll_deg: float, low_km: float, high_km: float) -> None:
 
 
 def forward_axes(sensor: PushbroomSensor, line: np.ndarray) -> np.ndarray:
-    """Y axes of the orbital frame, Z x X, at N lines."""
+    """Return the Y axes of the orbital frame, Z x X, at N lines."""
     states = sensor.states(line)
     right = np.cross(states.velocity_m_s, states.position_m)
     forward = np.cross(states.position_m, right)
@@ -388,7 +392,10 @@ def forward_axes(sensor: PushbroomSensor, line: np.ndarray) -> np.ndarray:
 
 @pytest.mark.oracle
 def test_angles_of_a_pixel(default: tuple[Block, Truth]) -> None:
-    """Across track p/f / cos^2 psi_y; along track the motion over a line, less the turn of the orbital frame."""
+    """Derivatives by pixels are the detector's angle across track and the motion over a line along track.
+
+    Across track it is p/f / cos^2 psi_y; along track the rotation of the orbital frame is subtracted.
+    """
     for image in default[0].images:
         sensor = image.sensor
         line = sample = np.linspace(1.0, N_LINES - 2.0, 9)

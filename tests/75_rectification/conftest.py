@@ -36,7 +36,7 @@ def rows(reproduction: Reproduction) -> dict[tuple[str, str, str], Row]:
 def scene(rng: np.random.Generator, n: int = 30, noise_m: float = 15.0) -> tuple[Array, Array, Array]:
     """Return line and sample, easting and northing, and height of points of a TM scene with noise.
 
-    Map coordinates are full UTM metres; the scene has 1024 x 1024 TM scene with noise.
+    Map coordinates are full UTM metres; the scene has 1024 x 1024 pixels.
     """
     image = rng.uniform(0.0, 1023.0, (n, 2))
     line, sample = image.T

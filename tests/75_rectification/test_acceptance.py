@@ -66,7 +66,10 @@ def gauss_jordan(matrix: np.ndarray) -> np.ndarray:
 
 
 def ek2(x: np.ndarray, y: np.ndarray, plane: np.ndarray, degree: int) -> tuple[np.ndarray, float]:
-    """Residuals (n, 2) and m0 by the program EK 2: plain powers, both axes in one normal matrix, its inverse."""
+    """Return residuals (n, 2) and m0 by the program EK 2.
+
+    It has plain powers, both axes in one normal matrix, and the inverse of that.
+    """
     terms = np.stack([x**k * y ** (d - k) for d in range(degree + 1) for k in range(d + 1)], axis=1)
     zero = np.zeros_like(terms)
     a, length = np.block([[terms, zero], [zero, terms]]), plane.T.ravel()
@@ -82,7 +85,10 @@ def ek2(x: np.ndarray, y: np.ndarray, plane: np.ndarray, degree: int) -> tuple[n
      (3, 11, np.longdouble)],
 )  # fmt: skip
 def test_2_ek2_equals_the_centred_least_squares(degree: int, n: int, kind: type[np.floating]) -> None:
-    """On pixels, at the 30 points of EK 2; at the fewest points EK 2 needs 80 bits to have 9 digits in residuals."""
+    """A polynomial has residuals and m0 of EK 2 within 1e-9.
+
+    At the fewest points EK 2 needs 80 bits to have 9 digits in residuals.
+    """
     rng = np.random.default_rng(10 * degree + n)
     image = rng.uniform(0.0, 1023.0, (n, 2))
     plane = 28.5 * image + 0.01 * image[:, ::-1] ** 2 + rng.normal(0.0, 15.0, (n, 2))
@@ -116,7 +122,10 @@ def test_3_no_m0_without_redundancy(degree: int, n: int) -> None:
 
 @pytest.mark.truth
 def test_4_distances_against_m0() -> None:
-    """The mean of 60 runs has a standard deviation of 0.007; the full study below takes 400."""
+    """The mean ratio of distances to m0 over 60 runs is 1.39 within 0.02.
+
+    Its standard deviation is 0.007; the full study below has 400 runs.
+    """
     found = distance_ratios(60, seed=1).ratio
     assert abs(found.mean() - 1.39) <= 0.02
     assert 0.03 <= found.std(ddof=1) <= 0.08

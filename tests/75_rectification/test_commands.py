@@ -92,7 +92,7 @@ def test_every_model_by_its_name(model: str, points: Path) -> None:
 
 @pytest.mark.oracle
 def test_map_to_image_is_the_other_way(points: Path) -> None:
-    """Residuals of numpy's least squares of sample and line on the map coordinates of the control points."""
+    """``rectify fit --direction map-to-image`` has the residuals of numpy's least squares of sample and line."""
     record = run("rectify", "fit", points, "--model", "affine", "--direction", "map-to-image", "--json").json
     assert (record["unit"], record["axes"]) == ("px", ["sample", "line"])
     with points.open(encoding="utf-8") as stream:
@@ -178,7 +178,7 @@ def test_refusals_of_fit(words: tuple[str, ...], text: str, tmp_path: Path, rng:
 
 @pytest.mark.behaviour
 def test_points_that_do_not_do_are_refused(tmp_path: Path, rng: np.random.Generator) -> None:
-    """The points are on a line, or only check points; a study has no check points."""
+    """Points on a line, check points only, or a study without check points are refused with exit code 2."""
     line = np.column_stack([np.arange(10.0), 2.0 * np.arange(10.0)])
     image, plane, _ = scene(rng, 8)
     for command, table, words in (

@@ -34,7 +34,10 @@ def plane_points(rng: np.random.Generator, n: int = 40) -> Observations:
 
 
 def space_points(rng: np.random.Generator, n: int = 40) -> Observations:
-    """Points seen by a line scanner 10 degrees off nadir, field of view 4 degrees: line affine, sample central."""
+    """Return points seen by a line scanner 10 degrees off nadir with a field of view of 4 degrees.
+
+    The line is affine, the sample central.
+    """
     east, north, h = rng.uniform(0, 30_000, n), rng.uniform(0, 30_000, n), rng.uniform(0, 900, n)
     across, along = (east - 15_000) * math.cos(0.2) + (north - 15_000) * math.sin(0.2), north - 0.2 * east
     view = np.arctan2(across + 145_000.0, 832_000.0 - h) - math.atan2(145_000.0, 832_000.0)
@@ -49,7 +52,7 @@ def points_for(name: str, seed: int = 3, n: int = 40) -> Observations:
 
 
 def formula(name: str, degree: int | None, source: Array, x: Array) -> Array:
-    """Return the transformations written out once more, for normalised coordinates."""
+    """Return the values of a transformation, written out once more, for normalised coordinates."""
     s = source.T
     one = np.ones(s.shape[1])
     if name in {"polynomial", "affine"}:
@@ -118,7 +121,7 @@ def test_redundancy_numbers_and_prediction_equal_plain_matrices() -> None:
 
 
 def direct_test(found: TransformationFit, k: int) -> tuple[float, Array]:
-    """F of point k and its error: adjusted once more with the point's two errors as unknowns."""
+    """Return F of point k and its error, from an adjustment with the point's two errors as unknowns."""
     a, v, extra = found.design, found.whitened.ravel(), np.zeros((2 * len(found.points), 2))
     extra[2 * k : 2 * k + 2] = np.eye(2)
     both = np.hstack([a, extra])
@@ -237,7 +240,7 @@ def test_unknown_models_are_refused(name: str, degree: int | None, code: str) ->
 
 @pytest.mark.behaviour
 def test_a_pole_among_the_points_is_refused() -> None:
-    """Half of the points are beyond the horizon of a projective image, so that no denominator has one sign."""
+    """A projective fit is refused if half of the points are beyond the horizon. No denominator has one sign there."""
     rng = np.random.default_rng(6)
     source = rng.uniform(-1.0, 1.0, (30, 2))
     source = source[np.abs(source[:, 0]) > 0.3]
@@ -276,7 +279,10 @@ def test_other_files_are_no_transformation(text: str | None, tmp_path: Path) -> 
 @pytest.mark.oracle
 @pytest.mark.parametrize(("name", "degree"), [c for c in CASES if find_model(*c).linear])
 def test_plain_coefficients_in_rational_numbers_give_the_same_points(name: str, degree: int | None) -> None:
-    """Exact evaluation of the coefficients as rounded: the rounding of degree 2 in full metres is what is left."""
+    """The plain coefficients, evaluated exactly, give the fitted points within 1e-6.
+
+    The rounding of degree 2 in full metres remains.
+    """
     points = points_for(name, n=45)
     t = fit(points, find_model(name, degree)).transformation
     c = [Fraction(v) for v in (t.plain_coefficients() or {}).values()]

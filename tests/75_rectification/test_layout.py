@@ -27,7 +27,7 @@ CENTRE = np.array([500.0, 400.0])
 def strip(
     width: float, angle: float, *, n: int = 30, noise_px: float = 0.5, scale: float = 28.5, seed: int = 1
 ) -> Observations:
-    """Return the points in a strip of 1000 pixels in a direction; noise of the image points, map points without."""
+    """Return points in a strip of 1000 pixels in a direction; only image points have noise."""
     rng = np.random.default_rng(seed)
     along, across = rng.uniform(-500.0, 500.0, n), rng.uniform(-0.5, 0.5, n) * width
     turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
@@ -47,7 +47,10 @@ def refusal(points: Observations, name: str = "affine", degree: int | None = Non
 @pytest.mark.parametrize("n", [12, 30, 300])
 @pytest.mark.parametrize(("name", "degree"), [("affine", None), ("polynomial", 2), ("projective", None)])
 def test_points_within_their_noise_of_a_line_are_refused(name: str, degree: int | None, n: int, angle: float) -> None:
-    """The test holds for any direction and number of points; for a line along an axis no condition number shows it."""
+    """Control points on a line within their noise are refused, in any direction and for any number of points.
+
+    For a line along an axis no condition number shows it.
+    """
     assert refusal(strip(0.0, angle, n=n, seed=n), name, degree).problems[0].code == "rectify.narrow"
 
 
@@ -60,7 +63,7 @@ def test_the_refusal_names_the_direction() -> None:
 
 @pytest.mark.consistency
 def test_neither_unit_nor_size_nor_sigma_of_all_enters() -> None:
-    """In kilometres, with images of another size, or with all sigmas 7, the judgement is the same."""
+    """The test of the layout does not depend on the unit, the image size or one sigma of all points."""
     for width, refused in ((0.0, True), (30.0, False)):
         points = strip(width, 0.3)
         alike = (
@@ -121,7 +124,10 @@ def test_points_near_a_circle_are_remarked_at_degree_2() -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize("name", SPATIAL)
 def test_heights_that_say_nothing_are_remarked(name: str) -> None:
-    """A range of 300 m is 60 pixels of plan; of 1 m it is hidden in noise of 0.3 pixels. Neither is refused."""
+    """Heights with a range of 1 m give a remark, those of 300 m do not, and neither is refused.
+
+    300 m move an image point by about 20 pixels; 1 m is hidden in noise of 0.3 pixels.
+    """
     rng = np.random.default_rng(4)
     plan, share = rng.uniform(0.0, 3e4, (30, 2)), rng.uniform(0.0, 1.0, 30)
     for height, remarked in ((300.0, False), (1.0, True)):
@@ -133,7 +139,7 @@ def test_heights_that_say_nothing_are_remarked(name: str) -> None:
 
 
 def derivatives(found: TransformationFit, source: Array) -> Array:
-    """Of a transformed point with respect to the coefficients (2, u), by differences."""
+    """Return the derivatives (2, u) of a transformed point by the coefficients, from differences."""
     t = found.transformation
     step = 1e-5
     ends = [
@@ -164,7 +170,10 @@ def test_check_points_against_plain_matrices(name: str, degree: int | None) -> N
 
 @pytest.mark.oracle
 def test_false_alarms_of_check_points_are_as_stated_and_not_without_the_error_of_the_fit() -> None:
-    """200 runs, 8 control points, a check point outside of them, level 20 %; interval of 4 standard deviations."""
+    """Check points are rejected at the level of 20 %, and more often without the error of the fit.
+
+    200 runs, 8 control points, a check point outside of them; interval of 4 standard deviations.
+    """
     rng, model, level, runs = np.random.default_rng(11), find_model("affine"), 0.2, 200
     image = np.vstack([rng.uniform(0.0, 1000.0, (8, 2)), [[1600.0, 1500.0]]])
     alarms = careless = 0
@@ -227,7 +236,7 @@ def test_sigmas_that_the_residuals_contradict_are_remarked(
 
 @pytest.mark.behaviour
 def test_points_far_from_their_zone_are_remarked(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Points lie in zone 35 (24 to 30 degrees east), in the next zone, and two zones away."""
+    """Points two zones away from zone 35, or with exchanged coordinates, give a warning; the next zone does not."""
     from fg_orient.rectification.projections import project, unproject, utm
 
     image, plane, _ = scene(rng, 12)

@@ -50,7 +50,7 @@ def test_areas_of_geographic_outlines_equal_pyproj(tmp_path: Path) -> None:
 
 @pytest.mark.oracle
 def test_projection_and_its_inverse(tmp_path: Path) -> None:
-    """The result agrees with an EPSG code; scale factors agree with differences of coordinates on the ellipsoid."""
+    """``rectify projection`` agrees with the EPSG code, returns by its inverse, and states the scale."""
     path, plane = tmp_path / "points.csv", tmp_path / "plane.csv"
     path.write_text("id,lon_deg,lat_deg\nP1,31.5,41.25\nP2,33.0,41.0\n", "utf-8")
     done = run("rectify", "projection", path, "--to", "utm:36", "--out", plane, "--json")
@@ -91,7 +91,10 @@ def test_refusals(words: tuple[str, ...], message: str, tmp_path: Path) -> None:
 
 @pytest.mark.truth
 def test_scanner_of_landsat() -> None:
-    """MSS: 185 km from 915 km are 11.545 deg. TM at 7.5 deg: 531 m by the panorama, 13.2 m by 100 m of relief."""
+    """``rectify scanner`` has the published angles and shifts of MSS and TM. MSS: 185 km from 915 km are 11.545 deg.
+
+    TM at 7.5 deg: 531 m by the panorama, 13.2 m by 100 m of relief.
+    """
     mss = run("rectify", "scanner", "--height", "915e3", "--ifov-along", "86e-6", "--swath", "185e3", "--json").json
     assert mss["total_angle_deg"] == pytest.approx(11.545, abs=5e-4) and len(mss["angles"]) == 5
     assert 2.0 * mss["angles"][-1]["ground_y_m"] == pytest.approx(185e3)

@@ -11,7 +11,7 @@ from fg_orient.rectification import classification_errors, destripe, subtract_da
 
 @pytest.mark.truth
 def test_error_matrix_of_congalton() -> None:
-    """Congalton (1991), table 1: 434 pixels of four classes; percentages as printed."""
+    """The error matrix of Congalton (1991), table 1, has the printed accuracies of four classes."""
     counts = np.array([[65, 4, 22, 24], [6, 81, 5, 8], [0, 11, 85, 19], [4, 7, 3, 90]])
     names = np.array(["1 deciduous", "2 conifer", "3 agriculture", "4 shrub"])
     rows, columns = (np.repeat(index.ravel(), counts.ravel()) for index in np.indices(counts.shape))
@@ -24,7 +24,7 @@ def test_error_matrix_of_congalton() -> None:
 
 @pytest.mark.oracle
 def test_agreement_by_chance_is_none(rng: np.random.Generator) -> None:
-    """Independent classes: kappa is 0 within its spread, about 1/sqrt(n); the share correct has the stated sigma."""
+    """Independent classes have kappa 0 within its spread, and the share correct has the stated sigma."""
     runs = [classification_errors(*rng.integers(0, 4, (2, 500))) for _ in range(200)]
     assert abs(np.mean([run.kappa for run in runs])) < 4.0 / np.sqrt(500 * 200)
     spread = np.std([run.correct for run in runs]) / np.mean([run.sigma_correct for run in runs])
@@ -41,7 +41,7 @@ def test_classes_that_do_not_occur_have_no_error() -> None:
 
 @pytest.mark.oracle
 def test_planted_stripes_are_removed(rng: np.random.Generator) -> None:
-    """Gains and offsets of six detectors over noise of one distribution; the sampling error of the moments remains."""
+    """Destriping removes gains and offsets of six detectors up to the sampling error of their moments."""
     scene = rng.normal(100.0, 20.0, (600, 400))
     gain, offset = rng.uniform(0.8, 1.2, 6), rng.uniform(-10.0, 10.0, 6)
     which = (2 + np.arange(600)) % 6
@@ -63,7 +63,7 @@ def test_planted_stripes_are_removed(rng: np.random.Generator) -> None:
 
 @pytest.mark.truth
 def test_planted_haze_is_subtracted() -> None:
-    """Water has the value 12, and two dead pixels have 3."""
+    """The dark object is water with the value 12, not two dead pixels with 3, and is subtracted."""
     band = np.full((20, 20), 60.0)
     band[:5], band[7, 7], band[8, 8], band[9, 9] = 12.0, 3.0, 3.0, np.nan
     found, dark = subtract_dark_object(band, least_pixels=10)

@@ -72,7 +72,7 @@ def test_factors_are_quantiles_of_the_circular_normal_distribution() -> None:
 
 @pytest.mark.truth
 def test_nmas_counts_points() -> None:
-    """Of 20 points two may exceed the limit, but not three."""
+    """NMAS permits two of 20 points beyond the limit, and not three."""
     d = np.zeros((20, 2))
     d[:2, 0] = 100.0
     d[2, 1] = 25.4
@@ -92,7 +92,10 @@ def admissible(error_m: float, scale: float) -> bool:
 @pytest.mark.truth
 @pytest.mark.parametrize("error", [0.5, 10.0, 10.2, 12.0, 16.9, 17.0, 40.0])
 def test_largest_scale_is_the_border_of_what_passes(error: float) -> None:
-    """Also where the limit drops: 12 m pass at 1:15000 and at 1:24000, not at 1:20000."""
+    """The largest scale passes NMAS and a slightly larger one does not, also where the limit drops.
+
+    12 m pass at 1:15000 and at 1:24000, not at 1:20000.
+    """
     (found,) = check_accuracy([[error, 0.0]], standards=("NMAS",))
     assert admissible(error, found.largest_scale) and not admissible(error, 0.9999 * found.largest_scale)
     assert bool([text for text in found.remarks if "not from" in text]) == (10.16 < error < 20_000 * 0.0254 / 30)

@@ -51,7 +51,7 @@ class Twin:
 
 @pytest.fixture(scope="session")
 def twin(tmp_path_factory: pytest.TempPathFactory) -> Twin:
-    """Return the squares of 80 pixels about the points of both images, rendered; the block adjusted from its files."""
+    """Return rendered squares of 80 pixels at the points of both images, and the block adjusted from its files."""
     folder = tmp_path_factory.mktemp("ortho") / "twin"
     done = run("simulate", "zonguldak", "--raster", "--raster-window", 80, "--dem-step", DEM_STEP_M, "--out", folder)
     assert done.code == 0, done.stderr
@@ -68,7 +68,10 @@ def true_positions(folder: Path) -> Array:
 
 
 def find_target(grey: Array) -> tuple[float, float]:
-    """Row and column of the target in a raster: best correlation with disc and ring, then the disc's centroid."""
+    """Return row and column of the target in a raster.
+
+    The best correlation with disc and ring is refined to the disc's centroid.
+    """
     reach = 7
     rows, columns = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     distance = np.hypot(rows, columns) * RESOLUTION_M

@@ -60,7 +60,7 @@ def test_look_angles_and_small_angles(twin: Twin, tmp_path: Path) -> None:
 
 @pytest.mark.truth
 def test_compensation_of_an_rpc_image(twin: Twin, tmp_path: Path) -> None:
-    """The compensated model moves a projected point as the names of the terms state."""
+    """A correction of an RPC image moves projected points by its terms, and other terms are refused."""
     model, _ = fit_image(twin.sensors["left"], (-50.0, 1850.0), FitOptions())
     sensor = RpcSensor(model)
     found = read_correction(folder(tmp_path, {"line_0": 2.0, "sample_0": -3.0}), sensor, "one")
@@ -80,7 +80,7 @@ def refused(path: Path, sensor: object, image: str = "") -> tuple[str, str]:
 
 @pytest.mark.behaviour
 def test_the_image_asked_for_is_that_of_the_metadata(twin: Twin, tmp_path: Path) -> None:
-    """The content decides: the file of another image is refused, and a renamed copy of the right file is used."""
+    """The content of the metadata file decides: another image's file is refused, a renamed copy is used."""
     left = twin.sensors["left"]
     code, text = refused(twin.result, left, "right")
     assert code == "ortho.other_image" and "image right" in text and "right.DIM" in text
@@ -104,7 +104,10 @@ def test_the_image_asked_for_is_that_of_the_metadata(twin: Twin, tmp_path: Path)
 
 @pytest.mark.behaviour
 def test_two_images_with_files_of_one_name_are_told_apart(twin: Twin, tmp_path: Path) -> None:
-    """All products of a mission have the name METADATA.DIM; only their content in the record distinguishes them."""
+    """Images whose files have one name get their own corrections by the content of the files.
+
+    All products of a mission have the name METADATA.DIM. Without content in the record the image must be stated.
+    """
     files = {}
     for name in ("left", "right"):
         (tmp_path / name).mkdir()
@@ -137,7 +140,7 @@ def test_the_command_compares_the_image(twin: Twin, tmp_path: Path) -> None:
 
 @pytest.mark.behaviour
 def test_commands_warn_of_heights_that_no_land_has(twin: Twin, tmp_path: Path) -> None:
-    """A cell of an undeclared nodata value in the DEM of ``rectify ortho``, and of a repeated run."""
+    """``rectify ortho``, ``adjust`` and ``replay`` warn of cells in the DEM whose nodata value is not declared."""
     rasterio = pytest.importorskip("rasterio")
     project, dem = tmp_path / "twin", tmp_path / "twin/spoiled.tif"
     shutil.copytree(twin.folder, project)

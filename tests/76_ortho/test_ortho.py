@@ -44,7 +44,10 @@ def ortho(twin: Twin, out: Path, dem: RasterDem | None = None, **options: object
 
 
 def plain(east: float, north: float, size: float, *, forward: bool) -> Transformation:
-    """Return the pixel (line, sample) to map: centre of the first pixel at (east, north), square pixels, north up."""
+    """Return a transformation between pixels and a map, in one direction.
+
+    The centre of the first pixel is at (east, north), pixels are square, north is up.
+    """
     plane, unit = Scaling(np.array([east, north]), np.ones(2)), Scaling(np.zeros(2), np.ones(2))
     slope = size if forward else 1.0 / size
     rows = np.array([[0.0, slope, 0.0], [0.0, 0.0, -slope]])
@@ -70,7 +73,10 @@ def picture(tmp_path: Path, rng: np.random.Generator) -> Path:
 @pytest.mark.parametrize("forward", [True, False])
 @pytest.mark.parametrize("name", list(RESAMPLING))
 def test_a_map_on_the_pixels_of_the_image_is_the_image(picture: Path, forward: bool, name: str) -> None:
-    """Corner and centre: the centre of the first pixel lies at (1005, 5025), so its corner at (990, 5040)."""
+    """A map on the pixels of the image has its values and the right corner.
+
+    The centre of the first pixel is at (1005, 5025), its corner at (990, 5040).
+    """
     out = picture.with_name("map.tif")
     record = orthorectify(
         picture, PointModel(plain(1005.0, 5025.0, 30.0, forward=forward)), LevelSurface(0.0), out, crs=CRS,
@@ -95,7 +101,7 @@ def test_pixels_do_not_depend_on_the_windows(twin: Twin, tmp_path: Path, name: s
 
 @pytest.mark.consistency
 def test_another_raster_over_the_same_ground_agrees(twin: Twin, tmp_path: Path) -> None:
-    """Its knots are at other places: positions differ by the error between knots, grey values by one after rounding."""
+    """A map with another raster has the same grey values within one. Its knots are at other places."""
     left, bottom, right, top = bounds_about(twin, 0)
     whole = ortho(twin, tmp_path / "a.tif").astype(int)
     part = ortho(twin, tmp_path / "b.tif", bounds=(left + 55.0, bottom, right, top - 35.0)).astype(int)
@@ -106,7 +112,10 @@ def test_another_raster_over_the_same_ground_agrees(twin: Twin, tmp_path: Path) 
 
 @pytest.mark.oracle
 def test_gdal_makes_the_same_map_of_the_same_rpc(twin: Twin, tmp_path: Path) -> None:
-    """GDAL's warper with the RPC fitted to the model, same terrain, kernel and grid: grey values agree."""
+    """GDAL's warper with the same RPC and terrain gives the same grey values within two, 90 % of them equal.
+
+    Kernel and grid are the same.
+    """
     model, _ = fit_image(twin.sensors["left"], (-50.0, 1850.0), FitOptions())
     image, dem = tmp_path / "left.tif", twin.dem
     shutil.copy(twin.folder / "left.tif", image)
@@ -138,7 +147,10 @@ def test_gdal_makes_the_same_map_of_the_same_rpc(twin: Twin, tmp_path: Path) -> 
 
 @pytest.mark.truth
 def test_a_transformation_with_heights_takes_them(picture: Path, tmp_path: Path) -> None:
-    """100 m move a point by a line and two samples; at this height the map is the image, shifted by whole pixels."""
+    """A fitted transformation with heights needs ``--height``, and a map at 100 m is moved by whole pixels.
+
+    100 m move a point by a line and two samples.
+    """
     rng, points = np.random.default_rng(3), ["id,line,sample,easting_m,northing_m,height_m"]
     for k in range(12):
         line, sample, height = (float(v) for v in rng.uniform(0.0, (60.0, 60.0, 300.0)))
@@ -270,7 +282,7 @@ def test_a_fit_by_points_is_taken(picture: Path, tmp_path: Path) -> None:
 
 @pytest.mark.consistency
 def test_knots_come_closer_until_the_bound_is_kept(twin: Twin) -> None:
-    """A coarse map has more pixels between knots: the step shrinks, and what it states holds at random places."""
+    """The distance of knots shrinks until the error is below its bound, and random places confirm this error."""
     grid = MapGrid.over((395_000.0, 4_565_000.0, 410_000.0, 4_580_000.0), 30.0, CRS)
     limits = np.array([-0.5, 11999.5, -0.5, 11999.5])
     found = lattice(grid, twin.left, twin.dem, limits, twin.dem.range_m)

@@ -22,7 +22,7 @@ Array = np.ndarray
 
 
 def model() -> PointModel:
-    """Return the map to image: north up, 30 m, the centre of the first pixel at (1005, 5025)."""
+    """Return a model from map to image: north up, 30 m, the centre of the first pixel at (1005, 5025)."""
     sample, line = (a.ravel() for a in np.meshgrid(np.linspace(0.0, 299.0, 4), np.linspace(0.0, 199.0, 4)))
     ground = np.stack([1005.0 + 30.0 * sample, 5025.0 - 30.0 * line], axis=1)
     found = fit(Observations.of(ground, np.stack([sample, line], axis=1)), find_model("affine"),
@@ -94,7 +94,10 @@ def test_a_value_that_the_type_holds_is_taken(dtype: str, nodata: float, tmp_pat
 
 @pytest.mark.truth
 def test_newton_ends_or_says_nan() -> None:
-    """x^2 = 4 from 5 ends at 2; x^2 = -1 has no solution; at 0 the slope of x^2 vanishes."""
+    """Newton's method finds a solution, or gives nan if there is none or the slope vanishes.
+
+    x^2 = 4 from 5 ends at 2; x^2 = -1 has no solution; at 0 the slope of x^2 vanishes.
+    """
 
     def squares(at: Array) -> Array:
         return np.stack([at[:, 0] ** 2, at[:, 1]], axis=1)
@@ -107,7 +110,7 @@ def test_newton_ends_or_says_nan() -> None:
 
 
 def folded(east: Array) -> Array:
-    """Return the samples of a map to image that turns round at its middle: none is above 150."""
+    """Return the samples of a map that turns round at its middle; no sample is above 150."""
     return 150.0 - ((east - 5000.0) / 500.0) ** 2
 
 
@@ -129,7 +132,7 @@ def test_an_image_beyond_the_fold_of_a_polynomial_has_no_outline(tmp_path: Path)
 @pytest.mark.behaviour
 @pytest.mark.parametrize("which", ["image", "dem", "model", "foreign"])
 def test_nothing_that_is_read_and_no_foreign_file_is_replaced(tmp_path: Path, which: str) -> None:
-    """The check is made before anything is read, also with --overwrite."""
+    """An output that is an input or a foreign file is refused, also with --overwrite, and stays as it was."""
     files = {name: tmp_path / f"{name}.tif" for name in ("image", "dem", "model", "foreign")}
     for path in files.values():
         path.write_bytes(b"not to be lost")

@@ -25,7 +25,7 @@ def image(rng: np.random.Generator) -> Array:
 
 @pytest.fixture
 def places(rng: np.random.Generator) -> tuple[Array, Array]:
-    """Return the places all over, the half pixel of border included."""
+    """Return random places in the whole image, with its half pixel of border."""
     return rng.uniform(-0.5, 22.5, (20, 25)), rng.uniform(-0.5, 30.5, (20, 25))
 
 
@@ -39,7 +39,7 @@ def test_nearest_and_bilinear_as_scipy(image: Array, places: tuple[Array, Array]
 @pytest.mark.oracle
 @pytest.mark.parametrize("a", [-0.5, -1.0])
 def test_cubic_as_the_kernel_is_printed(image: Array, places: tuple[Array, Array], a: float) -> None:
-    """Keys 1981, eq. 4, summed over all pixels of an image with repeated borders."""
+    """Cubic resampling equals the kernel of Keys 1981, eq. 4, summed over all pixels with repeated borders."""
 
     def kernel(x: Array) -> Array:
         x = np.abs(x)
@@ -55,7 +55,7 @@ def test_cubic_as_the_kernel_is_printed(image: Array, places: tuple[Array, Array
 
 @pytest.mark.truth
 def test_cubic_reproduces_what_its_slope_promises() -> None:
-    """a = -1/2 reproduces quadratic surfaces (Keys 1981), a = -1 does not."""
+    """Cubic resampling with a = -1/2 reproduces quadratic surfaces (Keys 1981); a = -1 does not."""
     y, x = np.mgrid[0.0:12.0, 0.0:12.0]
     image = 3.0 + 2.0 * x - y + 0.5 * x * y - 0.3 * x**2 + 0.2 * y**2
     q, p = np.meshgrid(np.linspace(2.0, 8.9, 17), np.linspace(2.0, 8.9, 13))

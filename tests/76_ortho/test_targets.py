@@ -29,7 +29,7 @@ HALF_M, SEARCH_M = 200.0, 190.0
 
 
 def misses(twin: Twin, image: str, tmp: Path, *, adjusted: bool, dem: RasterDem | None = None, every: int = 1) -> Array:
-    """Found minus true position (n, 2) of targets in map pixels, east and north."""
+    """Return found minus true positions (n, 2) of targets in map pixels, east and north."""
     surface, sensor = dem or twin.dem, twin.sensors[image]
     correction = read_correction(twin.result, sensor) if adjusted else None
     model = SensorModel(sensor, correction, CRS, surface.range_m[1])
@@ -63,7 +63,10 @@ def test_every_target_lies_where_it_should_with_the_adjusted_orientation(
 
 @pytest.mark.oracle
 def test_the_unadjusted_model_is_off_by_the_simulated_bias(twin: Twin, tmp_path: Path) -> None:
-    """The bias on the map: where the metadata put the true pixels, on the same terrain."""
+    """Without adjustment the targets are off by the bias of the metadata within 0.25 px, and fail.
+
+    The bias is that of the true pixels located on the same terrain.
+    """
     found = misses(twin, "right", tmp_path, adjusted=False, every=6)
     truth = simulate(ZonguldakOptions()).truth
     pixels = truth.pixels[len(truth.pixels) // 2 :][::6]  # the second image
@@ -94,7 +97,7 @@ def test_a_terrain_shifted_by_50_m_fails(twin: Twin, tmp_path: Path) -> None:
 
 @pytest.mark.oracle
 def test_rendered_rays_meet_the_terrain_on_rays_written_apart(twin: Twin) -> None:
-    """Corners by the kernel lie on the rays from the formulas, and where ``locate`` meets the raster of the terrain."""
+    """Rendered pixels lie on independent rays and where ``locate`` meets the terrain, within 2 cm."""
     simulation = simulate(ZonguldakOptions())
     terrain = terrain_through(simulation.truth.lon_lat_height, step_m=DEM_STEP_M)
     sensor, correction = twin.sensors["left"], simulation.truth.corrections[0]
@@ -124,7 +127,7 @@ def test_points_lie_on_the_terrain(twin: Twin) -> None:
 @pytest.mark.oracle
 @pytest.mark.slow
 def test_whole_images_rectified_in_one_run(tmp_path: Path) -> None:
-    """Images of 12000 x 12000 pixels are rendered and rectified as a whole; all targets of both images are found."""
+    """All targets of both whole images are found in their maps. The images have 12000 x 12000 pixels."""
     folder, result = tmp_path / "twin", tmp_path / "result"
     for words in (("simulate", "zonguldak", "--raster", "--out", folder),
                   ("adjust", folder / "project.toml", "--out", result)):  # fmt: skip
@@ -143,7 +146,7 @@ def test_whole_images_rectified_in_one_run(tmp_path: Path) -> None:
 
 
 def targets_in(raster: Path, targets: Array) -> Array:
-    """Found minus true position (n, 2) of targets in one map raster, in its pixels."""
+    """Return found minus true positions (n, 2) of targets in one map raster, in its pixels."""
     found, reach = [], int(SEARCH_M / RESOLUTION_M)
     with rasterio.open(raster) as source:
         place = source.transform

@@ -54,7 +54,10 @@ def pair_distances(
     rotation: Array,
     base: Array,
 ) -> Array:
-    """Triple products of base and rays by their standard deviations, propagated in the unit of the images."""
+    """Return the triple products of base and rays over their standard deviations.
+
+    These are propagated in the unit of the images.
+    """
 
     def product(both: Array) -> Array:
         rays = [np.column_stack([c.tangents(xy), np.ones(len(xy))]) for c, xy in
@@ -69,7 +72,10 @@ def pair_distances(
 @pytest.mark.oracle
 @pytest.mark.parametrize("n", [7, 12])
 def test_relative_orientation_of_two_cameras(n: int) -> None:
-    """30 and 150 mm; with 7 points the starts are normal cases, 0.3 rad away."""
+    """Distances and cofactors of a relative orientation equal those of an independent function.
+
+    The cameras have 30 and 150 mm; with 7 points the starts are normal cases, 0.3 rad away.
+    """
     rotations, points, rng = scene(1, n)
     cameras, sigma = (PhotoInterior(30.0), PhotoInterior(150.0)), 0.002
     second = turned(np.array([0.2, -0.3, 0.1]), rotations[0])
@@ -134,7 +140,10 @@ def test_intersection() -> None:
 
 @pytest.mark.oracle
 def test_absolute_orientation() -> None:
-    """With unequal sigmas the solution differs from the solution for equal ones, which is the start."""
+    """Cofactors of an absolute orientation equal those of an independent function with unequal sigmas.
+
+    The start is the solution for equal sigmas.
+    """
     _, model, rng = scene(5)
     turn = Rotation.from_rotvec([0.5, -1.0, 0.3]).as_matrix()
     sigma = np.exp(rng.uniform(-2.0, 1.0, model.shape)) * 0.3
@@ -151,7 +160,10 @@ def test_absolute_orientation() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("backend", ["dense", "graph", "schur"])
 def test_bundle(backend: str) -> None:
-    """Three photos, six new points; from its own solution the same points have the same cofactors."""
+    """Cofactors of new points equal those of an independent function, and do not depend on the start.
+
+    There are three photos and six new points.
+    """
     rotations, points, rng = scene(6)
     which, of = np.repeat(np.arange(3), 10), np.tile(np.arange(10), 3)
     image = np.vstack([Photo.of("", CAMERA, r, c).project(points) for r, c in zip(rotations, CENTRES, strict=True)])

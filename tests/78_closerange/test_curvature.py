@@ -21,7 +21,10 @@ SIGMA = 0.005
 
 @pytest.mark.truth
 def test_bend_of_a_parabola() -> None:
-    """x1 observed with 0.1 beside 3 x0^2, x0 with 0.2, a turn between them: 3 * 0.2^2 / 0.1; m0 = 2 doubles it."""
+    """The bend of a parabola is 3 * 0.2^2 / 0.1, m0 = 2 doubles it, and that of a product is 0.9 / sqrt(3).
+
+    x1 + 3 x0^2 is observed with 0.1 and x0 with 0.2, with a rotation between them and the unknowns.
+    """
     turn = Rotation.from_euler("z", 0.4).as_matrix()[:2, :2]
 
     def rows(y: Array, want: bool) -> tuple[Array, Array]:
@@ -41,7 +44,10 @@ def test_bend_of_a_parabola() -> None:
 
 
 def squares(distance_m: float, runs: int) -> tuple[Array, Array, Array]:
-    """Return the resections of six points: squares by the covariance (n,), by single deviations (n, 6), and bends."""
+    """Return squared errors of resections by the covariance (n,) and by single deviations (n, 6), and bends.
+
+    Each resection has six points.
+    """
     whole, single, bends = [], [], []
     for seed in range(runs):
         rng = np.random.default_rng(seed)
@@ -59,7 +65,10 @@ def squares(distance_m: float, runs: int) -> tuple[Array, Array, Array]:
 @pytest.mark.oracle
 @pytest.mark.parametrize("runs", some_slow([12, 400]))
 def test_a_bend_tells_where_the_covariance_is_optimistic_as_a_whole(runs: int) -> None:
-    """Squares of errors are 1 + 3 bend^2/6 per unknown: at 8 m about 1, at 150 m several; single sigmas hold."""
+    """At 8 m the covariance holds; at 150 m the squares of errors grow by 3 bend^2/6 per unknown.
+
+    Single sigmas hold at both distances.
+    """
     low, high = chi2.ppf([1e-4, 1.0 - 1e-4], runs)
     whole, single, bends = squares(8.0, runs)
     assert bends.max() < BENT

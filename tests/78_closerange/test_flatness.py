@@ -24,7 +24,10 @@ CAMERA = PhotoInterior(60.0, np.array([0.3, -0.2]), y_axis="down")
 def scene(
     seed: int, heights_m: float, n: int, *, distance_m: float = 3.0, sigma: float = SIGMA
 ) -> tuple[Array, Array, Array]:
-    """Points on 1 m, heights up to ``heights_m`` apart, seen from above: points, projection centre, noisy images."""
+    """Return points, projection centre and noisy image coordinates of a scene from above.
+
+    The points lie on 1 m, with heights up to ``heights_m`` apart.
+    """
     rng = np.random.default_rng(seed)
     points = np.column_stack([rng.uniform(-0.5, 0.5, (n, 2)), heights_m * rng.uniform(-0.5, 0.5, n)])
     angles = [180.0 + rng.uniform(-25.0, 25.0), rng.uniform(0.0, 360.0)]
@@ -43,7 +46,10 @@ def tried(points: Array, image: Array, sigma: float | None, distortion: tuple[st
 
 @pytest.mark.truth
 def test_the_limit_is_where_the_inverse_of_a_number_is_honest() -> None:
-    """A number t sigmas from 0, estimated as T: its inverse is T (T - t)/t of its own sigmas off."""
+    """The limit of flatness keeps the inverse of an estimated number within its allowed error at the stated level.
+
+    A number t sigmas from 0, estimated as T, has an inverse that is T (T - t)/t of its own sigmas off.
+    """
     noise, needed = limits(29, known=True)
     truth = needed**2 / (needed + ALLOWED)  # that T = needed is ALLOWED sigmas off
     assert norm.sf(noise) == pytest.approx(LEVEL) and norm.sf(needed - truth) == pytest.approx(LEVEL, rel=1e-9)
@@ -57,7 +63,10 @@ def test_the_limit_is_where_the_inverse_of_a_number_is_honest() -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize(("shape", "code"), [("cubic", "closerange.critical"), ("plane", "closerange.plane")])
 def test_deep_points_of_a_critical_configuration_are_no_plane(shape: str, code: str) -> None:
-    """Nine points and the camera on a twisted cubic do not determine L; a message said that they lie in a plane."""
+    """Points and camera on a twisted cubic are refused as critical, points of a plane as a plane.
+
+    Nine points on such a cubic do not determine L.
+    """
 
     def cubic(t: Array) -> Array:
         return np.column_stack([t, 1.4 * t**2, 1.6 * (t**3 - 0.8 * t)])
@@ -78,7 +87,10 @@ def test_deep_points_of_a_critical_configuration_are_no_plane(shape: str, code: 
 @pytest.mark.parametrize(("runs", "sizes"), [(8, (8, 20)), pytest.param(300, (6, 8, 20), marks=pytest.mark.slow)])
 @pytest.mark.parametrize("heights_m", [1e-5, 1e-4, 1e-3])
 def test_no_camera_from_flat_points(heights_m: float, runs: int, sizes: tuple[int, ...]) -> None:
-    """More than half of the cameras returned earlier were wrong by 5 to 11000 standard deviations."""
+    """DLT refuses points that are flat within the noise, with or without sigma.
+
+    More than half of the cameras returned earlier were wrong by 5 to 11000 standard deviations.
+    """
     for n in sizes:
         for seed in range(runs):
             points, _, image = scene(seed, heights_m, n)
@@ -92,7 +104,10 @@ def test_no_camera_from_flat_points(heights_m: float, runs: int, sizes: tuple[in
 @pytest.mark.parametrize("runs", [60, pytest.param(300, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("heights_m", [0.1, 1.0])
 def test_spatial_points_are_accepted_with_honest_deviations(heights_m: float, runs: int) -> None:
-    """Squares of the errors of the centre by its covariance, noise known: half or twice the sigmas fail."""
+    """DLT accepts spatial points, and errors of the centre fit its sigmas; half or twice the sigmas fail.
+
+    The noise is known.
+    """
     total = 0.0
     for seed in range(runs):
         points, centre, image = scene(1000 + seed, heights_m, 20)
@@ -108,7 +123,7 @@ def test_spatial_points_are_accepted_with_honest_deviations(heights_m: float, ru
 
 @pytest.mark.behaviour
 def test_a_projection_parallel_within_the_noise_is_called_so() -> None:
-    """Points in space on coarse images: from 30 m a photo is affine, from 10 m hardly central, from 3 m central."""
+    """A photo from 30 m is refused as parallel within the noise, one from 10 m is doubted, from 3 m accepted."""
     said = []
     for distance_m in (30.0, 10.0, 3.0):
         points, _, image = scene(1, 1.0, 20, distance_m=distance_m, sigma=0.05)

@@ -20,7 +20,10 @@ SIGMA = 0.002
 
 @pytest.fixture
 def folder(tmp_path: Path) -> tuple[Path, Array, list[Array]]:
-    """Return the image points of two photos, each with one point of its own; the first six points are control."""
+    """Write image points of two photos with cameras and control; return folder, true points and image coordinates.
+
+    Each photo has points that the other one lacks. The first six points are control.
+    """
     rng = np.random.default_rng(4)
     points = np.array([10.6, 25.0, 2.0]) + rng.uniform(-1.0, 1.0, (12, 3))
     photos = [Photo.of("left", CAMERA, rotation_from_ayhan(0.01, 0.02, 0.03), [10.0, 20.0, 2.0]),
@@ -78,7 +81,7 @@ def test_words_of_both_commands(folder: tuple[Path, Array, list[Array]]) -> None
 
 @pytest.mark.behaviour
 def test_pages_of_both_commands(folder: tuple[Path, Array, list[Array]]) -> None:
-    """One self-contained page each: the numbers of the record, all residuals, the inputs; warnings are in it, too."""
+    """``relative`` and ``absolute`` write one page each with the record, residuals and inputs, and no second time."""
     path, _, _ = folder
     page, model = path / "page.html", path / "model.csv"
     first = ("closerange", "relative", path / "image.csv", path / "cameras.toml", "--sigma", SIGMA, "--out", model)

@@ -60,7 +60,10 @@ def require_near(found: RelativeOrientation, rotation: Array, base: Array, *, m0
 @pytest.mark.oracle
 @pytest.mark.parametrize("seed", some_slow(range(8), 2))
 def test_points_of_a_plane_are_oriented(seed: int) -> None:
-    """Points of a plane do not determine the essential matrix; the camera may have any rotation about its axis."""
+    """A pair that shows points of a plane is oriented near the truth, with any rotation about the camera's axis.
+
+    Points of a plane do not determine the essential matrix.
+    """
     rng = np.random.default_rng(seed)
     points = np.column_stack([rng.uniform(-1.0, 1.0, (20, 2)), np.zeros(20)])
     rotation, base, images = pair(rng, points, turned=True)
@@ -71,7 +74,10 @@ def test_points_of_a_plane_are_oriented(seed: int) -> None:
 @pytest.mark.oracle
 @pytest.mark.slow
 def test_seven_points_need_more_starts_than_the_axes() -> None:
-    """Bases along the axes ended with points behind a camera here, and in 3 of 320 scenes in m0 of 9 to 300."""
+    """A pair with seven points is oriented near the truth.
+
+    Bases along the axes ended with points behind a camera here, and in 3 of 320 scenes in m0 of 9 to 300.
+    """
     rng = np.random.default_rng(63)
     rotation, base, images = pair(rng, rng.uniform(-1.0, 1.0, (7, 3)), turned=False)
     found = relative_orientation(CAMERA, CAMERA, images[0], images[1], sigma=SIGMA)
@@ -81,7 +87,10 @@ def test_seven_points_need_more_starts_than_the_axes() -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize("seed", some_slow([43, 16, 48]))
 def test_a_minimum_that_is_not_determined_decides_where_it_is_the_least(seed: int) -> None:
-    """2 cm of base at 5 m: others were the answer, bases 0.3 to 3 rad off by 0.001, with m0 of 3 to 6."""
+    """A pair with a base of 2 cm at 5 m is refused as not determined.
+
+    Otherwise the result would be another minimum, with a base 0.3 to 3 rad off and m0 of 3 to 6.
+    """
     rng = np.random.default_rng(seed)
     _, _, images = pair(rng, rng.uniform(-1.0, 1.0, (12, 3)), turned=False, base_m=0.02)
     with pytest.raises(InputError, match="do not determine the relative orientation"):
@@ -91,7 +100,7 @@ def test_a_minimum_that_is_not_determined_decides_where_it_is_the_least(seed: in
 @pytest.mark.oracle
 @pytest.mark.parametrize("seed", some_slow([15, 19, 36]))
 def test_the_second_orientation_of_a_plane_is_told(seed: int) -> None:
-    """Seven points of a plane: what fits best is not the truth, which is the rival; 20 points tell them apart."""
+    """For seven points of a plane the rival orientation is stated, here the true one; for 20 points there is none."""
     rng = np.random.default_rng(seed)
     points = rng.uniform(-1.0, 1.0, (7, 3)) * [1.0, 1.0, 0.0]
     rotation, base, images = pair(rng, points, turned=True)
@@ -109,10 +118,7 @@ def test_the_second_orientation_of_a_plane_is_told(seed: int) -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize("n", some_slow([12, 6]))
 def test_photos_of_one_place_are_called_so(n: int) -> None:
-    """The test is made with and without a sigma.
-
-    A base of 2 cm at 5 m is no noise, but does not determine the pair of 12 points.
-    """
+    """Photos of one place are refused as without base, with and without a sigma; a base of 2 cm is not determined."""
     rng = np.random.default_rng(n)
     points = rng.uniform(-1.0, 1.0, (n, 3))
     _, _, images = pair(rng, points, turned=False, base_m=0.0)
@@ -129,7 +135,10 @@ def test_photos_of_one_place_are_called_so(n: int) -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize("n_photos", [2, 3])
 def test_rays_of_one_place_are_parallel(n_photos: int) -> None:
-    """The error names this cause, not the iteration that diverges along the rays."""
+    """Rays of photos at one place are refused as close to parallel, with the distance of the centres.
+
+    The error does not name the iteration, which diverges along the rays.
+    """
     rng = np.random.default_rng(n_photos)
     points, centre = rng.uniform(-1.0, 1.0, (5, 3)), np.array([0.0, 0.0, 5.0])
     photos = [Photo.of(str(k), CAMERA, looking(centre, rng), centre) for k in range(n_photos)]
@@ -145,7 +154,10 @@ def likeness(own: float, other: float, redundancy: int, *, known: bool = False) 
 
 @pytest.mark.truth
 def test_known_sigmas_tell_minima_apart_by_the_difference() -> None:
-    """Squares of 0.01 and 0.2 both fit sigmas of 1; a ratio of 20 alone says otherwise. Large ones: the ratio rules."""
+    """With known sigmas two minima are alike by the difference of squares, and large squares by their ratio.
+
+    Squares of 0.01 and 0.2 both fit sigmas of 1, although their ratio is 20.
+    """
     assert likeness(0.01, 0.2, 2) is None and likeness(0.01, 0.2, 2, known=True) == pytest.approx(20.0)
     assert likeness(0.01, 3.9, 2, known=True) is None
     assert likeness(10.0, 180.0, 2, known=True) == pytest.approx(18.0)  # F of 2 and 2 at 5 %: 19
@@ -154,7 +166,10 @@ def test_known_sigmas_tell_minima_apart_by_the_difference() -> None:
 
 @pytest.mark.oracle
 def test_eight_points_need_more_starts_than_the_linear_solution() -> None:
-    """It has no redundancy there: three of 100 scenes ended with the base reversed and m0 of 16 to 262."""
+    """A pair with eight points is oriented near the truth.
+
+    The linear solution has no redundancy there: three of 100 scenes ended with the base reversed and m0 of 16 to 262.
+    """
     rng = np.random.default_rng(5042)
     rotation, base, images = pair(rng, rng.uniform(-1.0, 1.0, (8, 3)), turned=True)
     found = relative_orientation(CAMERA, CAMERA, images[0], images[1], sigma=SIGMA)
@@ -164,7 +179,10 @@ def test_eight_points_need_more_starts_than_the_linear_solution() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("seed", some_slow([0, 8]))
 def test_few_points_of_a_rolled_camera(seed: int) -> None:
-    """Earlier starts had no roll, and three of 30 pairs of a rolled camera with seven points ended wrong."""
+    """A pair of a rolled camera with seven points is oriented near the truth.
+
+    Earlier starts had no roll, and three of 30 pairs ended wrong.
+    """
     rng = np.random.default_rng(seed)
     rotation, base, images = pair(rng, rng.uniform(-1.0, 1.0, (7, 3)), turned=True, base_m=2.0)
     found = relative_orientation(CAMERA, CAMERA, images[0], images[1], sigma=SIGMA)
@@ -177,7 +195,7 @@ def tangents(images: list[Array]) -> Array:
 
 @pytest.mark.oracle
 def test_essential_matrices_of_five_points_equal_opencv_and_contain_the_truth() -> None:
-    """OpenCV returns only the real matrices."""
+    """The essential matrices of five points contain the truth and all real matrices of OpenCV."""
     cv2 = pytest.importorskip("cv2")
     count = 0
     for seed in range(10):
@@ -199,7 +217,10 @@ def test_essential_matrices_of_five_points_equal_opencv_and_contain_the_truth() 
 @pytest.mark.oracle
 @pytest.mark.parametrize("seeds", [(3, 48), pytest.param((*range(30), 75, 87, 90), marks=pytest.mark.slow)])
 def test_six_points_of_convergent_rolled_cameras_end_in_the_least_minimum(seeds: Sequence[int]) -> None:
-    """Against the adjustment that starts at the truth. Starts along axes and corners missed it 11 times of 250."""
+    """A pair with six points ends at the minimum of an adjustment from the truth, or lower.
+
+    Starts along axes and corners missed it 11 times of 250.
+    """
     for seed in seeds:
         rng = np.random.default_rng(seed)
         rotation, base, images = pair(rng, rng.uniform(-1.0, 1.0, (6, 3)), turned=True, base_m=10.0)

@@ -36,7 +36,7 @@ DISTORTION = corrections_of(("k1", "k2", "p1", "p2"), [2e-5, -1e-8, 1e-5, -2e-5]
 
 
 def scene(seed: int, n: int = 20, *, y_axis: str = "up") -> tuple[PhotoInterior, list[Photo], list[Array], Array]:
-    """Two photos of points in a room, one metre apart, far from the origin: camera, photos, rotations, points."""
+    """Return camera, two photos one metre apart, their rotations, and points of a room far from the origin."""
     rng = np.random.default_rng(seed)
     camera = PhotoInterior(60.0, np.array([0.3, -0.2]), DISTORTION, y_axis)  # type: ignore[arg-type]
     rotations = [rotation_from_ayhan(*rng.normal(scale=0.1, size=3)) for _ in range(2)]
@@ -56,7 +56,10 @@ def _pose(photo: Photo, seed: int) -> tuple[Array, Array]:
 
 @pytest.mark.oracle
 def test_angles_of_the_thesis_turn_a_left_handed_triple() -> None:
-    """Written out: (R1, R2, R3) = M (X - X0, Z - Z0, Y - Y0), x = c R1/R3, z = c R2/R3 (eqs. 56-66)."""
+    """A photo with angles of the thesis projects by its formulas, and angles return from the rotation.
+
+    The formulas are (R1, R2, R3) = M (X - X0, Z - Z0, Y - Y0), x = c R1/R3, z = c R2/R3 (eqs. 56-66).
+    """
     angles, centre, c = (0.03, -0.05, 0.02), np.array([999.4, 1000.56, 2.35]), 60.64
     point = np.array([1000.2, 1005.9, 2.9])
     d = point - centre
@@ -122,7 +125,10 @@ def test_dlt_with_distortion_about_a_known_point() -> None:
 
 @pytest.mark.behaviour
 def test_dlt_of_the_thesis_with_16_parameters_settles_on_the_direct_centre(values: dict[CellKey, float]) -> None:
-    """15 points do not separate decentring from the principal point; the result has large sigmas."""
+    """DLT with 16 parameters has a high condition and decentring terms within four sigmas of zero.
+
+    15 points do not separate decentring from the principal point.
+    """
     for fit in thesis.dlt_photos(values, ("k1", "k2", "k3", "p1", "p2")):
         assert fit.redundancy == 14
         assert fit.condition > 100.0
@@ -131,7 +137,7 @@ def test_dlt_of_the_thesis_with_16_parameters_settles_on_the_direct_centre(value
 
 @pytest.mark.oracle
 def test_dlt_equals_an_independent_adjustment() -> None:
-    """Least squares of the projection by scipy, started at our direct solution."""
+    """DLT has the values and cofactors of scipy's least squares of the projection; the direct solution has not."""
     _, photos, _, points = scene(4)
     image = photos[0].project(points) + np.random.default_rng(5).normal(scale=0.01, size=(20, 2))
     found, direct = fit_dlt(points, image, sigma=0.01), fit_dlt(points, image, iterate=False)
@@ -153,7 +159,7 @@ def test_dlt_equals_an_independent_adjustment() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("runs", [40, pytest.param(500, marks=pytest.mark.slow)])
 def test_dlt_sigmas_of_the_recovered_orientation(runs: int) -> None:
-    """Repetitions: squares of the errors of eight recovered numbers by their variances; half the sigmas fail."""
+    """Errors of eight recovered numbers of DLT fit their sigmas in repeated fits; with half the sigmas they do not."""
     _, photos, rotations, points = scene(6)
     photo = Photo.of("", PhotoInterior(60.0), rotations[0], photos[0].origin_m)
     exact, rng, total = photo.project(points), np.random.default_rng(7), np.zeros(8)
@@ -187,7 +193,7 @@ def test_dlt_refuses(code: str, change: object) -> None:
 
 @pytest.mark.behaviour
 def test_dlt_refuses_points_close_to_a_plane() -> None:
-    """With 1 mm of depth on 2 m the projection centre is 1000 times worse than a point; with 20 cm it is accepted."""
+    """DLT refuses points with 1 mm of depth on 2 m as a plane, and accepts 20 cm."""
     _, photos, _, points = scene(8)
     photo = Photo.of("", PhotoInterior(60.0), *_pose(photos[0], 8))  # distortion would be noise
     for depth, code in ((1e-3, "closerange.plane"), (0.2, "")):
@@ -203,7 +209,10 @@ def test_dlt_refuses_points_close_to_a_plane() -> None:
 
 @pytest.mark.truth
 def test_dlt_of_the_thesis(values: dict[CellKey, float], reference: Reference) -> None:
-    """Print to 0.1/0.6/0.15 mm rms over 15 points; the other program, with other weights, to 0.05 mm everywhere."""
+    """DLT has the printed points within 0.1/0.6/0.15 mm rms, and those of the other program within 0.05 mm.
+
+    The rms counts 15 points; the other program has other weights.
+    """
     found = thesis.dlt_points(values).points_m
     printed = thesis.points_of(values, "ek2.control", thesis.DLT_POINT, thesis.CONTROL)
     rms = 1e3 * np.sqrt(np.mean((found[CONTROL] - printed) ** 2, axis=0))
@@ -234,7 +243,7 @@ def test_three_points_give_the_pose_among_four() -> None:
 @pytest.mark.parametrize("runs", [4, pytest.param(500, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("flat", [False, True])
 def test_resection_and_its_sigmas(flat: bool, runs: int) -> None:
-    """Repetitions against chi-square with 6 unknowns each, points in space and in a plane; half the sigmas fail."""
+    """Errors of repeated resections fit their covariance, for points in space and in a plane; half the sigmas fail."""
     camera, photos, rotations, points = scene(10, 12)
     points = points * [1.0, 0.0, 1.0] + [0.0, 2005.0, 0.0] if flat else points
     exact, rng, total = photos[0].project(points), np.random.default_rng(11), 0.0
@@ -261,7 +270,7 @@ def test_residuals_of_a_resection_are_computed_minus_ideal(y_axis: str) -> None:
 def flat_scene(
     seed: int, distance_m: float, n: int, sigma: float, tilt_deg: float
 ) -> tuple[PhotoInterior, Photo, Array, Array, Array]:
-    """Points of a plane seen from above: camera, true photo and rotation, points, image coordinates with noise."""
+    """Return camera, true photo and rotation, points of a plane seen from above, and noisy image coordinates."""
     rng = np.random.default_rng(seed)
     points = np.column_stack([rng.uniform(-1.0, 1.0, (n, 2)), np.zeros(n)])
     turn = Rotation.from_euler("xz", [180.0 + tilt_deg, rng.uniform(0.0, 360.0)], degrees=True).as_matrix()
@@ -271,14 +280,17 @@ def flat_scene(
 
 
 def _misclosures(x: Array, photo: Photo, rotation: Array, points: Array, image: Array) -> Array:
-    """Computed minus measured coordinates (2 n,) after turns and a shift of a photo."""
+    """Return computed minus measured coordinates (2 n,) after turns and a shift of a photo."""
     q = (points - photo.origin_m - x[3:]) @ (Rotation.from_rotvec(x[:3]).as_matrix() @ rotation).T
     return np.asarray((60.0 * q[:, :2] / q[:, 2:] - image).ravel())
 
 
 @pytest.mark.oracle
 def test_resection_on_a_plane_takes_the_better_of_two_minima() -> None:
-    """Eight scenes of four points, the minimum at the true pose by scipy; the one reached first is often the other."""
+    """A resection on four points of a plane has squares no larger than the minimum at the true pose.
+
+    The minimum reached first is often the other one.
+    """
     for seed in range(8):
         camera, photo, rotation, points, image = flat_scene(seed, 10.0, 4, 0.01, 15.0)
         found = resect(camera, points, image, sigma=0.01)
@@ -295,7 +307,10 @@ def test_resection_on_a_plane_takes_the_better_of_two_minima() -> None:
 
 @pytest.mark.oracle
 def test_far_control_in_a_plane_tells_its_second_pose() -> None:
-    """200 m away perspective is half a sigma, so both tilts fit: one is the answer, one its rival; not from 3 m."""
+    """From 200 m a resection on a plane states a rival pose, of which one is the truth; from 3 m it has none.
+
+    Perspective is half a sigma at 200 m, so both tilts fit.
+    """
     for seed in range(4):
         camera, photo, _, points, image = flat_scene(seed, 200.0, 6, 0.001, 20.0)
         found = resect(camera, points, image, sigma=0.001)
@@ -358,7 +373,10 @@ def test_intersection_equals_scipy_and_its_sigmas_hold() -> None:
 def test_intersection_of_the_thesis_equals_the_independent_program(
     values: dict[CellKey, float], reference: Reference
 ) -> None:
-    """The reweighted equations to 1e-6 m; least squares differ from them by the square of the residuals, 0.03 mm."""
+    """Intersections with the thesis's weights equal the independent program within 1e-6 m, least squares within 4e-5 m.
+
+    The difference is the square of the residuals.
+    """
     photos, refined = thesis.oriented(values), thesis.points_of(values, "ek1.refined", thesis.REFINED)
     expected = reference("intersection_49", "x_m", "y_m", "z_m")
     ours = thesis._intersected(photos, refined, reweighted=True).points_m
@@ -412,7 +430,7 @@ def test_parallax_is_the_intersection_of_the_normal_case() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("runs", [4, pytest.param(500, marks=pytest.mark.slow)])
 def test_relative_orientation_and_its_sigmas(runs: int) -> None:
-    """Repetitions against chi-square with 5 unknowns each; half the sigmas fail."""
+    """Errors of repeated relative orientations fit their covariance; with half the sigmas they do not."""
     camera, photos, rotations, points = scene(16, 15)
     exact, rng, total = [p.project(points) for p in photos], np.random.default_rng(17), 0.0
     relative = rotations[1] @ rotations[0].T
@@ -442,7 +460,10 @@ def test_model_and_ground_by_absolute_orientation() -> None:
 
 @pytest.mark.oracle
 def test_absolute_orientation_equals_scipy_and_its_sigmas_hold() -> None:
-    """Weights are unequal; cofactors agree with those of an independent Jacobian at the same place."""
+    """An absolute orientation with unequal weights is scipy's minimum with its cofactors.
+
+    Points on a line are refused.
+    """
     rng = np.random.default_rng(19)
     model, turn = rng.normal(size=(9, 3)), Rotation.from_rotvec([0.2, -0.4, 1.0])
     sigma = rng.uniform(0.5e-3, 3e-3, (9, 3))

@@ -46,7 +46,7 @@ def test_every_table_is_there_with_a_reason(reproduction: Reproduction) -> None:
 
 @pytest.mark.truth
 def test_verdicts(reproduction: Reproduction) -> None:
-    """If a count changes, docs/closerange.md must change too."""
+    """The verdicts on Ayhan 1996 have the stated counts. If a count changes, docs/closerange.md must change too."""
     counts = reproduction.counts()
     assert {kind: counts[kind] for kind in counts if counts[kind]} == {
         "equal": 323, "rounding": 303, "unit": 20, "spread": 416, "sigma": 148, "fitted": 148, "differs": 55,
@@ -71,7 +71,7 @@ def test_what_differs_is_known(reproduction: Reproduction) -> None:
 
 @pytest.mark.truth
 def test_geodesy_recomputes_to_print(values: Values, reproduction: Reproduction) -> None:
-    """The largest difference is 0.055 mm."""
+    """The 196 geodetic values of tables 3 and 4 are recomputed within 0.056 mm of print."""
     rows = [row for row in reproduction.rows if row.table in "34" and row.verdict in ("equal", "unit")]
     assert len(rows) == 196
     assert max(abs(row.published - row.reproduced) for row in rows) <= 0.056e-3
@@ -96,7 +96,7 @@ def test_land_spheroid_to_four_decimals(land: Array) -> None:
 
 @pytest.mark.truth
 def test_table_3_has_another_depth_than_appendix_1(values: Values) -> None:
-    """b is 0.84426 instead of 0.8437 and Y0 is 1005.50077 instead of 1005.5012; the other three values agree."""
+    """Table 3 gives b = 0.84426 and Y0 = 1005.50077, unlike appendix 1 (0.8437, 1005.5012); other values agree."""
     fit = fit_surface(thesis.points_of(values, "3", ("x_m", "y_m", "z_m")), "spheroid", method="algebraic").parameters
     expected = {"a": 0.9418, "b": 0.84426, "x0": 999.9917, "y0": 1005.50077, "z0": 2.3622}
     assert fit == pytest.approx(expected, abs=0.5e-4)
@@ -105,7 +105,10 @@ def test_table_3_has_another_depth_than_appendix_1(values: Values) -> None:
 
 @pytest.mark.truth
 def test_sums_follow_from_the_printed_differences(values: Values) -> None:
-    """0.3924/2.0093/0.4857 to a unit of the last digit, the differences being rounded to 1 um."""
+    """The printed sums 0.3924/2.0093/0.4857 follow from the printed differences within 1.5e-4.
+
+    The differences are rounded to 1 um.
+    """
     found = np.sum(thesis.points_of(values, "ek1.points", ("dx_cm", "dy_cm", "dz_cm")) ** 2, axis=0)
     printed = [values[CellKey("text", quantity=q, parameter="sums")] for q in ("fxfx", "fyfy", "fzfz")]
     assert np.abs(found - printed).max() <= 1.5e-4
@@ -113,7 +116,7 @@ def test_sums_follow_from_the_printed_differences(values: Values) -> None:
 
 @pytest.mark.truth
 def test_refined_coordinates_come_back(values: Values) -> None:
-    """59 of 60 to 0.01 um with the P2 term doubled; without it they are up to 1 um off."""
+    """59 of 60 refined coordinates are recomputed within 0.01 um if the P2 term is doubled, as printed."""
     printed = thesis.points_of(values, "ek1.refined", thesis.REFINED, thesis.CONTROL)
     cells = thesis.refined_cells(values)
     found = np.array([
@@ -131,7 +134,10 @@ def test_refined_coordinates_come_back(values: Values) -> None:
 
 @pytest.mark.truth
 def test_recovered_comparator_coordinates_lie_on_the_grid(values: Values) -> None:
-    """They are within 0.008 um of whole micrometres; by chance the mean distance would be 0.25 um."""
+    """Recovered comparator coordinates give the refined ones within 0.0085 um.
+
+    By chance the mean distance from whole micrometres would be 0.25 um.
+    """
     refined = thesis.points_of(values, "ek1.refined", thesis.REFINED)
     raw = thesis.comparator(values)
     for k, photo in enumerate(thesis.PHOTOS):
@@ -141,7 +147,10 @@ def test_recovered_comparator_coordinates_lie_on_the_grid(values: Values) -> Non
 
 @pytest.mark.truth
 def test_sums_control_points_apart(values: Values, land: Array) -> None:
-    """From print 0.3933/2.0138/0.4847; ours 0.394/2.038/0.493. The 34 others say what the method is worth."""
+    """Our sums of differences are 0.394/2.038/0.493, those of control and other points add up, and others are worse.
+
+    From print they are 0.3933/2.0138/0.4847.
+    """
     control = np.isin(thesis.POINTS, thesis.CONTROL)
     printed = thesis.points_of(values, "ek1.points", thesis.PHOTO)
     ours = thesis._intersected(thesis.oriented(values), thesis.points_of(values, "ek1.refined", thesis.REFINED),
@@ -157,7 +166,10 @@ def test_sums_control_points_apart(values: Values, land: Array) -> None:
 
 @pytest.mark.truth
 def test_deviations_of_the_field_points(land: Array, values: Values) -> None:
-    """Spheroid 2.09/1.87/2.16 mm; sphere 2.11/3.41/2.14, so "at most 2 mm" fails at point 26."""
+    """The largest deviations are 2.09/1.87/2.16 mm of the spheroid and 2.11/3.41/2.14 of the sphere, at point 26.
+
+    So "at most 2 mm" fails there.
+    """
     sphere = thesis.points_of(values, "4", ("x_m", "y_m", "z_m"))
     for points, kind, worst in ((land, "spheroid", (2.09, 1.87, 2.16)), (sphere, "sphere", (2.11, 3.41, 2.14))):
         fit = fit_surface(points, kind, method="algebraic")  # type: ignore[arg-type]
@@ -168,7 +180,7 @@ def test_deviations_of_the_field_points(land: Array, values: Values) -> None:
 
 @pytest.mark.truth
 def test_mapping(reproduction: Reproduction) -> None:
-    """The rms differences are 0.05/0.03/0.06 mm, the largest is 0.26 mm."""
+    """The mapped coordinates differ from print by 0.05/0.03/0.06 mm rms and 0.26 mm at most."""
     off = np.array([
         [1e3 * (row.published - row.reproduced) for row in reproduction.rows
          if row.table == "ek3.points" and row.cell.startswith(f"{axis}_mapped")]

@@ -40,7 +40,7 @@ def ellipsoid_points(n: int, seed: int, noise: float = 0.0, semi: Array = SEMI) 
 
 @pytest.mark.oracle
 def test_feet_lie_on_the_surface_and_are_the_nearest_points() -> None:
-    """Against the minimum over the parametrised surface from many starts, weights included."""
+    """Foot points are on the surface and have the least weighted distance, by a search from many starts."""
     rng = np.random.default_rng(0)
     conditions = Conditions(np.diag(SEMI**-2.0), np.zeros(3), -1.0)
     points, sigma = rng.normal(size=(4, 3)), rng.uniform(0.5, 2.0, (4, 3))
@@ -60,7 +60,7 @@ def test_feet_lie_on_the_surface_and_are_the_nearest_points() -> None:
 
 @pytest.mark.behaviour
 def test_no_foot_is_no_number() -> None:
-    """The centre of a ball has no nearest point, and an empty quadric has no point at all."""
+    """Foot points are nan for the centre of a ball and for an empty quadric."""
     middle = np.zeros((1, 3))
     assert np.isnan(foot_points(Conditions(np.eye(3), np.zeros(3), -1.0), middle, np.ones((1, 3)))).all()
     assert np.isnan(foot_points(Conditions(np.eye(3), np.zeros(3), 1.0), middle + 1.0, np.ones((1, 3)))).all()
@@ -87,7 +87,10 @@ def test_feet_on_hyperboloids() -> None:
 def test_algebraic_fits_equal_the_independent_program(
     row: dict[str, str], values: dict[CellKey, float], land: Array
 ) -> None:
-    """The program prints seven digits; the limit is half a unit of the last one."""
+    """Algebraic fits have the parameters of the independent program within 0.6e-7 m.
+
+    It prints seven digits; this is half a unit of the last one.
+    """
     xyz = ("x_m", "y_m", "z_m")
     points = {
         "table_3": points_of(values, "3", xyz), "table_4": points_of(values, "4", xyz), "ek1_geodetic_list": land,
@@ -124,9 +127,9 @@ def spheroid_of_scipy(points: Array, sigma: Array, fit: SurfaceFit) -> tuple[Arr
 
 @pytest.mark.oracle
 def test_geometric_fit_is_the_least_squares_of_scipy(land: Array) -> None:
-    """From points on the surface, which have no feet: parameters to 1e-9 m, cofactors, sum of squares.
+    """A geometric fit has the parameters, cofactors and squares of scipy, and others with one wrong weight.
 
-    And with one planted error in the weights it is not.
+    scipy's unknowns are points on the surface, not foot points.
     """
     points, rng = land[::3], np.random.default_rng(2)
     sigma = rng.uniform(0.5e-3, 2e-3, points.shape)
@@ -143,7 +146,10 @@ def test_geometric_fit_is_the_least_squares_of_scipy(land: Array) -> None:
 
 @pytest.fixture
 def without_profile(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fits at their minimum only: nothing held far away, which changes no number and takes 98 % of the time."""
+    """Leave out the fits with a semi-axis fixed far away.
+
+    They change no number and take 98 % of the time.
+    """
     monkeypatch.setattr(surface_fit, "_require_steep", lambda *given: None)
 
 
@@ -151,7 +157,7 @@ def without_profile(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("without_profile")
 @pytest.mark.parametrize("runs", [40, pytest.param(500, marks=pytest.mark.slow)])
 def test_standard_deviations_are_those_of_repeated_fits(runs: int) -> None:
-    """Spheroids: weighted squares of the errors against chi-square; with half the sigmas they leave the interval."""
+    """Errors of repeated fits of spheroids fit their covariance; with half the sigmas they do not."""
     rng, truth, errors = np.random.default_rng(3), np.array([1.0, 0.7, 0.0, 0.0, 0.0]), []
     ball = ellipsoid_points(30, 4, semi=np.array([1.0, 0.7, 1.0]))
     turn = Rotation.from_rotvec([0.3, -0.5, 0.2]).as_matrix()
@@ -182,7 +188,10 @@ def test_exact_points_give_the_exact_surface() -> None:
 @pytest.mark.consistency
 @pytest.mark.usefixtures("without_profile")
 def test_quadric_and_ellipsoid_are_one_surface() -> None:
-    """Both have nine unknowns, which differ, and the same distances."""
+    """A quadric and an ellipsoid fitted to the same points have the same distances and m0.
+
+    Both have nine unknowns, which differ.
+    """
     points = ellipsoid_points(60, 7, noise=2e-3)
     a, b = fit_surface(points, "ellipsoid", sigma_m=2e-3), fit_surface(points, "quadric", sigma_m=2e-3)
     assert np.abs(a.distances_m - b.distances_m).max() <= 1e-8
@@ -192,7 +201,7 @@ def test_quadric_and_ellipsoid_are_one_surface() -> None:
 
 @pytest.mark.consistency
 def test_thesis_land_spheroid_and_its_free_axis(land: Array) -> None:
-    """m0 is 1.34 mm; a free axis reduces it to 0.97 mm with two more unknowns."""
+    """The spheroid of the thesis has an rms of 1.34 mm, and 0.97 mm with a free axis and two more unknowns."""
     fixed, free = fit_surface(land, "spheroid"), fit_surface(land, "spheroid", axis="free")
     assert (1e3 * fixed.rms_m, 1e3 * free.rms_m) == pytest.approx((1.34, 0.97), abs=0.005)
     assert (fixed.redundancy, free.redundancy) == (44, 42)
@@ -219,7 +228,10 @@ def test_two_levels_are_refused_by_name(land: Array, numbers: tuple[int, ...], r
 
 @pytest.mark.truth
 def test_exact_two_levels_name_the_direction_of_the_theory() -> None:
-    """dY0 = -(d/b) db with d the distance of the level from the centre."""
+    """Points on two levels are refused with b and y0 as inseparable along dy0 = -(d/b) db.
+
+    d is the distance of the level from the centre.
+    """
     a, b, d = 0.942, 0.845, 0.447
     angle = np.array([0.1, 1.3, 2.6, 4.0, 5.1])
     one = np.column_stack([a * np.cos(angle), np.zeros(5), a * np.sin(angle)])
@@ -239,7 +251,10 @@ def test_exact_two_levels_name_the_direction_of_the_theory() -> None:
 def test_noise_that_splits_a_level_does_not_close_it(
     values: dict[CellKey, float], numbers: tuple[int, ...], method: Method
 ) -> None:
-    """A ring with its noise and the apex: minima with b = 0.075 +- 0.0002 (0.84 is true) and others, or none at all."""
+    """A noisy ring with the apex is refused as not determined, by both methods.
+
+    It has minima with b = 0.075 +- 0.0002 (0.84 is true) and others, or none at all.
+    """
     points = points_of(values, "ek1.points", PHOTO)[np.array(numbers) - 1]
     with pytest.raises(InputError, match=r"b and y0 are inseparable|b, y0 and a are inseparable") as caught:
         fit_surface(points, "spheroid", sigma_m=1e-3, method=method)
@@ -248,7 +263,10 @@ def test_noise_that_splits_a_level_does_not_close_it(
 
 @pytest.mark.truth
 def test_growth_at_a_distance_is_that_of_the_limit() -> None:
-    """A parabola with a standard deviation of 1000 sigmas: the limit; with F and m0 where sigmas have no size."""
+    """The distance and growth of squares that a fit is tested with are those of chi-square, or of F without sigma.
+
+    A parabola with a standard deviation of 1000 sigmas has the limit.
+    """
     for squares, redundancy, known in ((3.0, 4, True), (50.0, 4, True), (0.3, 4, False)):
         ends = reach(1e-3, squares, redundancy, known=known)
         assert ends is not None
@@ -265,7 +283,10 @@ def test_growth_at_a_distance_is_that_of_the_limit() -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize("method", ["geometric", "algebraic"])
 def test_what_cannot_be_verified_is_refused(monkeypatch: pytest.MonkeyPatch, land: Array, method: Method) -> None:
-    """A fit far away neither converges nor keeps its squares above the limit, as after two steps of each fit."""
+    """A fit is refused if it could not be verified that the points determine it.
+
+    After two steps a fit far away neither converges nor keeps its squares above the limit.
+    """
     monkeypatch.setattr(minima, "_ROUND", 2)
     monkeypatch.setattr(minima, "_ROUNDS", 1)
     with pytest.raises(InputError, match="it could not be verified that the points determine b"):
@@ -274,7 +295,10 @@ def test_what_cannot_be_verified_is_refused(monkeypatch: pytest.MonkeyPatch, lan
 
 @pytest.mark.behaviour
 def test_a_fit_that_creeps_is_judged_by_the_limit_that_matters() -> None:
-    """Squares 1 + exp(-2x), whose minimum is nowhere: above 0.9, below 2; of 1 and of the minimum nothing is told."""
+    """A fit that never converges is decided if its squares are above or below the limit, and else left open.
+
+    Squares 1 + exp(-2x) have no minimum: above 0.9, below 2.
+    """
 
     def creeping(x: Array, want: bool) -> tuple[Array, Array]:
         tail = np.exp(-x[1])
@@ -296,7 +320,10 @@ def test_three_levels_pass(land: Array, numbers: tuple[int, ...]) -> None:
 
 @pytest.mark.truth
 def test_a_point_on_the_axis_is_no_fault() -> None:
-    """Seen from far away in the profile it has no single nearest point, so no derivatives; the set is determined."""
+    """Points on the axis of a spheroid do not prevent its fit.
+
+    From far away in the profile such a point has no single nearest point, so no derivatives.
+    """
     rings = [(x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]
     found = fit_surface([*rings, (0.0, 1.9, 0.0), (0.0, -1.9, 0.0)], "spheroid", sigma_m=0.001)
     assert found.values[:2] == pytest.approx([np.sqrt(2.0 / (1.0 - 1.9**-2)), 1.9], abs=1e-9)
@@ -354,7 +381,7 @@ def test_refusals(code: str, points: Array, options: dict[str, object]) -> None:
 
 @pytest.mark.oracle
 def test_deviations_are_the_adjustment_of_conditions_alone(land: Array) -> None:
-    """One linearised step of gauss_helmert without unknowns (eqs. 155-171), and the normal distance to first order."""
+    """Deviations are the linearised adjustment of conditions without unknowns (eqs. 155-171), near the distances."""
     surface = fit_surface(land, "spheroid", method="algebraic").surface
     deviations = surface.deviations(land)
     slope = surface.conditions.slope(land - surface.centre)

@@ -55,7 +55,10 @@ def test_graph_equals_correlates_on_the_77_unknowns_of_the_thesis(values: Values
 
 @pytest.mark.truth
 def test_mean_errors_of_the_thesis(values: Values, held: BundleResult) -> None:
-    """Within 1 % rms of the print; theirs leave the held base out, with it X0 would be 24 % smaller."""
+    """The 77 mean errors are the printed ones within 1 % rms without the held base.
+
+    With it X0 would be 24 % smaller.
+    """
     free, ratios = thesis.bundle(values, with_base=False), []
     for k, photo in enumerate(PHOTOS):
         for name, (_, root) in thesis.parameters(free, k).items():
@@ -86,7 +89,10 @@ def test_parameters_of_the_thesis(values: Values, held: BundleResult) -> None:
 
 @pytest.mark.truth
 def test_sums_of_the_thesis_from_the_comparator(values: Values, held: BundleResult) -> None:
-    """0.375/2.070/0.587 for 0.392/2.009/0.486 printed: a pattern, as the weights are inferred."""
+    """The sums from comparator values are 0.375/2.070/0.587, near the printed 0.392/2.009/0.486.
+
+    They agree as a pattern only, because the weights are inferred.
+    """
     land = points_of(values, "ek1.points", ("x_geodetic_m", "y_geodetic_m", "z_geodetic_m"))
     raw, n = comparator(values), len(land)
     both, ids = np.concatenate([raw[:, :2], raw[:, 2:]]), [str(k) for k in POINTS]
@@ -100,7 +106,10 @@ def test_sums_of_the_thesis_from_the_comparator(values: Values, held: BundleResu
 
 @pytest.mark.oracle
 def test_bundle_equals_scipy() -> None:
-    """Own and shared camera parameters, observed ones, soft and hard distances: an independent minimum."""
+    """A bundle with camera parameters and distances has the unknowns and sigmas of scipy's least squares.
+
+    Parameters are own, shared and observed; distances soft and hard.
+    """
     scene = make(1, 12, 2)
     photos = scene.photos(unknown=("c",), shared=("k1",), camera="one", observed={"c": (60.01, 0.01)})
     hard, soft = np.linalg.norm(np.diff(scene.points[[[5, 7], [6, 8]]], axis=1)[:, 0], axis=1) + 1e-3
@@ -146,7 +155,7 @@ def distorted(scene: Scene, displacement: Callable[[Array], Array]) -> None:
 @pytest.mark.consistency
 @pytest.mark.parametrize("backend", ["dense", "graph", "schur"])
 def test_equal_attitude_and_base_hold_in_the_bundle(backend: str) -> None:
-    """Eqs. 111 and 112: two photos of a stereo camera whose rotations and distance are known of each other."""
+    """A stereo camera's known rotation and base hold within 1e-12 and add four to the redundancy (eqs. 111 and 112)."""
     scene = make(6, 15, 2)
     offset = scene.rotations[1] @ scene.rotations[0].T
     size = float(np.linalg.norm(scene.centres[1] - scene.centres[0]))
@@ -162,7 +171,7 @@ def test_equal_attitude_and_base_hold_in_the_bundle(backend: str) -> None:
 
 @pytest.mark.oracle
 def test_brown_parameters_are_recovered() -> None:
-    """The bundle finds a2 and a13 of a measured photo, and refuses to write what no photo file can contain."""
+    """The bundle finds a2 and a13 of a simulated photo, and refuses to write what no photo file can contain."""
     scene = make(2, 40, 2, noise=0.0)
 
     def brown(at: Array) -> Array:
@@ -190,7 +199,10 @@ FORMS = {
 @pytest.mark.oracle
 @pytest.mark.parametrize("name", FORMS)
 def test_forms_of_corrections_are_recovered(name: str) -> None:
-    """Photos measured with the formulas of eqs. 44 to 55; c is known, so that all are determined."""
+    """Each form of corrections is found in photos made with its formula (eqs. 44 to 55).
+
+    c is known, so that all are determined.
+    """
     scene, coefficient = make(2, 40, 2, noise=0.0), FORMS[name]
     names = SETS[name]
     assert set(names) == set(coefficient)
@@ -214,7 +226,10 @@ def test_forms_of_corrections_are_recovered(name: str) -> None:
 
 @pytest.mark.consistency
 def test_orthogonal_and_odd_powers_span_the_same() -> None:
-    """R_3, R_5, R_7 with a scale are r, r^3, r^5, r^7: same points, same m0; better separated."""
+    """Orthogonal and odd powers of the radial correction give the same m0 and points.
+
+    R_3, R_5, R_7 with a scale are r, r^3, r^5, r^7.
+    """
     scene = make(5, 40, 3)
     one, two = (
         adjusted(scene, scene.photos(shared=names, camera="one"))
@@ -284,7 +299,7 @@ def test_open_motions_are_counted(held: int, constraints: list[Constraint], word
 
 @pytest.mark.oracle
 def test_free_motions_leave_image_residuals_alone() -> None:
-    """scipy finds the same space of motions that change no exact image coordinate."""
+    """The free motions of exact photos span scipy's null space of the Jacobian."""
     scene = make(8, 12, 2, noise=0.0)
     exact = [BundlePhoto(f"ph{k}", scene.interior, r, c)
              for k, (r, c) in enumerate(zip(scene.rotations, scene.centres, strict=True))]  # fmt: skip
@@ -302,7 +317,10 @@ def test_free_motions_leave_image_residuals_alone() -> None:
 
 @pytest.mark.behaviour
 def test_points_without_two_rays_are_named() -> None:
-    """All such points are named; a point in a constraint is judged by the rows, because a plane may cut its ray."""
+    """All points without two rays are named, except one that a constraint and its ray determine.
+
+    A plane may cut its ray.
+    """
     scene = make(3, 20, 2)
     keep = ~(((scene.of == 7) & (scene.which == 1)) | (scene.of == 9))
     start, control = scene.points.copy(), {name: (scene.points[k], 0.0) for k, name in enumerate(scene.ids[:5])}
@@ -327,7 +345,10 @@ def test_points_without_two_rays_are_named() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("backend", ["dense", "graph", "schur"])
 def test_a_free_network_has_the_shape_of_any_minimal_datum(backend: str) -> None:
-    """Inner constraints: squares and distances of a datum by seven coordinates, and the smallest trace of cofactors."""
+    """A free network has squares and distances of a minimal datum, and a smaller trace of cofactors.
+
+    Without a datum it is refused.
+    """
     scene = make(9, 15, 4)
     photos, p = scene.photos(), scene.points
     free = adjusted(scene, photos, control={}, datum="inner", backend=backend)

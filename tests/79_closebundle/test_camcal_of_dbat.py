@@ -66,7 +66,10 @@ def without(camcal: Path, folder: Path, gone: dict[str, int]) -> tuple[Path, int
 @pytest.mark.real_data
 @pytest.mark.slow
 def test_camcal_through_the_command(camcal: Path, real_data: Path) -> None:
-    """camcal-dbatreport-model1.txt: the same polynomial, no aspect; every figure as printed."""
+    """The calibration by the command has every figure of DBAT's report to its last digit.
+
+    The report is camcal-dbatreport-model1.txt: the same polynomial, no aspect.
+    """
     done = calibrate(camcal, camcal / "image.csv", "--control", camcal / "control.csv")
     assert done.code == 0, done.stderr
     figures, values = dbat.report(real_data / "dbat" / "dbat" / "dbatexports" / "camcal-dbatreport-model1.txt")
@@ -82,7 +85,10 @@ def test_camcal_through_the_command(camcal: Path, real_data: Path) -> None:
 
 @pytest.mark.real_data
 def test_a_point_on_one_ray(camcal: Path, tmp_path: Path, real_data: Path) -> None:
-    """camcal-dbatreport-1ray.txt: structural rank 422 of 423, sigma0 NaN."""
+    """A point on one ray is refused with its name, where DBAT reports sigma0 NaN.
+
+    The report is camcal-dbatreport-1ray.txt: structural rank 422 of 423.
+    """
     figures, _ = dbat.report(real_data / "dbat" / "dbat" / "dbatexports" / "camcal-dbatreport-1ray.txt")
     image, count = without(camcal, tmp_path, {"88": 1})
     assert count - 423 == int(figures["Redundancy"]) and np.isnan(float(figures["Sigma0"]))
@@ -93,7 +99,10 @@ def test_a_point_on_one_ray(camcal: Path, tmp_path: Path, real_data: Path) -> No
 
 @pytest.mark.real_data
 def test_points_without_observations(camcal: Path, tmp_path: Path, real_data: Path) -> None:
-    """camcal-dbatreport-missing-obs.txt: structural rank 417 of 423, sigma0 499.142."""
+    """Points without observations are refused with their names, where DBAT reports sigma0 499.142.
+
+    The report is camcal-dbatreport-missing-obs.txt: structural rank 417 of 423.
+    """
     figures, _ = dbat.report(real_data / "dbat" / "dbat" / "dbatexports" / "camcal-dbatreport-missing-obs.txt")
     image, count = without(camcal, tmp_path, {"13": 0, "60": 0})
     assert count - 423 == int(figures["Redundancy"]) and figures["Sigma0"] == "499.142"
@@ -105,7 +114,11 @@ def test_points_without_observations(camcal: Path, tmp_path: Path, real_data: Pa
 
 @pytest.mark.real_data
 def test_no_datum(camcal: Path, tmp_path: Path) -> None:
-    """camcal-dbatreport-no-datum.txt: numerical rank 428, deficiency 7. All points new: those of control, too."""
+    """Without control points the calibration is refused with seven free motions and the remedy.
+
+    The report is camcal-dbatreport-no-datum.txt: numerical rank 428, deficiency 7. All points are new, also those of
+    control.
+    """
     _, *control = (camcal / "control.csv").read_text("utf-8").splitlines()
     start = tmp_path / "start.csv"
     start.write_text((camcal / "start.csv").read_text("utf-8") + "\n".join(control) + "\n", "utf-8")

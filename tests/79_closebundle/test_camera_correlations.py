@@ -47,7 +47,7 @@ def scene(folder: Path, distance: float, noise: float = 0.002) -> list[str | Pat
 
 @pytest.mark.oracle
 def test_multiple_correlation_is_the_share_of_the_variance_that_others_explain() -> None:
-    """Of a covariance with known conditional variance; and by a regression of drawn values."""
+    """The multiple correlation follows from the conditional variance, and is that of a regression of drawn values."""
     rng = np.random.default_rng(1)
     a = rng.normal(size=(4, 4))
     q = a @ a.T
@@ -81,7 +81,10 @@ def test_t_and_f_by_numpy() -> None:
 def test_far_photos_do_not_separate_principal_distance_and_distance(
     tmp_path: Path, distance: float, warned: bool
 ) -> None:
-    """From 60 m the points fill only 6 degrees, and perspective is weak."""
+    """Photos from 60 m give a warning that c and distance are inseparable; photos from 8 m do not.
+
+    From 60 m the points fill only 6 degrees, and perspective is weak.
+    """
     done = run(*scene(tmp_path, distance))
     assert done.code == 0, done.stderr
     codes = {f["code"]: f for f in done.json["findings"]}
@@ -93,7 +96,7 @@ def test_far_photos_do_not_separate_principal_distance_and_distance(
 
 @pytest.mark.oracle
 def test_f_is_what_the_removal_of_parameters_costs(tmp_path: Path) -> None:
-    """(v^T P v without - with) / (d m0^2): a quadratic form against a second adjustment."""
+    """F of decentring is (v^T P v without - with) / (d m0^2), from an adjustment without these parameters."""
     words = scene(tmp_path, 8.0, noise=2e-5)  # second-order terms are a share of the noise: 1e-3 at 2 um
     full = run(*words).json
     rest = run(*words[:-1], ",".join(NAMES[:5])).json

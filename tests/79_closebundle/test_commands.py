@@ -145,7 +145,10 @@ def test_bad_input_ends_with_2_and_one_sentence(tmp_path: Path, words: tuple[str
 
 @pytest.mark.behaviour
 def test_a_hard_constraint_that_the_images_contradict_is_named(tmp_path: Path) -> None:
-    """The constraint can be met only far from the images, so that the loop does not converge."""
+    """A hard constraint that the images contradict ends with exit code 3 and its name and misclosure.
+
+    It can be met only far from the images, so that the loop does not converge.
+    """
     written(tmp_path)
     entry = '[[constraints]]\nkind = "base"\nmembers = ["ph0", "ph1"]\nvalue_m = 300.0\n'
     (tmp_path / "base.toml").write_text(entry, "utf-8")

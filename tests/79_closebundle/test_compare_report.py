@@ -62,7 +62,7 @@ def table(folder: Path, *lines: str) -> Path:
 
 @pytest.mark.oracle
 def test_agreement_is_that_of_rounding() -> None:
-    """A number rounded to the digits of a print is equal; one digit up or down is a rounding."""
+    """A value within half a unit of a printed digit is equal, within one unit a rounding, beyond it differs."""
     for value in np.random.default_rng(1).normal(0.0, 1e3, 200).tolist():
         text = f"{value:.4f}"
         unit = last_digit(text)
@@ -133,7 +133,7 @@ def test_a_name_twice_and_a_folder_without_result(result: Path, tmp_path: Path) 
 @pytest.mark.truth
 @pytest.mark.real_data
 def test_report_of_dbat_on_aerial_photos(tmp_path: Path, real_data: Path) -> None:
-    """All printed values of five photos; a changed last digit is found."""
+    """All printed values of five aerial photos agree with DBAT's report, and a changed last digit is found."""
     data = real_data / "dbat" / "prague2016" / "sxb"
     export, control = data / "pmexports" / "f-op0-with-orient-pmexport.txt", data / "ref" / "ctrlpts-fixed.txt"
     done = run("closerange", "import", export, "--control", control, "--sigma-image", 1, "--out", tmp_path / "f")
@@ -169,7 +169,7 @@ def test_report_of_dbat_on_aerial_photos(tmp_path: Path, real_data: Path) -> Non
 @pytest.mark.real_data
 @pytest.mark.slow
 def test_the_page_on_the_calibration(tmp_path: Path, real_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The table of the page has the numbers of DBAT's report, and all of them are those of the result."""
+    """The page on the calibration has the numbers of DBAT's report, and its commands find that all values agree."""
     page = REPOSITORY / "docs" / "how-to" / "published-report.md"
     (values,) = re.findall(r"^```text\n(.*?)^```$", page.read_text("utf-8"), re.DOTALL | re.MULTILINE)
     report = (real_data / "dbat" / "dbat" / "dbatexports" / "camcal-dbatreport-model1.txt").read_text()

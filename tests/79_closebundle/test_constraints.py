@@ -98,7 +98,10 @@ CENTRES = np.array([[-12.0, -14.0, 1.0], [0.0, -18.0, -2.0], [12.0, -14.0, 2.0]]
 
 
 def _quadric(points: Array) -> Array:
-    """Misfits (n,) of a spheroid about y: x^2 + z^2 + a y^2 + b x + c y + d z + e = 0 of least squares, m."""
+    """Return the misfits (n,) of a least-squares spheroid about y.
+
+    x^2 + z^2 + a y^2 + b x + c y + d z + e = 0.
+    """
     p = points - points.mean(axis=0)
     x, y, z = p.T
     design = np.column_stack([y * y, x, y, z, np.ones(len(p))])
@@ -156,7 +159,7 @@ class Configuration:
 
     @property
     def rotations(self) -> list[Array]:
-        """Return the photos that look to the origin, but for some degrees."""
+        """Return rotations of photos that look to the origin, but for some degrees."""
         turns = Rotation.from_rotvec(np.random.default_rng(self.seed + 1).normal(scale=0.05, size=(3, 3))).as_matrix()
         out = []
         for centre, turn in zip(CENTRES, turns, strict=True):
@@ -226,7 +229,7 @@ def unknowns(found: BundleResult) -> Array:
 ])  # fmt: skip
 @pytest.mark.parametrize("kind", KINDS)
 def test_random_configurations(kind: str, runs: int, optimizer: str) -> None:
-    """Misclosures by numpy are zero; the difference from soft constraints falls with the square of their sigma."""
+    """Hard constraints are met within 1e-11, and soft ones approach them with the square of their sigma."""
     for seed in range(0, 2 * runs, 2):
         one = configuration(kind, seed)
         spread = 1e-4 if kind == "equal attitude" else NOISE
@@ -240,7 +243,7 @@ def test_random_configurations(kind: str, runs: int, optimizer: str) -> None:
 @pytest.mark.consistency
 @pytest.mark.parametrize("kind", KINDS)
 def test_backends_agree(kind: str) -> None:
-    """Unknowns, standard deviations of points, stations and figures."""
+    """Dense and graph backend have the same unknowns and sigmas of points, stations and figures."""
     dense, graph = (configuration(kind, 5).adjusted(None, backend) for backend in ("dense", "graph"))
     assert unknowns(dense) == pytest.approx(unknowns(graph), abs=1e-6 * NOISE)
     roots = [

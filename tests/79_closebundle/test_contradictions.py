@@ -45,10 +45,7 @@ def refused(points: Array, *stated: Constraint, backend: str = "dense") -> Input
 
 @pytest.mark.behaviour
 def test_two_values_of_one_distance_contradict_each_other() -> None:
-    """Different hard values contradict each other.
-
-    Equal ones are dependent, and values with a sigma give their mean.
-    """
+    """Two hard values of one distance are a contradiction, equal ones dependent, and soft ones give their mean."""
     points = cloud()
     size = float(np.linalg.norm(points[0] - points[1]))
     one, other = Constraint("distance", ("p0", "p1"), 1.25), Constraint("distance", ("p1", "p0"), 1.5)
@@ -63,7 +60,10 @@ def test_two_values_of_one_distance_contradict_each_other() -> None:
 
 @pytest.mark.behaviour
 def test_points_that_constraints_make_one_are_named() -> None:
-    """Three points of a plumb line on a horizontal circle: the iteration crept towards one place and did not end."""
+    """Constraints that can be met only with points at one place are refused with these points.
+
+    Three points of a plumb line on a horizontal circle are such; the iteration crept and did not end.
+    """
     error = refused(cloud(), Constraint("plumb line", ("p0", "p1", "p2")),
                     Constraint("horizontal circle", ("p0", "p1", "p2", "p3")))  # fmt: skip
     assert error.problems[0].code == "closerange.merged"
@@ -86,7 +86,10 @@ def test_a_plumb_line_and_a_horizontal_circle_with_one_common_point(backend: str
 
 @pytest.mark.oracle
 def test_five_points_are_a_sphere_if_their_rays_say_so() -> None:
-    """Refused as not determined: its start judged the points by their misfit, which one redundancy does not tell."""
+    """Five points on a sphere give its radius, and on a circle they are refused as not determined.
+
+    The start refused both, because it tested the points by their misfit, which one redundancy does not show.
+    """
     points = on_sphere(7)
     names = tuple(f"p{k}" for k in range(7))
     found = adjusted(points, Constraint("sphere", names[:5]))
@@ -101,9 +104,10 @@ def test_five_points_are_a_sphere_if_their_rays_say_so() -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize(("kind", "flat", "seed"), [("spheroid", 0.7, 2), ("spheroid", 0.7, 3), ("sphere", 1.0, 1)])
 def test_start_points_far_off_are_no_misfit_of_a_figure(kind: str, flat: float, seed: int) -> None:
-    """Starts of 0.1 m about an object of 1 m: every third spheroid was called not determined, which the rays deny.
+    """Figures are found from start points 0.1 m off within 20 iterations, hard or soft, near the truth.
 
-    From there damped steps crept along a soft figure of small sigma: 37 and 64 iterations here, others never ended.
+    Every third spheroid was called not determined, which the rays deny. Damped steps crept along a soft figure of small
+    sigma: 37 and 64 iterations here, others never ended.
     """
     names = tuple(f"p{k}" for k in range(10))
     points = on_sphere(10)
@@ -120,7 +124,10 @@ def test_start_points_far_off_are_no_misfit_of_a_figure(kind: str, flat: float, 
 
 @pytest.mark.behaviour
 def test_a_constraint_that_follows_where_the_others_hold_is_dependent() -> None:
-    """The fifth point of a second sphere lies on it wherever all lie on the first; at the start it does not yet."""
+    """A second sphere with five points of the first one is refused as dependent, with four points it is accepted.
+
+    The fifth point lies on it wherever all lie on the first; at the start it does not yet.
+    """
     names = tuple(f"p{k}" for k in range(7))
     error = refused(on_sphere(7), Constraint("sphere", names), Constraint("sphere", names[:5]))
     assert error.problems[0].code == "closerange.dependent"
@@ -132,7 +139,10 @@ def test_a_constraint_that_follows_where_the_others_hold_is_dependent() -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize("backend", ["dense", "graph", "schur"])
 def test_dependence_is_named_where_steps_do_not_end(backend: str) -> None:
-    """The fourth point of a circle lies on a sphere of the other three; the graph backend did not converge."""
+    """A sphere through four points of a circle is refused as dependent on each backend.
+
+    The fourth point lies on a sphere of the other three; the graph backend did not converge.
+    """
     angle = np.arange(4.0) + 0.3
     ring = 0.8 * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(4)])
     points = MIDDLE + np.vstack([ring, [[0.0, 0.0, 0.8], [0.48, 0.0, 0.64]], cloud(4) - MIDDLE])
@@ -144,7 +154,10 @@ def test_dependence_is_named_where_steps_do_not_end(backend: str) -> None:
 
 @pytest.mark.behaviour
 def test_lines_at_right_angles_have_no_way_to_be_parallel() -> None:
-    """The sine of their angle has no slope there, so that a single constraint seemed to follow from the others."""
+    """Lines at right angles that must be parallel are refused as a saddle.
+
+    The sine of their angle has no slope there, so that the constraint seemed to follow from the others.
+    """
     points = cloud()
     points[:4] = MIDDLE + np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.5, 0.0, 0.5], [0.5, 0.0, -0.5]])
     with pytest.raises(InputError) as caught:

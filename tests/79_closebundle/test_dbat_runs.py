@@ -83,7 +83,7 @@ def test_a_published_run(row: tuple[str, ...], data: Path) -> None:
 @pytest.mark.truth
 @pytest.mark.real_data
 def test_the_calibration_and_its_three_failures(data: Path) -> None:
-    """Each run ends with the sentence of the page; the reports print NaN, 499.142 and 258.848."""
+    """The three failing runs of the page end with its sentences; DBAT's reports print NaN, 499.142 and 258.848."""
     part = [fence for fence in FENCES if "camcal" in fence.text]
     (sentences,) = re.findall(r"^```text\n(error: .*?)^```$", PAGE.read_text("utf-8"), re.DOTALL | re.MULTILINE)
     said = ""

@@ -108,7 +108,7 @@ def test_a_point_with_all_its_observations_is_without_place() -> None:
 
 @pytest.mark.truth
 def test_variance_components() -> None:
-    """Image points are three times worse than stated."""
+    """If image points are three times worse than stated, variance components find this factor."""
     scene = make(5, 30, 4, noise=3.0 * SIGMA)
     rng = np.random.default_rng(2)
     control = {f"p{k}": (scene.points[k] + rng.normal(scale=SIGMA_CONTROL, size=3), SIGMA_CONTROL) for k in range(12)}
@@ -133,7 +133,7 @@ def test_other_options_are_refused(name: str) -> None:
 
 @pytest.fixture
 def words(tmp_path: Path) -> tuple[object, ...]:
-    """Return the words of the command for the planted scene without the wrong height."""
+    """Write the planted scene without the wrong height; return the words of the command."""
     scene, control = planted(height=False)
     rows = [f"p{k},ph{p},{float(x)!r},{float(y)!r}"
             for (x, y), p, k in zip(scene.image, scene.which, scene.of, strict=True)]  # fmt: skip

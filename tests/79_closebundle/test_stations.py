@@ -27,7 +27,7 @@ TURNED = ",omega_deg,phi_deg,kappa_deg,sigma_x_deg,sigma_y_deg,sigma_z_deg"
 
 
 def written(folder: Path, scene: Scene, n_control: int) -> list[object]:
-    """Return the tables of a scene; words of the command."""
+    """Write the tables of a scene; return the words of the command."""
     seen = zip(scene.image.tolist(), scene.which.tolist(), scene.of.tolist(), strict=True)
     rows = [f"p{k},ph{p},{x!r},{y!r}" for (x, y), p, k in seen]
     (folder / "image.csv").write_text("\n".join(["id,photo,x,y", *rows, ""]), "utf-8")
@@ -48,13 +48,13 @@ def stations(folder: Path, rows: list[list[object]], more: str = "") -> Path:
 
 
 def observed(scene: Scene, sigma: float) -> list[list[object]]:
-    """Return the rows of all stations, exact to what is written."""
+    """Return the rows of all stations with their exact coordinates."""
     return [[f"ph{k}", *map(repr, c.tolist()), sigma, sigma, sigma] for k, c in enumerate(scene.centres)]
 
 
 @pytest.mark.oracle
 def test_stations_are_the_datum_and_do_not_begin_as_observed(tmp_path: Path) -> None:
-    """Without control three observed centres hold the block; the photo file begins 2 cm away in each axis."""
+    """Three observed centres are the datum without control, although the photos begin 2 cm away in each axis."""
     scene = make(5, 16)
     done = run(*written(tmp_path, scene, 0), "--start", tmp_path / "start.csv", "--stations",
                stations(tmp_path, observed(scene, 1e-4)))  # fmt: skip
@@ -72,7 +72,7 @@ def test_stations_are_the_datum_and_do_not_begin_as_observed(tmp_path: Path) -> 
 
 @pytest.mark.oracle
 def test_the_weight_of_a_station_is_its_sigma(tmp_path: Path) -> None:
-    """Against explicit normal equations: x = (N + P)^-1 P d of a centre that is observed 5 mm off."""
+    """A centre observed 5 mm off moves by (N + P)^-1 P d, from explicit normal equations."""
     scene = make(9, 14, noise=0.0)
     words = [*written(tmp_path, scene, 6), "--control", tmp_path / "control.csv"]
     free = run(*words).json["photos"][1]["exterior"]
@@ -91,7 +91,7 @@ def test_the_weight_of_a_station_is_its_sigma(tmp_path: Path) -> None:
 
 @pytest.mark.oracle
 def test_an_observed_attitude_orients_a_photo(tmp_path: Path) -> None:
-    """With its centre it replaces a resection, so that no control is needed."""
+    """Observed attitudes and centres orient photos without poses and control. They replace a resection."""
     scene = make(11, 12)
     rows = [[*row, *map(repr, np.degrees(aerial_from_rotation(r)).tolist()), 0.002, 0.002, 0.003]
             for row, r in zip(observed(scene, 1e-3), scene.rotations, strict=True)]  # fmt: skip
@@ -158,7 +158,10 @@ def test_check_points_take_no_part(tmp_path: Path) -> None:
 @pytest.mark.oracle
 @pytest.mark.parametrize("hard", [False, True])
 def test_redundancy_numbers_are_those_of_difference_quotients(hard: bool) -> None:
-    """Diagonal of I - J Z (J Z)^+, Z the null space of a hard condition, which is redundancy of the others."""
+    """Redundancy numbers are those of the Jacobian by differences, also with a hard condition.
+
+    They are the diagonal of I - J Z (J Z)^+, Z the null space of a hard condition, which is redundancy of the others.
+    """
     scene = make(13, 12)
     control = {f"p{k}": (scene.points[k], 1e-3) for k in range(5)}
     size = float(np.linalg.norm(scene.points[6] - scene.points[8]))
@@ -171,7 +174,10 @@ def test_redundancy_numbers_are_those_of_difference_quotients(hard: bool) -> Non
     lens = scene.interior.corrections.copy()
 
     def residuals(x: Array) -> Array:
-        """Of the image points, the control points and the distance, by their sigmas; x are small changes."""
+        """Return residuals of image points, control points and the distance, divided by their sigmas.
+
+        x are small changes.
+        """
         places, out = found.points_m + x[19:].reshape(-1, 3), []
         lens[0] = found.cameras[0]["k1"][0] + 1e-4 * x[18]
         ideal = ideal_points(lens, scene.image - scene.interior.principal).reshape(3, -1, 2)
@@ -201,7 +207,7 @@ def test_redundancy_numbers_are_those_of_difference_quotients(hard: bool) -> Non
 
 @pytest.mark.oracle
 def test_angles_have_the_deviations_of_small_turns() -> None:
-    """Omega, phi, kappa by central differences of the rotation."""
+    """Sigmas of omega, phi and kappa follow from those of small rotations by central differences."""
     from fg_orient.sensors.frame import opk_of_rotation
 
     scene = make(17, 12)
@@ -261,7 +267,7 @@ def test_a_project_becomes_tables_that_the_bundle_takes(project: Path) -> None:
 
 @pytest.mark.oracle
 def test_a_project_as_it_comes_has_the_tables_of_the_complete_one(project: Path) -> None:
-    """No image size, Latin-1 in a path, two control points too many: a note each, and the known camera."""
+    """An export without image size, in Latin-1 and with two foreign points gives the same tables and three notes."""
     names = [f"{n}.jpg" for n in (8811, 8936, 8937, 8938, 9111)]
     photomodeler.write_project(project / "pmexport.txt", project / "ctrlpts.txt", [317, 375, 403, 410, *range(24)], 6,
                                names, off_m=0.0)  # fmt: skip

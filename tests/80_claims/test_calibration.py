@@ -77,7 +77,10 @@ def test_sigma0(drawn: list[Calibration]) -> None:
 
 @pytest.mark.parametrize("seeds", SEEDS[:2])
 def test_check_coordinates_with_the_fixed_bias(seeds: range) -> None:
-    """The bias of 5 m and 20 microrad is not drawn from the priors; only the check points can be judged."""
+    """With a fixed bias the errors of check coordinates lie in the interval of their prediction.
+
+    The bias of 5 m and 20 microrad is not drawn from the priors, so other quantities cannot be tested.
+    """
     runs = [calibrate(seed, "constant") for seed in seeds]
     total = sum(c.nees_check for c in runs)
     low, high = interval(30 * len(runs))

@@ -39,7 +39,7 @@ def test_rank_defect_and_sentences(block: Block, eop_set: int) -> None:
 
 @pytest.mark.parametrize(("eop_set", "count"), [(17, 3), (18, 1), (19, 1), (20, 3)])
 def test_the_near_duplicate_is_named(block: Block, eop_set: int, count: int) -> None:
-    """Sets with velocity and yaw: per degree the yaw of the velocity is the yaw of the attitude."""
+    """Sets with velocity and yaw state for each degree that yaw of the velocity and of the attitude are alike."""
     for found in adjust(block, eop_set=eop_set).observability:
         assert sum(YAW in sentence for sentence in found.sentences) == count
 

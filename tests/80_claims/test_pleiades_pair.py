@@ -32,7 +32,10 @@ def example(repository: Path) -> ModuleType:
 
 
 def rmse(example: ModuleType, real_data: Path, every: int) -> dict[int, np.ndarray]:
-    """Check-point RMSE (n, 3) of each set in each ``every``-th of the 86 runs, of sets 2 and 10 in twice as many."""
+    """Return check-point RMSE (n, 3) of each set in each ``every``-th of the 86 runs.
+
+    Sets 2 and 10 have twice as many runs.
+    """
     scene = example.Scene(real_data / "geoetrim-pleiades")
     assert len(scene.ids) == 86
     out = {}
@@ -72,7 +75,10 @@ def test_direct_geolocation_is_off_by_eight_metres(example: ModuleType, real_dat
 
 @pytest.mark.behaviour
 def test_too_small_sigmas_are_called_untrustworthy(example: ModuleType, real_data: Path) -> None:
-    """With 0.05 m (accuracy of survey, not of identification) sigma0 is 1.9, and the status states this."""
+    """With sigmas of 0.05 m sigma0 is 1.9 and each run is not trustworthy.
+
+    0.05 m is the accuracy of the survey, not of identification.
+    """
     scene = example.Scene(real_data / "geoetrim-pleiades")
     runs = [example.run(scene, first, 10, 0.05) for first in range(0, 86, 10)]
     assert np.median([r["sigma0"] for r in runs]) == pytest.approx(1.9, abs=0.2)

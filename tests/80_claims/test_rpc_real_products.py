@@ -24,7 +24,7 @@ SPOT7_SIGMA_PX = 7.0
 
 @pytest.mark.truth
 def test_bias_of_pleiades_1_is_removed(real_data: Path) -> None:
-    """16 px across track without control; what 1, 5, 10 control points leave at the others."""
+    """The bias of 16 px across track is reduced to the limit of each compensation by 1, 5 and 10 control points."""
     block = pleiades_1(real_data)
     sensor, o, ecef = block.images[0].sensor, block.observations, block.points.known.ecef_m
     observed = np.stack([o.line, o.sample], axis=1)
@@ -45,19 +45,22 @@ def test_bias_of_pleiades_1_is_removed(real_data: Path) -> None:
 
 
 def _others(block: Block, control: list[int]) -> list[str]:
-    """Return the points of a single image that are no control: nothing intersects there."""
+    """Return the points that are no control; in a single image nothing intersects there."""
     return [name for j, name in enumerate(block.points.ids) if j not in control]
 
 
 @pytest.fixture(scope="module")
 def searched(real_data: Path) -> fg.Solution:
-    """The Neo pair, all points as control, by the default search with unknown sigmas: nothing of it is chosen here."""
+    """Return the Neo pair with all points as control, after the default search with unknown sigmas."""
     return fg.adjust(pleiades_neo(real_data), snoop=True, rpc_compensation="affine", variance_components=COMPONENTS)
 
 
 @pytest.mark.behaviour
 def test_stated_sigmas_of_the_neo_pair(searched: fg.Solution) -> None:
-    """Pixels and positions are two to four times worse than stated; heights are too weakly checked to tell."""
+    """Variance components state pixels 1.5 to 3.5 and positions 3 to 5 times worse; heights are held.
+
+    They are too weakly checked to estimate.
+    """
     components = searched.components
     assert components is not None
     print()
@@ -70,7 +73,10 @@ def test_stated_sigmas_of_the_neo_pair(searched: fg.Solution) -> None:
 
 @pytest.mark.truth
 def test_gross_errors_of_the_neo_pair_are_named(searched: fg.Solution) -> None:
-    """Point 53, whose only image point is 50 px beside its place (93 m of height explain it as well), and point 17."""
+    """The search names points 53 and 17 of the Neo pair, and the result converges.
+
+    The only image point of 53 is 50 px off; 93 m of height explain it as well.
+    """
     print()
     for test in searched.snooping.tests:
         print(f"  {test.sentence()}")
@@ -92,10 +98,11 @@ def test_point_53_is_found_with_any_model_and_with_the_stated_sigmas(real_data: 
 
 @pytest.mark.truth
 def test_neo_pair_by_shifts(real_data: Path, searched: fg.Solution) -> None:
-    """1, 5, 10 well-spread control points; accuracy at the others that are in both images and pass the test.
+    """With shifts and 10 control points the Neo pair has errors of at most 0.5/0.8/0.9 m, and dense agrees.
 
-    North and Up with 10 points are those of points 5 and 27, 2.0 and 2.5 m off: they pass, because errors of this size
-    are not rare with the sigmas estimated. 0.6 and 0.8 m would be met without them (0.5/0.6/0.8 m are not reached).
+    Check points are the others that are in both images and pass the test. North and Up are those of points 5 and 27,
+    2.0 and 2.5 m off: they pass, because errors of this size are not rare with the sigmas estimated. 0.6 and 0.8 m are
+    met without them (0.5/0.6/0.8 m are not reached).
     """
     rest = searched.block
     block = replace(rest, options=replace(rest.options, variance_components=(), snoop=False))
@@ -129,7 +136,7 @@ def _rmse(solution: fg.Solution) -> np.ndarray:
 
 @pytest.mark.behaviour
 def test_spot7_pair_without_control(real_data: Path) -> None:
-    """Relative adjustment: parallaxes fall, the datum is named as not observable, nothing is called accuracy."""
+    """A relative adjustment of the SPOT 7 pair reduces y-parallaxes, names three free shifts and states no accuracy."""
     block = spot7(real_data, 300)
     block = replace(block, options=replace(block.options, rpc_shift_sigma_px=SPOT7_SIGMA_PX))
     print()

@@ -31,7 +31,7 @@ SET_12_BELOW_10_M = {(12, 5)}
 
 @pytest.fixture(scope="module")
 def runs() -> Callable[[range, int | None], Runs]:
-    """Return the runs of some seeds, made once."""
+    """Return a function for the runs of some seeds; each is made once."""
     cache: dict[tuple[range, int | None], Runs] = {}
 
     def of(seeds: range, look_polynomial: int | None) -> Runs:
@@ -45,7 +45,10 @@ def runs() -> Callable[[range, int | None], Runs]:
 
 
 def assert_accurate(runs: Runs, eop_set: int) -> None:
-    """Medians and maxima over the seeds; converged within five iterations; every ECEF axis below 5 m."""
+    """Assert medians and maxima over the seeds, and every ECEF axis at most 5 m.
+
+    Each run converges within five iterations.
+    """
     mine = {seed: run for (number, seed), run in runs.items() if number == eop_set}
     enu = np.array([run.enu_m for run in mine.values()])
     assert np.all(np.median(enu, axis=0) <= [2.0, 2.0, 4.0]), (eop_set, np.median(enu, axis=0))

@@ -26,7 +26,7 @@ def printed() -> dict[str, PublishedTables]:
 
 @pytest.fixture(scope="session")
 def computed(printed: dict[str, PublishedTables]) -> dict[str, Computed]:
-    """Return all cells of the publications that are computed on the twin, seed 1."""
+    """Return all cells of the publications that can be computed, on the twin of seed 1."""
     return {
         name: source.compute(tuple(printed[name].titles), [1], as_run=False, progress=None)
         for name, source in SOURCES.items()

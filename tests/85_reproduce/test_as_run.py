@@ -30,7 +30,10 @@ def rows_of(printed: Printed, cells: Cells, tables: tuple[str, ...] = TABLES) ->
 
 @pytest.mark.truth
 def test_ranks_and_condition_numbers_of_set_1_are_the_printed_ones(as_run: Cells) -> None:
-    """Printed 8, 8.6e17 and 7.6e17: x counted from the scene-centre line."""
+    """As run, set 1 has rank 8 and conditions within a factor of 2 of the printed 8.6e17 and 7.6e17.
+
+    x is counted from the line of the scene centre.
+    """
     for stage, printed in (("pre-left", 8.6e17), ("pre-right", 7.6e17)):
         key = CellKey("4.10", "1", stage)
         assert (as_run[key._replace(quantity="rank")] == 8).all()
@@ -41,7 +44,10 @@ def test_ranks_and_condition_numbers_of_set_1_are_the_printed_ones(as_run: Cells
 
 @pytest.mark.truth
 def test_bundles_of_topan_2009_have_the_printed_order(printed: Printed, as_run: Cells) -> None:
-    """Set 15 among them (94 m in print), which the equations of the text solve."""
+    """At least 20 of 24 bundle values of sets 15 and 19 have the printed order of magnitude.
+
+    Set 15 has 94 m in print, which the equations of the text solve.
+    """
     rows = [row for row in rows_of(printed, as_run, ("4.24",)) if "set 15" in row.cell or "set 19" in row.cell]
     assert len(rows) == 24
     assert sum(row.verdict == "order" for row in rows) >= 20
@@ -49,7 +55,10 @@ def test_bundles_of_topan_2009_have_the_printed_order(printed: Printed, as_run: 
 
 @pytest.mark.truth
 def test_corrections_of_set_1_are_noise_as_printed(as_run: Cells) -> None:
-    """4.3 to 4.23 follow a step 1 that ends at rounding: 1e-10 m; one cycle would leave 1e-4 m."""
+    """As run, corrections of set 1 are noise below 1e-7 m; one cycle of step 1 would leave more than 1e-5 m.
+
+    Tables 4.3 to 4.23 follow a step 1 that ends at rounding.
+    """
     assert "4.17" in STEP_1_CLOSED
     key = CellKey("4.17", "1", "pre-left", quantity="dP", method="gauss_inverse", parameter="X0")
     assert np.abs(as_run[key]).max() < 1e-7
@@ -86,7 +95,10 @@ def test_shuffling_exchanges_values_among_sets_images_and_solvers(printed: Print
 
 @pytest.mark.truth
 def test_shuffled_values_agree_less_often(printed: Printed, as_run: Cells) -> None:
-    """Ranks and sizes of 4.24 and 4.30 are known cell by cell, not only table by table."""
+    """Printed values of table 4.24 agree in order more often than exchanged ones, by more than three cells.
+
+    Ranks and sizes of 4.24 and 4.30 are known cell by cell, not only table by table.
+    """
     tables, source = ("4.24", "4.30"), SOURCES["terlemezoglu2019"]
     rows, null = pair(printed["terlemezoglu2019"], as_run, source, tables)
     for table in tables:

@@ -95,7 +95,10 @@ def test_claims_over_thirty_seeds(first: int, capsys: pytest.CaptureFixture[str]
 @pytest.mark.behaviour
 @pytest.mark.parametrize("name", ["C4", "C9", "C10"])
 def test_claims_about_the_text_depend_on_switches_of_the_program(name: str) -> None:
-    """Those that no rounding decides, on one seed; the bounds are the same."""
+    """Claims about the text fail with the switches of the program and hold without those behind them.
+
+    These are the claims that rounding does not decide, on one seed with the same bounds.
+    """
     chosen = [claim for claim in all_claims() if claim.id == name]
     (program,) = run_claims((3,), claims=chosen, switches=PROGRAM)
     (without,) = run_claims((3,), claims=chosen, switches=PROGRAM.without(*DEPENDS_ON[name]))
@@ -105,7 +108,10 @@ def test_claims_about_the_text_depend_on_switches_of_the_program(name: str) -> N
 @pytest.mark.truth
 @pytest.mark.slow
 def test_claims_of_the_program_over_thirty_seeds() -> None:
-    """C1 to C16 and C22: the same bounds, and for each claim that is missed the switches behind it."""
+    """Over thirty seeds the program misses exactly the listed claims, each because of its switches.
+
+    The claims are C1 to C16 and C22, with the same bounds.
+    """
     about = {claim.id: claim for claim in all_claims() if claim.id not in {f"C{k}" for k in range(17, 22)}}
     results = {r.id: r for r in run_claims(range(1, 31), claims=list(about.values()), switches=PROGRAM)}
     missed = {name for name, r in results.items() if not r.met}

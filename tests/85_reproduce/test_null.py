@@ -32,7 +32,7 @@ def by_set(texts: list[str], quantity: str = "rmse_x", role: str = "icp") -> lis
 
 @pytest.mark.behaviour
 def test_a_comparison_that_knows_the_role_alone_gains_nothing() -> None:
-    """Every cell is compared with the same runs: the baseline is the count of the verdicts, verdict by verdict."""
+    """If every cell is compared with the same runs, the null model has the counts of the verdicts."""
     cells = by_set(["3.0", "4.0", "80.0", "5.5", "9.0", "700.0"])
     runs = np.array([4.0, 5.0, 6.0])
     null = baseline(cells, {c.key: partial(assess_runs, runs=runs) for c in cells})
@@ -77,7 +77,10 @@ def test_verdicts_beside_a_stated_spread(value: float, half: float, within: str,
 
 @pytest.mark.truth
 def test_check_points_of_topan_table_2_say_nothing_on_their_cells(printed: Printed, computed: Computed) -> None:
-    """The cells have the size of their role, as any exchange of them has: no count of agreement may hold them."""
+    """Check points of Topan's table 2 agree no more often than exchanged ones, and count as uninformative.
+
+    The cells have the size of their role, as any exchange of them has.
+    """
     rows, null = pair(printed["topan2010"], computed["topan2010"], SOURCES["topan2010"], ("2",))
     check = [row for row in rows if row.key.point_role == "icp"]
     agree = [null.chance[row.key] for row in check if row.verdict == "order"]

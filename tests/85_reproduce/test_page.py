@@ -25,7 +25,7 @@ def row(key: CellKey, published: float = 1.0, reproduced: float = 1.0, verdict: 
 @pytest.mark.behaviour
 @pytest.mark.parametrize("name", ["terlemezoglu2019", "topan2010"])
 def test_grids_lose_no_cell(name: str) -> None:
-    """Each published cell of each table stands in its grid once, below its own solver or set."""
+    """Each published cell is in the grid of its table once, below its own solver or set."""
     printed = load(name)
     drawn = 0
     for table in printed.titles:
@@ -100,7 +100,10 @@ def test_kappas_of_the_tables_stand_on_their_l_curves(tmp_path: Path) -> None:
 
 @pytest.mark.behaviour
 def test_a_long_number_at_the_end_of_an_axis_is_not_cut() -> None:
-    """40000 was drawn as 4000, because half of the text was outside the picture."""
+    """A long number at the end of an axis is inside the picture.
+
+    40000 was drawn as 4000, because half of the text was outside.
+    """
     chart = Chart("length", Axis("m", (0.0, 40000.0)), Axis("m", (0.0, 1.0)), width=300.0, height=200.0)
     ticks = {e.text: e for e in ElementTree.fromstring(str(svg(chart))).iter("text")}
     last = ticks["40000"]

@@ -21,7 +21,7 @@ CONDITIONS = "table-4-03-to-09-ls-conditions-spot5.csv"
 
 @pytest.mark.truth
 def test_every_table_is_complete(printed: Printed) -> None:
-    """Counts of cells as the source's description states them."""
+    """Each published table has the number of cells of its source's description."""
     count = Counter(cell.key.table for cell in printed["terlemezoglu2019"].cells)
     series = {"4.3-4.9": (3, 9, 126), "4.10-4.16": (10, 16, 126), "4.17-4.23": (17, 23, 864), "4.24": (24, 24, 60),
               "4.25-4.27": (25, 27, 252), "4.28-4.34": (28, 34, 504)}  # fmt: skip
@@ -73,7 +73,7 @@ def test_a_copy_of_the_folder_reads_alike(printed: Printed, copied: Callable[[st
 
 @pytest.mark.behaviour
 def test_package_data_is_not_ignored(repository: Path) -> None:
-    """The wheel does not contain files that git ignores."""
+    """git ignores no published table; the wheel would not contain an ignored file."""
     paths = [str(p) for p in (repository / "fg_orient" / "studies" / "published").rglob("*.csv")]
     assert len(paths) == 26 + 18 + 17
     done = subprocess.run(["git", "check-ignore", *paths], cwd=repository, capture_output=True, text=True)

@@ -46,7 +46,10 @@ def test_every_published_cell_is_computed_or_a_fact(name: str, printed: Printed,
 
 @pytest.mark.truth
 def test_counts_sets_and_members_agree_to_the_digit(printed: Printed, computed: Computed) -> None:
-    """What the two misprints of the source are is known (4.5: 188 for 198, 4.6: 18 for 14)."""
+    """Counts and sets agree with print in every digit, except for two misprints of the source.
+
+    The misprints are in eq. 4.5 (188 for 198) and eq. 4.6 (18 for 14).
+    """
     rows = [r for r in rows_of("terlemezoglu2019", printed["terlemezoglu2019"], computed) if r.printed]
     counted = [r for r in rows if r.table.startswith("eq") or r.table in {"4.1", "4.2"} or "n_" in r.cell]
     wrong = [(r.table, r.published, r.reproduced) for r in counted if r.verdict == "differs"]
@@ -75,7 +78,7 @@ def test_cells_equal_the_procedure_called_directly(computed: Computed) -> None:
 
 @pytest.mark.oracle
 def test_correlations_equal_those_of_an_orthogonal_basis(computed: Computed) -> None:
-    """Independent: 1 / |column rejected from all but one other| gives the pair's correlation by determinants."""
+    """The correlation of a pair is that of its columns after projection off all others, by QR."""
     design, _ = twin(1).pre_adjust(0, 1, LEAST_SQUARES).system.require_design("A")
     a = design / np.linalg.norm(design, axis=0)
     others = [k for k in range(9) if k not in (0, 3)]
@@ -101,7 +104,7 @@ def key_of(record: dict[str, str]) -> CellKey:
 
 
 def alter(path: Path, row: int) -> CellKey:
-    """Move the value of one record by 40 decades, in place; give its key."""
+    """Change the value of one record by 40 decades, in place; return its key."""
     columns, records = records_of(path)
     of = records[row]
     of["value"] = repr(float(of["value"]) * 1e40 + 1e40) if of["value"] not in ("", "nan") else "1e-40"
@@ -117,7 +120,10 @@ def alter(path: Path, row: int) -> CellKey:
 def test_one_altered_cell_changes_one_verdict(
     name: str, printed: Printed, computed: Computed, copied: Callable[[str], Path]
 ) -> None:
-    """40 decades: the verdict of a reproduced cell falls, no other row moves; what is wild already stays so."""
+    """If a published cell is altered by 40 decades, its verdict falls and no other row changes.
+
+    A cell that differs already stays so.
+    """
     before = rows_of(name, printed[name], computed)
     verdicts = {(row.table, str(row.cell)): row.verdict for row in before}
     folder, rng = copied(name), random.Random(5)
@@ -138,7 +144,10 @@ def test_one_altered_cell_changes_one_verdict(
 
 @pytest.mark.truth
 def test_as_run_shows_the_constant_residual_of_the_program(printed: Printed) -> None:
-    """P-Table 1 prints 0.515, 0.169, 0.928 m after step 1: the program's matrices, not the points."""
+    """As run, step 1 leaves 0.7 to 1.0 m at control points, in the order of print.
+
+    P-Table 1 prints 0.515, 0.169, 0.928 m: the program's matrices, not the points.
+    """
     source = SOURCES["topan2010"]
     assert source.compute is not None
     as_run = pair(printed["topan2010"], source.compute(("1",), [1], as_run=True, progress=None), source, ("1",))[0]
@@ -161,7 +170,10 @@ def test_without_as_run_the_residual_is_gone_and_the_sign_error_is_met(printed: 
 
 @pytest.mark.behaviour
 def test_cells_are_computed_with_one_blas_thread() -> None:
-    """Otherwise the number of cores would change cells that are only rounding errors."""
+    """Cells are computed with one thread of BLAS.
+
+    Otherwise the number of cores would change cells that are only rounding errors.
+    """
     from threadpoolctl import threadpool_info, threadpool_limits
 
     own = {m["filepath"] for m in _libraries().info()}  # numpy, scipy; other tests load OpenCV

@@ -34,7 +34,7 @@ def labels(chart: Chart) -> dict[str, str]:
 
 @pytest.mark.consistency
 def test_panels_state_the_rmse_of_their_table() -> None:
-    """Each panel of P-Figs. 5 and 6 and T-Fig. 4.4: the largest axis of the cells of the same run."""
+    """Each panel of P-Figs. 5 and 6 states the largest axis RMSE of the cells of its run."""
     of_paper = found("topan2010", "1")
     cells: dict[tuple[str, str, str], list[float]] = {
         (r.key.point_set, r.key.stage, r.key.point_role): [] for r in of_paper.rows
@@ -56,7 +56,7 @@ def test_panels_state_the_rmse_of_their_table() -> None:
 
 @pytest.mark.oracle
 def test_vectors_are_errors_in_east_and_north() -> None:
-    """By PROJ's topocentric conversion from the adjusted to the measured place of each point."""
+    """Drawn vectors are adjusted minus measured places in East and North, by PROJ's topocentric conversion."""
     (chart,) = [c for c in drawn("topan2010", "1")["5"] if c.title == "H-20"]
     run = twin(1, "H-20")
     errors = run.look_only()
@@ -87,7 +87,10 @@ def test_layouts_show_each_point_once() -> None:
 
 @pytest.mark.truth
 def test_lines_of_ayhan_are_the_printed_numbers() -> None:
-    """Tables 5 and 13: sums of squares as RMS in mm, differences in cm; rings where printed data give the number."""
+    """The lines of Ayhan's tables 5 and 13 are the printed numbers, and rings where print gives the number.
+
+    Sums of squares are RMS in mm, differences are in cm.
+    """
     panels = drawn("ayhan1996", "5,13")
     (accuracy,), (surfaces,) = panels["24-37, table 5"], panels["24-37, table 13"]
     depth = next(m for m in accuracy.marks if m.label == "Y")

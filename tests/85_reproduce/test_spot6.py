@@ -40,13 +40,13 @@ NORMALISED = {method: table for table, method in tables_spot6.NORMALISED.items()
 
 @pytest.fixture(scope="module")
 def twin() -> ControlPoints:
-    """99 points of the twin's left image."""
+    """Return 99 points of the twin's left image."""
     return rfm_points(zonguldak_block()[0].images[0].sensor, 1)
 
 
 @pytest.fixture(scope="module")
 def computed(twin: ControlPoints) -> dict[CellKey, np.ndarray]:
-    """Return the degrees 1 and 2, three permutations."""
+    """Return the cells of degrees 1 and 2 with three permutations."""
     with one_blas_thread():
         return tables_spot6.compute(tables_spot6.TABLES, twin, permutations=3, degrees=(1, 2))
 
@@ -63,7 +63,7 @@ def test_every_cell_of_these_degrees_is_computed(
 
 @pytest.mark.oracle
 def test_cells_equal_an_independent_computation(twin: ControlPoints, computed: dict[CellKey, np.ndarray]) -> None:
-    """Degree 1, normalised, written out with numpy."""
+    """Cells of degree 1 equal normalised least squares written out with numpy, within 1e-9."""
     n = twin.columns
     n = (2.0 * n - n.max(axis=0) - n.min(axis=0)) / np.ptp(n, axis=0)
     line, sample, lon, lat, h = n.T
@@ -98,7 +98,10 @@ def test_permutations_move_noise_and_nothing_else(computed: dict[CellKey, np.nda
 
 @pytest.mark.oracle
 def test_kappas_as_run(twin: ControlPoints) -> None:
-    """The square of s0 is missing and dP stands for the canonical coefficients: so the printed numbers come out."""
+    """As run, kappa of HKB is 14 m0/(x^T x), and kappa of OD lies between 0 and 1.
+
+    The square of s0 is missing, and dP replaces the canonical coefficients.
+    """
     run = tables_spot6.Run(twin, 1, False)
     with one_blas_thread():
         cells = tables_spot6.compute(["4.45"], twin, permutations=1, degrees=(1,))
@@ -111,7 +114,7 @@ def test_kappas_as_run(twin: ControlPoints) -> None:
 
 @pytest.mark.truth
 def test_printed_coefficients_give_the_printed_kappas(printed: dict[str, PublishedTables]) -> None:
-    """14 m0/(dP^T dP) with the printed m0 and dP of Cramer is the printed 4.4e-5; with m0^2 it is 1000."""
+    """The printed m0 and dP of Cramer give the printed kappa 4.4e-5 by 14 m0/(dP^T dP), within 2 %."""
     cells = {c.key: c.value for c in printed["terlemezoglu2019"].cells}
     dp = np.array([v for k, v in cells.items() if k.table == "4.43" and k.method == CRAMER])
     m0 = cells[CellKey("4.44", stage="rfm degree 1", quantity="m0", method=CRAMER)]
@@ -121,7 +124,7 @@ def test_printed_coefficients_give_the_printed_kappas(printed: dict[str, Publish
 
 
 def judged(value: float, text: str, runs: list[float], **key: str) -> str:
-    """Return the kind of CellComparison of a made-up cell."""
+    """Return the kind of judgement on a made-up cell."""
     cell = PublishedCell(
         CellKey(**{"table": "4.44", "stage": "rfm degree 2", "quantity": "m0", "method": "x"} | key), value, text, text
     )
@@ -167,7 +170,7 @@ def test_rules(value: float, text: str, runs: list[float], key: dict[str, str], 
 
 @pytest.mark.behaviour
 def test_a_steady_number_is_not_called_noise() -> None:
-    """The number is within the limits, but all orders of the points agree with each other and not with the print."""
+    """If all orders of the points agree within the limits, the verdict is "steady", else "rounding noise"."""
     key = CellKey("4.45", stage="rfm degree 1", quantity="kappa", method="tikhonov_od")
     for runs, words in (([7.567e-3, 7.567e-3, 7.568e-3], "steady"), ([7.567e-3, 7.5e-3, 7.9e-3], "rounding noise")):
         verdict = spot6.assess(PublishedCell(key, 7.7e-3, "7.7e-3", "7.7e-3"), {key: np.array(runs)})
@@ -233,14 +236,14 @@ def points(real_data: Path) -> ControlPoints:
 
 @pytest.fixture(scope="module")
 def verdicts(points: ControlPoints, printed: dict[str, PublishedTables]) -> Verdicts:
-    """Return the degrees 1 and 2 with five permutations."""
+    """Return the judgements on the cells of degrees 1 and 2 with five permutations."""
     with one_blas_thread():
         values = tables_spot6.compute(tables_spot6.TABLES, points, permutations=5, degrees=(1, 2))
     return {c.key: spot6.assess(c, values) for c in printed["terlemezoglu2019"].cells if c.key in values}
 
 
 def firm(found: Verdicts, degrees: tuple[int, ...]) -> None:
-    """Assert what must be met digit by digit."""
+    """Assert that the cells that must agree digit by digit do so."""
     kinds = {key: verdict.kind for key, verdict in found.items() if int(key.stage[-1]) in degrees}
     wanted = []
     for degree in degrees:
@@ -308,7 +311,10 @@ def test_all_degrees_with_fifty_permutations(
 
 
 def validated(points: ControlPoints, degree: int, capsys: pytest.CaptureFixture[str]) -> np.ndarray:
-    """Leave-one-out RMS per axis of the true image residuals, kappa chosen in each fold, with the choice printed."""
+    """Return the leave-one-out RMS per axis of the image residuals; print it.
+
+    Kappa is chosen in each fold.
+    """
     form = RfmForm(degree)
     with one_blas_thread():
         found = cross_validate(points, lambda p: fit_selected(p, form, "ridge_l_curve"))

@@ -16,7 +16,7 @@ OWN_TABLES = (
 
 
 def test_no_published_number_is_computed_from_a_file(repository: Path) -> None:
-    """The computing packages do not open the tables by path."""
+    """No module that computes contains the path of a published table."""
     for files in ("studies/*.py", "studies/comparison/*.py", "adjustment/**/*.py"):
         for path in (repository / "fg_orient").glob(files):
             text = path.read_text("utf-8")

@@ -305,7 +305,7 @@ def test_a_wrong_value_is_refused_with_its_place(case: str) -> None:
 
 
 def as_given(values: Any) -> Any:
-    """Other arrays with the same values: every second column of a larger one, in Fortran order, read-only."""
+    """Return a read-only view with the same values, in Fortran order and every second column of a larger array."""
     values = np.asarray(values)
     wide = np.zeros((*values.shape, 2), values.dtype, order="F")
     wide[..., 0] = values
@@ -327,7 +327,7 @@ USABLE: dict[str, Callable[[Any], Any]] = {
 
 @pytest.mark.parametrize("kind", USABLE)
 def test_usable_arrays_give_the_same_bits(kind: str) -> None:
-    """Blocks, DLT, bundles, RPC and rectification, with arrays of another layout or type."""
+    """Arrays of another layout or type give the same bits in blocks, DLT, bundles, RPC and rectification."""
     give, b = USABLE[kind], block()
     arrays = [getattr(b.observations, name) for name in NOTHING]
     other = replace(

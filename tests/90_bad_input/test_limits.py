@@ -146,7 +146,10 @@ def test_variable_with_an_unknown_name_is_refused(monkeypatch: pytest.MonkeyPatc
 
 
 def test_messages_show_no_control_characters() -> None:
-    """A terminal would execute them; lone surrogates cannot be printed."""
+    """Messages escape control characters and lone surrogates.
+
+    A terminal would execute the former; the latter cannot be printed.
+    """
     one = finding("table.missing_file", file="a\x1b[2J\udcff.csv", value="\u202ea\0", place="line\n1")
     assert str(one).startswith(r"a\x1b[2J\udcff.csv, line 1: ") and r"\u202ea\x00" in str(one)
     assert str(one).encode("utf-8")

@@ -23,7 +23,10 @@ NAMES = ["../x", "a/../../x", "/etc/x", "..\\x"]
 
 @pytest.mark.parametrize("name", NAMES)
 def test_an_image_gives_a_file_in_the_folder_or_none(name: str, tmp_path: Path) -> None:
-    """Tie points of MicMac and ASP are one file for each image or pair; result files have other characters."""
+    """An image name that leads outside the folder is refused for one-file-per-image formats, or made harmless.
+
+    These are tie points of MicMac and ASP; result files have other characters.
+    """
     o = SimpleNamespace(image=np.array([0, 1]), point=np.array([0, 0]), line=np.ones(2), sample=np.ones(2))
     survey: Any = SimpleNamespace(ids=("1",), images=(name, "b"), observed=o)
     for write in (write_ties, write_matches):
@@ -56,7 +59,7 @@ def test_a_chip_beside_the_folder_of_the_control_points_is_not_read(
 
 @pytest.mark.parametrize(("text", "usable"), [("export A=1\n", False), ("", False), ("image,id,line,sample\n", True)])
 def test_match_adds_rows_to_tables_only(text: str, usable: bool, tmp_path: Path) -> None:
-    """A project may name any file as its table of image points: another file is refused before matching."""
+    """``match`` refuses before matching if the project's table of image points is another file."""
     (tmp_path / "notes").write_text(text, encoding="utf-8")
     entry = SimpleNamespace(file="../notes", format="csv")
     project: Any = SimpleNamespace(points=SimpleNamespace(file=None), observations=entry)

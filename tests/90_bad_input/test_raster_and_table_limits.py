@@ -13,6 +13,7 @@ import pytest
 
 from fg_orient.formats.arrow_sizes import decoded_sizes
 from fg_orient.formats.faults import Faults
+from fg_orient.formats.parquet_sizes import largest_group_bytes
 from fg_orient.formats.points import read_points
 from fg_orient.formats.rasters import Raster, place_of
 from fg_orient.formats.rpc import read_rpc
@@ -141,7 +142,7 @@ def test_virtual_raster_does_not_hide_its_source(tmp_path: Path) -> None:
 
 
 def test_damaged_pixels_are_refused(tmp_path: Path) -> None:
-    """GDAL's error is an InputError with the name of the file."""
+    """Damaged pixels of an image give an InputError with the name of the file. GDAL reports them."""
     pytest.importorskip("rasterio")
     path = tmp_path / "a.tif"
     tiff(path, size(40, 30, 8) + strips(30, 50), bytes(range(50)))
@@ -220,7 +221,7 @@ def test_many_columns_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 @pytest.mark.parametrize("compression", [None, "zstd", "lz4"])
 def test_sizes_of_arrow_files_are_those_of_their_buffers(tmp_path: Path, compression: str | None) -> None:
-    """The sizes read from the FlatBuffers equal the sizes of the buffers that pyarrow made (padded to 8 bytes)."""
+    """The sizes read from an Arrow file are those of pyarrow's buffers, padded to 8 bytes."""
     pa = pytest.importorskip("pyarrow")
     ids = pa.array([f"point {k}" for k in range(1000)] * 3).dictionary_encode()
     table = pa.table({"id": ids, "number": np.arange(3000.0), "text": pa.array(["ab", None, "c"] * 1000)})
@@ -235,3 +236,64 @@ def test_sizes_of_arrow_files_are_those_of_their_buffers(tmp_path: Path, compres
     found = decoded_sizes(path)
     assert words <= found.dictionaries < words + 64 * 3
     assert max(held) <= found.largest < max(held) + 64 * 12
+
+
+@pytest.mark.parametrize("version", ["1.0", "2.0"])
+@pytest.mark.parametrize("compression", ["none", "zstd", "snappy", "gzip"])
+def test_sizes_of_parquet_files_are_those_of_their_pages(tmp_path: Path, compression: str, version: str) -> None:
+    """The sizes read from the headers of the pages add up to those of the footer, which contain the headers, too."""
+    pa = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    table = pa.table({"id": [f"point {k % 400}" for k in range(3000)], "number": np.arange(3000.0),
+                      "text": ["ab", None, "c" * 90] * 1000, "flag": [True, False, None] * 1000})  # fmt: skip
+    path = tmp_path / "a.parquet"
+    parquet.write_table(
+        table, path, row_group_size=2000, compression=compression, data_page_version=version, data_page_size=2000,
+        write_page_checksum=True, use_dictionary=["id"],
+    )  # fmt: skip
+    meta = parquet.read_metadata(path)
+    stated = [meta.row_group(k).total_byte_size for k in range(2)]
+    pages = -(-stated[0] // 1000)  # at least 1000 bytes each; a header has at most 200 bytes with its statistics
+    assert stated[0] - 200 * pages < largest_group_bytes(path) < stated[0]
+
+
+def _varint(number: int, length: int) -> bytes:
+    """Return a number of Thrift's compact protocol with a length that is given: zigzag, groups of 7 bits."""
+    groups = [(2 * number) >> 7 * k & 127 for k in range(length)]
+    return bytes([*(group | 128 for group in groups[:-1]), groups[-1]])
+
+
+def test_pages_larger_than_the_footer_states_are_refused(tmp_path: Path) -> None:
+    """A text of 240 MB in 20 kB, whose footer states 9 bytes, is refused before it is decompressed."""
+    pa = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    path = tmp_path / "a.parquet"
+    parquet.write_table(_table(pa, 1, ["a" * 240_000_000]), path, compression="zstd", use_dictionary=False,
+                        write_statistics=False)  # fmt: skip
+    group = parquet.read_metadata(path).row_group(0)
+    begin, data = max(group.column(k).data_page_offset for k in range(8)), path.read_bytes()
+    footer = data[begin:]
+    for number in (group.total_byte_size, group.column(0).total_uncompressed_size):
+        length = next(k for k in range(1, 9) if 2 * number < 128**k)
+        assert _varint(number, length) in footer
+        footer = footer.replace(_varint(number, length), _varint(9, length))
+    path.write_bytes(data[:begin] + footer)
+    assert parquet.read_metadata(path).row_group(0).total_byte_size == 9
+    assert outcome(lambda: _points(path), path.stat().st_size) == "limits.memory"
+
+
+@pytest.mark.parametrize("damage", [
+    b"\x15\x00\x15\x01", b"\x15\x00\x15\x02\x15\x01", b"\xff" * 12, b"\x1c" * 12, b"\x19\xfc" + b"\xff" * 8,
+    b"\x1d\x00",
+])  # fmt: skip
+def test_damaged_headers_of_pages_are_one_line(tmp_path: Path, damage: bytes) -> None:
+    """Negative sizes, endless numbers, deep structs, long lists and unknown types: one error names the file."""
+    pa = pytest.importorskip("pyarrow")
+    pytest.importorskip("pyarrow.parquet")
+    path = tmp_path / "a.parquet"
+    _write(path, _table(pa, 1, ["a"]), pa)
+    data = path.read_bytes()
+    path.write_bytes(data[:4] + damage + data[4 + len(damage) :])
+    with pytest.raises(InputError, match=r"a\.parquet") as caught:
+        _points(path)
+    assert [one.code for one in caught.value.problems] == ["table.damaged"]

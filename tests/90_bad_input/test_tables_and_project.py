@@ -149,7 +149,7 @@ def swap_all(folder):
 
 
 def swap_easting_and_northing(folder):
-    """The classic: a table of a CRS whose definition says north first."""
+    """Exchange easting and northing, in a table of a CRS that puts easting first."""
     to_plane = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:32636", always_xy=True)
     east, north = to_plane.transform([31.60, 32.05], [41.20, 41.22])
     rows = [f"{n},control,{b},{a},100,1,1,1\n" for n, a, b in zip(("01", "1"), east, north, strict=True)]
@@ -299,7 +299,7 @@ def test_bad_metadata_is_reported_with_the_other_faults(folder, monkeypatch):
 
 
 def test_nothing_is_left_behind(folder):
-    """Reading writes nothing, whether it succeeds or not."""
+    """Reading a project that is refused writes no file."""
     before = sorted(p.name for p in folder.folder.iterdir())
     folder.change(P, "12.5", "nan")
     refused(folder)

@@ -165,7 +165,10 @@ def test_narrow_and_dark(tab: Page, folder: Path) -> None:
 
 
 def test_printed_on_white_paper_and_nothing_is_cut(tab: Page, folder: Path) -> None:
-    """As wide as what a sheet of A4 leaves (190 mm), by somebody who reads in the dark."""
+    """Printed by a dark browser the report is white, opens all details, and fits in 190 mm.
+
+    This is the width that a sheet of A4 leaves.
+    """
     tab.size(718, 1000, dark=True)
     tab.open(folder / "report.html", wait="performance.getEntriesByName('drawn').length > 0")
     tab.call("Emulation.setEmulatedMedia", media="print", features=[{"name": "prefers-color-scheme", "value": "dark"}])

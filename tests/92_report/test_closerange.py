@@ -162,7 +162,10 @@ def test_a_gross_error_is_the_first_problem(made: Path, tmp_path: Path, record: 
 
 @pytest.mark.behaviour
 def test_names_of_points_do_not_cover_each_other() -> None:
-    """Points of a small object between stations far away; a name that has no place stands in the tip of its point."""
+    """Names of points do not overlap, and a name without room is in the tip of its point.
+
+    The object is small between stations far away.
+    """
     rng = np.random.default_rng(1)
     at, none = rng.uniform(-1.0, 1.0, (12, 3)), np.full((12, 3), np.nan)
     ids = [f"P{k}" for k in range(11)] + ["a name that is far too long for any place " * 3]
@@ -182,7 +185,7 @@ def test_names_of_points_do_not_cover_each_other() -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize("seed", range(5))
 def test_names_of_stations_do_not_cover_those_of_points(seed: int) -> None:
-    """Stations amid the points: every name stands apart from all others and from the squares of the stations."""
+    """Names of stations and points overlap neither each other nor the squares of the stations."""
     rng = np.random.default_rng(seed)
     at, none = rng.uniform(-1.0, 1.0, (12, 3)), np.full((12, 3), np.nan)
     centres = rng.uniform(-1.0, 1.0, (8, 3))
@@ -219,7 +222,7 @@ def test_w_is_the_residual_over_its_own_sigma(record: dict[str, Any]) -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize("command", ["dlt", "resect", "intersect", "bundle"])
 def test_a_gross_error_is_named_and_its_residual_has_its_sign(command: str, made: Path, tmp_path: Path) -> None:
-    """Computed minus measured in all kinds: a coordinate too large by 0.05 leaves a residual below zero.
+    """A coordinate too large by 0.05 has a negative residual, and the problem names it by each command.
 
     It is y of an intersection, since two rays do not check x along their base. Eleven unknowns of a DLT take too much
     of the error for a ratio without redundancy numbers: there m0 alone tells of it.
@@ -256,7 +259,7 @@ def test_an_unknown_camera_parameter_is_told_with_the_known_ones(made: Path) -> 
 @pytest.mark.behaviour
 @pytest.mark.parametrize("sigma", some_slow([0.001, None]))
 def test_a_point_off_a_surface_is_a_problem(sigma: float | None, tmp_path: Path) -> None:
-    """17 mm off among 1 mm of noise: named with its distance; no other point, and none without the error."""
+    """A point 17 mm off a surface with 1 mm of noise is the only problem, and without it there is none."""
     page_files.surface_points(tmp_path)
     path = tmp_path / "points.csv"
     given = [] if sigma is None else ["--sigma", sigma]
@@ -379,7 +382,7 @@ def test_surface_deviations(made: Path, fitted: dict[str, Any]) -> None:
 
 @pytest.mark.oracle
 def test_outlines_touch_their_surface() -> None:
-    """A turned ellipsoid, and the same as ten coefficients about another point; an open quadric has none."""
+    """The outline of an ellipsoid, or of its quadric, touches the surface; an open quadric has none."""
     turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
     turn[0] *= np.linalg.det(turn)
     form, centre, away = (

@@ -264,7 +264,7 @@ def test_correlations_are_those_of_the_cofactors(result: Result) -> None:
     ],
 )
 def test_every_kind_of_image_has_words(result: Result, models: tuple[str, ...], words: str) -> None:
-    """After a comma or a dot there is always text."""
+    """The words on the orientation name each kind of image of the block, joined by a dot."""
     images = [{**image, "model": model} for image, model in zip(result.record["images"], models, strict=True)]
     assert orientation_words({**result.record, "images": images, "rpc_compensation": "shift_drift"}) == words
 
@@ -313,7 +313,7 @@ def test_a_map_opens_on_the_points_where_footprints_are_far_larger(result: Resul
 
 @pytest.mark.behaviour
 def test_words_stand_below_their_heads(result: Result) -> None:
-    """If the head of a column is text, its cells are text, and both are aligned left."""
+    """A column of text has a text head and is aligned with it in each table of the report."""
     held = 0
     for table in render(result).split("<table")[1:]:
         head, _, body = table.partition("</table>")[0].partition("</thead>")
@@ -422,7 +422,7 @@ def test_first_page_names_what_a_test_suspects_and_repeats_no_verdict(result: Re
 
 @pytest.mark.behaviour
 def test_a_section_from_outside_is_one_declaration(result: Result, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Heading, link, values and template are in one place; a section without values is left out."""
+    """One declaration adds a section with heading, link, values and template; without values it is omitted."""
     monkeypatch.setattr(html, "SECTIONS", [*html.SECTIONS])
     template = "<p>{{ n }} rays of {{ r.name }}, {{ worst }}</p>"
 

@@ -32,7 +32,7 @@ WRONG, ERROR_PX = "7", np.array([9.0, -6.0])
 
 
 def adjusted(project: Path) -> Path:
-    """Adjust a project; its result folder."""
+    """Adjust a project; return its result folder."""
     out = project.parent / "result"
     assert (
         in_process("adjust", project, "--out", out, "--json", "--overwrite").code == 4
@@ -117,7 +117,7 @@ def test_the_first_chip_shows_the_wrong_measurement(rendered: Path) -> None:
 
 @pytest.mark.oracle
 def test_a_removed_measurement_is_the_first_chip(copy: Path) -> None:
-    """Its place is that of the input table, its arrow leads to the true place, and the page states its rejection."""
+    """A removed image point is the first chip, at its measured place with an arrow to the true one, and labelled."""
     out = copy / "searched"
     assert in_process("adjust", copy / "project.toml", "--snoop", "--out", out).code == 0
     result = read_result(out)

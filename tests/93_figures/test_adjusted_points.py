@@ -48,7 +48,7 @@ def read_las(path: Path) -> tuple[np.ndarray, Columns, str, str]:
 
 
 def read_ply(path: Path) -> tuple[np.ndarray, Columns, str, str]:
-    """Return the same of binary PLY, as its header says."""
+    """Return coordinates, columns, CRS and last comment of a binary PLY file."""
     head, _, body = path.read_bytes().partition(b"end_header\n")
     lines = head.decode("ascii").splitlines()
     assert lines[:2] == ["ply", "format binary_little_endian 1.0"]
@@ -98,7 +98,10 @@ def joint_covariances(result: Path) -> dict[str, np.ndarray]:
 @pytest.mark.oracle
 @pytest.mark.parametrize("suffix", list(READ))
 def test_formats_hold_the_tables(run: Run, adjusted: Path, tmp_path: Path, suffix: str) -> None:
-    """Coordinates by pyproj, numbers of the table, covariances of the joint matrix; CRS and purpose are said."""
+    """Each format has coordinates by pyproj, the numbers of the table and the joint covariances.
+
+    CRS and purpose are stated.
+    """
     out = tmp_path / f"points{suffix}"
     ended = run("dsm-points", adjusted, "--out", out, "--crs", UTM, "--control", "--json")
     assert ended.code == 0, ended.stderr
@@ -135,7 +138,7 @@ def test_formats_hold_the_tables(run: Run, adjusted: Path, tmp_path: Path, suffi
 
 @pytest.mark.consistency
 def test_covariances_of_check_points_are_predictions(run: Run, adjusted: Path, tmp_path: Path) -> None:
-    """Check points are no unknowns here; with the standard deviations they make positive definite matrices."""
+    """Sigmas and covariances of excluded check points form positive definite matrices."""
     run("dsm-points", adjusted, "--out", tmp_path / "a.csv", "--crs", UTM)
     _, columns, _, _ = read_csv(tmp_path / "a.csv")
     assert set(columns["role"]) == {"check"} and len(columns["role"]) == 10
@@ -198,7 +201,10 @@ def undulation(lon: Any, lat: Any) -> Any:
 
 @pytest.mark.oracle
 def test_crs_and_heights_are_those_of_the_project(run: Run, orthometric: Path, tmp_path: Path) -> None:
-    """Adjusted minus measured coordinates of the table give the coordinates of the input again."""
+    """Points are written in the project's CRS and heights, and a missing geoid file is asked for.
+
+    Adjusted minus measured coordinates are the differences of the table.
+    """
     result = orthometric / "result"
     ended = run("dsm-points", result, "--out", tmp_path / "a.gpkg", "--control", "--json")
     assert ended.json["crs"] == UTM and ended.json["heights"] == "above the geoid of geoid.tif"
@@ -225,7 +231,7 @@ def test_crs_and_heights_are_those_of_the_project(run: Run, orthometric: Path, t
 
 @pytest.mark.behaviour
 def test_selection(run: Run, orthometric: Path, tmp_path: Path) -> None:
-    """Control and rejected points are out by default; limits on rays and on the standard deviation of the height."""
+    """Control and rejected points are omitted by default, and limits on rays and height sigmas select points."""
     result = orthometric / "result"
     table = rows_of(result / "points.csv")
     left_out = {row["id"] for row in rows_of(result / "outliers.csv") if not row["readmitted"]}
@@ -250,7 +256,7 @@ def test_selection(run: Run, orthometric: Path, tmp_path: Path) -> None:
 
 @pytest.mark.behaviour
 def test_local_coordinates_have_no_crs(run: Run, result: Path, tmp_path: Path) -> None:
-    """A block of photos in a local system: x, y, z as they are, and nothing about heights."""
+    """Points of a local system are written as x, y, z without CRS and heights, and a CRS is refused."""
     table = rows_of(result / "points.csv")
     lines = [",".join("" if name in ("lon_deg", "lat_deg", "height_m") else row[name] for name in row) for row in table]
     (result / "points.csv").write_text("\n".join([",".join(table[0]), *lines]) + "\n", "utf-8")
@@ -269,7 +275,7 @@ def test_local_coordinates_have_no_crs(run: Run, result: Path, tmp_path: Path) -
 
 @pytest.mark.behaviour
 def test_doubt_is_heard(run: Run, result: Path, tmp_path: Path) -> None:
-    """The points are written; the first line after their purpose and the exit code state the doubt."""
+    """Points of a result that is not trustworthy are written with exit code 4 and a line that states the doubt."""
     record = json.loads((result / "result.json").read_text("utf-8"))
     (result / "result.json").write_text(json.dumps(record | {"status": "not_trustworthy"}), "utf-8")
     ended = run("dsm-points", sealed(result), "--out", tmp_path / "a.ply", "--crs", UTM)
@@ -305,7 +311,7 @@ def test_missing_library_names_the_extra(
 
 @pytest.mark.truth
 def test_steps_of_las() -> None:
-    """By hand: 0.1 mm up to 429 km, then 1 mm; degrees of one scene in 1e-9."""
+    """LAS steps are 0.1 mm up to 429 km, then 1 mm, and 1e-9 degrees for one scene, by hand."""
     offset, step = steps(np.array([[0.0, 0.0, 0.0], [400e3, 600e3, 10.0]]), "metre")
     assert offset.tolist() == [200e3, 300e3, 5.0] and step.tolist() == [1e-4, 1e-3, 1e-4]
     offset, step = steps(np.array([[31.0, 41.0, 0.0], [32.0, 52.0, 1.0]]), "degree")

@@ -94,7 +94,7 @@ def test_files_repeat_and_hold_nothing_of_the_clock(folder: Result, written: Pat
 
 @pytest.mark.consistency
 def test_map_shows_the_differences_of_the_table(folder: Result, adjusted: Path) -> None:
-    """Those of the table as arrows of matplotlib; the bars above them are of the same scale."""
+    """The map draws the differences of the table as arrows in the scale of its bar."""
     table = {row["id"]: row for row in rows(adjusted / "points.csv") if row["difference_east_m"]}
     for up in (False, True):
         chart = maps.point_map(folder, up=up)
@@ -119,7 +119,7 @@ def test_map_shows_the_differences_of_the_table(folder: Result, adjusted: Path) 
 
 @pytest.mark.oracle
 def test_a_kilometre_is_as_long_east_as_north(folder: Result) -> None:
-    """The bar of kilometres and the aspect against pyproj's geodesic."""
+    """The map's bar is right within 0.5 % and both axes have one scale, by pyproj's geodesics."""
     from pyproj import Geod
 
     chart = maps.point_map(folder)
@@ -139,7 +139,7 @@ def test_a_kilometre_is_as_long_east_as_north(folder: Result) -> None:
 
 @pytest.mark.consistency
 def test_residual_vectors_point_as_in_the_image(folder: Result, adjusted: Path) -> None:
-    """Lines run downwards, so a positive residual of the line points down."""
+    """Residual vectors point as in the image: lines increase downwards, so a positive line residual points down."""
     left = [r for r in rows(adjusted / "residuals.csv") if r["image"] == "left"]
     (axes,) = paper.figure_of(charts_of(folder, "residuals", ["left"])).axes
     (bottom, top), (arrows,) = axes.get_ylim(), [c for c in axes.collections if type(c).__name__ == "Quiver"]
@@ -175,9 +175,9 @@ def test_histograms_of_normalised_residuals(folder: Result, adjusted: Path) -> N
 
 @pytest.mark.oracle
 def test_band_of_normal_quantiles(rng: np.random.Generator) -> None:
-    """The band of one value is 1.96.
+    """The band of normal quantiles contains each of 25 sorted values in 95 % of 4000 samples.
 
-    Of 25 sorted values each is in its band in 95 % of 4000 samples, within 4 sigmas.
+    The band of one value is 1.96.
     """
     low, middle, high = plots.normal_band(1, np.arange(1))
     assert np.allclose([middle[0], low[0], high[0]], [0.0, -1.959964, 1.959964], atol=1e-6)
@@ -190,7 +190,7 @@ def test_band_of_normal_quantiles(rng: np.random.Generator) -> None:
 
 @pytest.mark.oracle
 def test_quantiles_draw_every_value(folder: Result, adjusted: Path) -> None:
-    """Sorted values of the table over quantiles of scipy's normal distribution."""
+    """The quantile plot has all sorted values of the table over scipy's normal quantiles."""
     (chart,) = charts_of(folder, "quantiles", ["right"])
     w = np.sort([float(r["w_sample"]) for r in rows(adjusted / "residuals.csv") if r["image"] == "right"])
     (drawn,) = (mark for mark in marks_of(chart, "dots") if mark.label == "sample")
@@ -231,7 +231,7 @@ def test_corrections_stand_in_prior_sigmas(folder: Result, adjusted: Path) -> No
 
 @pytest.mark.behaviour
 def test_share_of_biases_that_are_found(folder: Result) -> None:
-    """A point without a minimal detectable bias is never detected: the curve ends below one."""
+    """Points without a minimal detectable bias keep the curve of detectable biases below one."""
     mdb = folder.residuals.figures["mdb_sample_px"].copy()
     mdb[:47] = np.nan
     spoilt = Table({**folder.residuals.columns, "mdb_sample_px": mdb})
@@ -261,7 +261,10 @@ def test_hostile_names_are_words(adjusted: Path, result: Path, tmp_path: Path) -
 
 @pytest.mark.behaviour
 def test_what_is_not_drawn_is_told(result: Path) -> None:
-    """Without statistics, covariances, coordinates and log the figures of these are missing, each with its reason."""
+    """Figures whose data are missing are not drawn, and the captions state each reason.
+
+    Missing are statistics, covariances, coordinates and log.
+    """
     table = rows(result / "residuals.csv")
     with (result / "residuals.csv").open("w", encoding="utf-8", newline="") as stream:
         writer = csv.DictWriter(stream, list(table[0])[:8], extrasaction="ignore")

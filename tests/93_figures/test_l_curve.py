@@ -44,7 +44,7 @@ def section(folder: Result) -> dict[str, Any]:
 
 @pytest.mark.oracle
 def test_curve_is_that_of_the_first_step(folder: Result, section: dict[str, Any]) -> None:
-    """Against the rows of the block itself: the first iteration's kappa to the last bit, its step on the curve."""
+    """The recorded L-curve is that of the first step, with the kappas of all iterations, from the block's rows."""
     log = folder.iterations
     assert section["kappa"] == log[0]["kappa"] and section["rule"] == "gcv"
     assert section["steps"] == [{"iteration": i["iteration"], "kappa": i["kappa"]} for i in log]
@@ -71,7 +71,10 @@ def test_there_is_none_without_such_a_solver(adjusted: Path) -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize("choice", [{"loss": "huber"}, {"optimizer": "dogleg"}, {"datum": "inner"}])
 def test_other_ways_through_the_adjustment_have_one_too(choice: dict[str, Any]) -> None:
-    """A loss weights the rows, dogleg blends the steps, inner constraints leave out priors."""
+    """With a loss, dogleg or inner constraints the result has an L-curve, with another kappa except for dogleg.
+
+    A loss weights the rows, dogleg blends the steps, inner constraints leave out priors.
+    """
     block = zonguldak_block(ZonguldakOptions())[0]
     given = {"backend": "dense", "solver": "tikhonov_gcv", "max_iterations": 2}
     found = fg.adjust(block, **given, **choice).regularisation

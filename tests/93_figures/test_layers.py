@@ -64,7 +64,7 @@ def test_points_are_those_of_the_table(package: Path, adjusted: Path) -> None:
 
 @pytest.mark.oracle
 def test_vectors_have_azimuth_and_length_of_the_differences(package: Path, adjusted: Path) -> None:
-    """Against geodesics of pyproj."""
+    """Error vectors have azimuth and enlarged length of the differences, by pyproj's geodesics."""
     geometry, columns = read(package, "error_vectors")
     wanted = {r["id"]: r for r in table(adjusted / "points.csv")}
     start, end = (shapely.get_coordinates(shapely.get_point(geometry, k)) for k in (0, 1))
@@ -88,7 +88,7 @@ def test_footprints_hold_their_points(package: Path) -> None:
 
 @pytest.mark.behaviour
 def test_files_are_those_of_an_older_standard(package: Path) -> None:
-    """QGIS 3.22 warns of version 1.4, and of a time without UTC."""
+    """The GeoPackage has version 1.2 and times in UTC. QGIS 3.22 warns of version 1.4 and of a time without UTC."""
     with sqlite3.connect(package) as base:
         assert base.execute("pragma user_version").fetchone() == (10200,)
         times = base.execute("select distinct cast(update_time as text) from layer_styles").fetchall()
@@ -97,7 +97,7 @@ def test_files_are_those_of_an_older_standard(package: Path) -> None:
 
 @pytest.mark.behaviour
 def test_styles_lie_where_qgis_looks(package: Path) -> None:
-    """One default style for each layer, of its own geometry column; well-formed, with fields that the layer has."""
+    """Each layer has one default style, which is well-formed and uses only fields of the layer."""
     with sqlite3.connect(package) as base:
         rows = base.execute(
             "select f_table_name, f_geometry_column, useAsDefault, styleQML from layer_styles where f_table_schema = ''"
@@ -122,7 +122,10 @@ def test_files_repeat(adjusted: Path, package: Path, tmp_path: Path) -> None:
 
 @pytest.mark.behaviour
 def test_geojson(run: Any, result: Path, adjusted: Path, tmp_path: Path) -> None:
-    """RFC 7946: longitude first, no crs, rings to the left; read by GDAL as WGS 84."""
+    """The GeoJSON export follows RFC 7946 and has the points of the table.
+
+    Longitude is first, there is no crs, and rings turn left.
+    """
     out = tmp_path / "result.geojson"
     ended = run("report", result, "--export", out, "--json")
     assert ended.code == 0, ended.stderr
@@ -145,7 +148,7 @@ def test_geojson(run: Any, result: Path, adjusted: Path, tmp_path: Path) -> None
 
 @pytest.mark.behaviour
 def test_across_the_180th_meridian() -> None:
-    """A vector stays beside its point; a footprint is cut there."""
+    """At the 180th meridian a vector stays beside its point, and a footprint is cut."""
     numbers = {"lon_deg": 179.9999, "lat_deg": 10.0, "difference_east_m": 1.0, "difference_north_m": 0.0,
                "difference_up_m": 0.0}  # fmt: skip
     points = Table({"id": ["a"], "role": ["check"], **{k: np.array([v]) for k, v in numbers.items()}})
@@ -190,7 +193,10 @@ def test_refusals(run: Any, result: Path, tmp_path: Path, monkeypatch: pytest.Mo
 @pytest.mark.truth
 @pytest.mark.real_data
 def test_the_real_pair(run: Any, real_data: Path, tmp_path: Path) -> None:
-    """86 points of the Pléiades pair in a GeoPackage: where they were surveyed, within the adjustment's differences."""
+    """The 86 points of the Pléiades pair are within 1 cm of where their differences place them.
+
+    Both footprints contain them.
+    """
     project, _ = pleiades_project(real_data, tmp_path)
     assert run("adjust", project, "--eop-set", "10", "--out", tmp_path / "result").code == 0
     ended = run("report", tmp_path / "result", "--export", tmp_path / "pair.gpkg", "--json")

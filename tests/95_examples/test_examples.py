@@ -53,7 +53,10 @@ def test_orient_twin_and_read_its_image(repository: Path, tmp_path: Path) -> Non
 
 @pytest.mark.behaviour
 def test_own_factor(repository: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The example adds an equation to a copy of the registry, because other tests use the registry."""
+    """The example of an own factor has exact derivatives and holds the measured distance.
+
+    It uses a copy of the registry, because other tests use the registry.
+    """
     monkeypatch.setattr(_contract, "_REGISTRY", dict(_contract._REGISTRY))
     out = run(repository, "own_factor.py")
     assert float(re.search(r"complex step to (\S+)", out).group(1)) < 1e-12

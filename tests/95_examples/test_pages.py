@@ -149,14 +149,14 @@ ALONE = {
 
 @pytest.fixture(scope="module")
 def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder of files that pages without data of their own speak of."""
+    """Return the folder of files to which pages without own data refer."""
     folder = tmp_path_factory.mktemp("pages")
     page_files.satellite_files(folder)
     return folder
 
 
 def listed(table: dict[tuple[str, str], Any], item: Command | Fence) -> bool:
-    """Tell whether a command or block stands in a table, or is run elsewhere."""
+    """Return whether a command or block is in a table, or is run elsewhere."""
     if any(fnmatchcase(item.page, page) for page in RUN_ELSEWHERE):
         return True
     return any(fnmatchcase(item.page, page) and part in item.text for page, part in table)
@@ -189,7 +189,7 @@ def test_options_of_every_command_exist(name: str) -> None:
 
 @pytest.mark.repository
 def test_every_picture_is_small_told_in_words_and_shown() -> None:
-    """Alternative text for those who cannot see it; docs/pictures.py draws those of DRAWN."""
+    """Each drawn picture is below 150 kB and shown on a page, and each picture has alternative text."""
     shown: set[Path] = set()
     for name, path in PAGES.items():
         for words, target in re.findall(r"!\[(.*?)\]\((\S+?)\)", path.read_text("utf-8"), re.DOTALL):
@@ -207,7 +207,7 @@ def test_every_picture_is_small_told_in_words_and_shown() -> None:
 @pytest.mark.behaviour
 @pytest.mark.slow
 def test_pictures_are_drawn_again(tmp_path: Path) -> None:
-    """The script in the documentation draws them again under the same names."""
+    """``docs/pictures.py`` draws all pictures of the documentation under the same names."""
     ended = pages.run_script(REPOSITORY / "docs" / "pictures.py", tmp_path)
     assert ended.code == 0, ended.stderr
     kept = REPOSITORY / "docs" / "_static"
@@ -216,7 +216,7 @@ def test_pictures_are_drawn_again(tmp_path: Path) -> None:
 
 
 def start(name: str, prepared: Path, folder: Path) -> dict[str, Any]:
-    """Fill the folder of a page and give the names that it begins with."""
+    """Fill the folder of a page and return the names with which its code begins."""
     import fg_orient as fg
 
     names: dict[str, Any] = {"__name__": "page", "fg": fg, "np": np, "folder": folder}

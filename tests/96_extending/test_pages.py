@@ -72,7 +72,7 @@ def files(
 
 
 def fences_of(repository: Path, page: str) -> list[Fence]:
-    """Return the blocks of a page on extending, or of the one above them."""
+    """Return the blocks of a page on extending, or of the overview page."""
     path = repository / "docs" / ("extending.md" if page == "extending" else f"extending/{page}.md")
     return pages.fences(path, page)
 
@@ -93,7 +93,10 @@ def block(twin: Path) -> Block:
 
 
 def check_jacobians(equation: _contract.Equation, record: np.ndarray, setup: np.ndarray, *unknowns: np.ndarray) -> None:
-    """Complex step has no truncation error: a few roundings of the largest element remain."""
+    """Assert that Jacobians equal the complex step within a few roundings of the largest element.
+
+    The complex step has no truncation error.
+    """
     value, *jacobians = equation.kernel(record, setup, *unknowns, True)
     for k, jacobian in enumerate(jacobians):
         for c in range(jacobian.shape[1]):
@@ -109,7 +112,7 @@ def check_jacobians(equation: _contract.Equation, record: np.ndarray, setup: np.
 def test_commands_and_further_blocks_of_the_page(
     page: str, files: dict[str, Path], repository: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As a reader would, in the folder of the file and nothing else: each page simulates what it works on."""
+    """Commands and code of each page on extending run in a folder with only its file."""
     monkeypatch.chdir(files["loss" if page == "extending" else page].parent)
     names: dict[str, Any] = {}
     for made in ("twin", "result"):  # two pages share the file of the loss, and with it the folder
@@ -131,7 +134,7 @@ def test_commands_and_further_blocks_of_the_page(
 
 @pytest.mark.behaviour
 def test_format_in_a_project_file(files: dict[str, Path], twin: Path, tmp_path: Path) -> None:
-    """The control points of a block come from a file of the page's format; the command finds it by its suffix, too."""
+    """The format of the page gives the same points in a project, and ``convert --formats`` lists it."""
     folder = tmp_path / "own"
     shutil.copytree(twin.parent, folder)
     lines = [line for line in (folder / "points.csv").read_text("utf-8").splitlines() if not line.startswith("#")]
@@ -155,7 +158,7 @@ def test_format_in_a_project_file(files: dict[str, Path], twin: Path, tmp_path: 
 
 @pytest.mark.behaviour
 def test_rpc_format_of_a_user(tmp_path: Path, registries: pytest.MonkeyPatch) -> None:
-    """A reader of RPC in JSON and its sniffing function are enough for every command that takes an image."""
+    """A user's reader of RPC with a sniffing function is enough for ``project``."""
     (tmp_path / "docs_rpc.py").write_text(
         "import json\nimport fg_orient as fg\nfrom fg_orient.sensors.rpc import RpcModel\n"
         "def read(path, reading):\n    return RpcModel(**json.loads(path.read_text()), file=str(path), format='json')\n"
@@ -180,7 +183,10 @@ def test_rpc_format_of_a_user(tmp_path: Path, registries: pytest.MonkeyPatch) ->
 
 @pytest.fixture(scope="module")
 def parallel(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
-    """Folder of the images that the page simulates, and what its block calls by name: shifts, matrices, place."""
+    """Return the folder of the images that the page simulates, and the names that its block defines.
+
+    They are shifts, matrices, place.
+    """
     folder, names = tmp_path_factory.mktemp("parallel"), dict[str, Any]()
     with contextlib.chdir(folder):
         pages.run_python(python_of(repository, "sensor")[1], names)
@@ -189,7 +195,7 @@ def parallel(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> tupl
 
 @pytest.mark.oracle
 def test_sensor_in_a_project_file(parallel: tuple[Path, dict[str, Any]], files: dict[str, Path]) -> None:
-    """Adjusted by the command line: the planted shifts are found, and locate takes them from the result."""
+    """A block of the page's sensor is adjusted, its planted shifts are found, and ``locate`` applies them."""
     folder, true = parallel
     own = ("--plugin", files["sensor"])
     ended = in_process(*own, "adjust", folder / "project.toml", "--out", folder / "result", "--json")
@@ -218,7 +224,10 @@ def test_sensor_in_a_project_file(parallel: tuple[Path, dict[str, Any]], files: 
 def test_a_new_equation_of_image_points_runs_on_all_backends(
     parallel: tuple[Path, dict[str, Any]], files: dict[str, Path]
 ) -> None:
-    """The kernel of the page is only registered; the Schur backend compiles its own loop over it."""
+    """The page's equation has the same solution on all backends.
+
+    It is only registered; the Schur backend compiles its own loop over it.
+    """
     load_plugin(files["sensor"])
     block = fg.read_project(parallel[0] / "project.toml")
     schur, *others = (fg.adjust(block, backend=backend) for backend in ("schur", "graph", "dense"))
@@ -233,7 +242,7 @@ def test_a_new_equation_of_image_points_runs_on_all_backends(
 def test_a_wrong_kernel_of_a_new_equation_is_named(
     parallel: tuple[Path, dict[str, Any]], files: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The kernel has one column too few; the Schur backend and the others find this."""
+    """A kernel with one column too few is refused with equation, image point and shape."""
     text = files["sensor"].read_text().replace("docs_parallel", "docs_narrow").replace('"parallel"', '"narrow"')
     own = tmp_path / "docs_narrow.py"
     own.write_text(text.replace("np.diag(record[RECORD.weight] * setup[1])", "np.zeros((2, 1))"))
@@ -264,7 +273,7 @@ def place_of(middle: tuple[float, float, float], matrix: np.ndarray, pixel: np.n
 
 @pytest.mark.behaviour
 def test_equation_in_a_block(files: dict[str, Path], block: Block) -> None:
-    """A distance to a check point, 5 m longer than it was, pulls the point along it."""
+    """The page's distance to a check point, 5 m too long, moves the point to this distance."""
     page = load_plugin(files["equation"])
     rng = np.random.default_rng(3)
     for _ in range(5):
@@ -289,7 +298,7 @@ def test_equation_in_a_block(files: dict[str, Path], block: Block) -> None:
 
 @pytest.mark.behaviour
 def test_solver_in_a_comparison(files: dict[str, Path], twin: Path, tmp_path: Path) -> None:
-    """The page's solver gives the accuracy of QR, published procedure and iterated; its Tikhonov solver another one."""
+    """In a comparison the page's solver has the accuracy of QR, and its Tikhonov solver another one."""
     words = ("compare", twin, "--solvers", "qr,docs_cgls,docs_tikhonov", "--eop-sets", "2", "--types", "2",
              "--backends", "faithful,dense", "--out", tmp_path / "comparison", "--json")  # fmt: skip
     ended = in_process("--plugin", files["solver"], "--plugin", files["kappa-rule"], *words)
@@ -306,7 +315,7 @@ def test_solver_in_a_comparison(files: dict[str, Path], twin: Path, tmp_path: Pa
 
 @pytest.mark.oracle
 def test_solver_and_rule_against_formed_matrices(files: dict[str, Path]) -> None:
-    """The page's solver equals least squares; its rule is Mallows' prediction error."""
+    """The page's solver equals least squares, and its rule minimises Mallows' prediction error."""
     load_plugin(files["solver"]), load_plugin(files["kappa-rule"])
     rng = np.random.default_rng(4)
     design, observed = rng.normal(size=(12, 4)), rng.normal(size=12)
@@ -328,7 +337,7 @@ def test_solver_and_rule_against_formed_matrices(files: dict[str, Path]) -> None
 
 @pytest.mark.oracle
 def test_loss_in_an_adjustment(files: dict[str, Path], twin: Path, tmp_path: Path) -> None:
-    """By the command line: the weights of the table are those of the page at the residuals of the table."""
+    """With the page's loss the weights of the table follow from its residuals, and its cost is the integral."""
     out = tmp_path / "result"
     ended = in_process("--plugin", files["loss"], "adjust", twin, "--loss", "docs_fair", "--out", out, "--json")
     assert ended.code == 0, ended.stderr
@@ -378,9 +387,9 @@ def test_files_that_cannot_be_loaded(name: str, text: str | None, said: str, tmp
 def test_a_reader_that_stumbles_is_named_with_its_line(
     files: dict[str, Path], tmp_path: Path, registries: pytest.MonkeyPatch
 ) -> None:
-    """The error names the plugin, its line and the file that it read, with exit code 2.
+    """A plugin that raises an error is named with its line and the file, with exit code 2.
 
-    It is no error of the program.
+    It does not count as an error of the program.
     """
     image = tmp_path / "left.parallel"
     words = ("--plugin", files["sensor"], "locate", image, "--line", 1, "--sample", 1, "--height", 0)

@@ -185,7 +185,7 @@ def test_page_and_figure_are_made_of_the_results_file() -> None:
 
 @pytest.mark.truth
 def test_planted_gross_errors_and_the_power_to_find_them(tmp_path: Path) -> None:
-    """Errors have the stated number and size; an error beyond all limits is found, and one of size zero is not."""
+    """Planted errors have the stated number and size, and the missed probability is 0 for large, 0.999 for no error."""
     table = tmp_path / "observations.csv"
     lines = ["# made here", "image,id,line,sample", *(f"a,{k},{k}.0,1.0" for k in range(20))]
     table.write_text("\n".join(lines) + "\n", "utf-8")

@@ -13,7 +13,7 @@ from fg_orient.adjustment.problem import State, compile_problem
 
 @pytest.mark.truth
 def test_residuals_at_the_truth_are_the_noise() -> None:
-    """At the true orientation and ground the mean square is that of the noise, within four of its sigmas."""
+    """At the true orientation and ground the mean square of the residuals is the noise's, within four sigmas."""
     block, true_x, true_m = scene(1, 20, 3.0)
     problem = compile_problem(block)
     image = true_x.reshape(problem.start.image.shape)

@@ -135,7 +135,7 @@ class Running:
         return int.from_bytes(self._shared[place : place + 4], sys.byteorder)
 
     def paused(self) -> bool:
-        """Wait until the process waits before its call; False if it has ended."""
+        """Wait until the process waits before its call; return False if it has ended."""
         end = time.monotonic() + HANGS_S
         while not self._number(WAITS):
             if os.waitid(os.P_PID, self.process, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None:
@@ -145,7 +145,7 @@ class Running:
         return True
 
     def go_on(self) -> None:
-        """Let a process go on that waits."""
+        """Resume a process that waits."""
         self._shared[GO : GO + 4] = (1).to_bytes(4, sys.byteorder)
 
     def ended(self, kill_after_s: float | None = None) -> Ended:
@@ -165,7 +165,7 @@ class Running:
         return Ended(-signal.SIGKILL if code is None and kill_after_s is not None else code, *texts, tuple(calls), n)
 
     def _wait(self, seconds: float) -> int | None:
-        """Wait for the process; None if it was killed after some seconds."""
+        """Wait for the process; return None if it was killed after some seconds."""
         end, pause = time.monotonic() + seconds, 0.001
         while True:
             done, status = os.waitpid(self.process, os.WNOHANG)

@@ -21,9 +21,9 @@ DRAWN = ("seconds.svg", "seconds.pdf")
 
 
 def contents(folder: Path) -> dict[str, str]:
-    """Return the SHA-256 of every file below a folder, but for times, and "folder" for every folder.
+    """Return the SHA-256 of every file below a folder, without times, and "folder" for every folder.
 
-    AssertionError: a manifest does not fit the files beside it.
+    AssertionError: a manifest does not fit the files in its folder.
     """
     return {
         path.relative_to(folder).as_posix(): "folder" if path.is_dir() else _digest(path, str(folder).encode())
@@ -73,7 +73,7 @@ def _masked(value: Any) -> Any:
 
 
 def _manifest(path: Path, content: dict[str, Any]) -> bytes:
-    """Return the names of its files; their digests depend on times and are checked."""
+    """Return the schema and file names of a manifest; check the digests, which depend on times."""
     for name, entry in content["files"].items():
         data = (path.parent / name).read_bytes()
         assert entry["sha256"] == hashlib.sha256(data).hexdigest(), f"{path}: {name} has another digest"

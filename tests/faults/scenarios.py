@@ -31,7 +31,7 @@ def adjust(folder: Path) -> Scenario:
 
 
 def resume(folder: Path) -> Scenario:
-    """``adjust`` with many iterations; the run after a killed one continues from its checkpoint."""
+    """Return ``adjust`` with many iterations; the run after a killed one continues from its checkpoint."""
     _twin(folder)
     words = ("--loss", "huber", "--checkpoint-every", "0", "--quiet")
     return Scenario("resume", folder, lambda f: ("adjust", f / "twin/project.toml", "--out", f / "out", *words),
@@ -39,7 +39,7 @@ def resume(folder: Path) -> Scenario:
 
 
 def parts(folder: Path) -> Scenario:
-    """``adjust`` of a block in parts, whose files are in a folder of the run; continued from its checkpoint."""
+    """Return ``adjust`` of a block in parts with a work folder, continued from its checkpoint."""
     _twin(folder)
     (folder / "work").mkdir()
     words = ("--parts", "3", "--checkpoint-every", "0", "--quiet")
@@ -51,7 +51,7 @@ def parts(folder: Path) -> Scenario:
 
 
 def parquet(folder: Path) -> Scenario:
-    """``adjust --tables parquet``."""
+    """Return ``adjust --tables parquet``."""
     _twin(folder)
     words = ("--tables", "parquet", "--quiet")
     return Scenario("parquet", folder, lambda f: ("adjust", f / "twin/project.toml", "--out", f / "out", *words),
@@ -59,7 +59,7 @@ def parquet(folder: Path) -> Scenario:
 
 
 def replace(folder: Path) -> Scenario:
-    """``adjust`` with an existing result."""
+    """Return ``adjust`` over an existing result."""
     project = _twin(folder)
     _good(folder, "adjust", project, "--out", folder / "out", "--quiet")
     words = ("--checkpoint-every", "0", "--quiet", "--overwrite")
@@ -101,14 +101,14 @@ def convert(folder: Path) -> Scenario:
 
 
 def geopackage(folder: Path) -> Scenario:
-    """``convert`` into a file that SQLite writes."""
+    """Return ``convert`` to a file that SQLite writes."""
     path = _survey(folder).name
     return Scenario("geopackage", folder, lambda f: ("convert", f / path, "--to-crs", "EPSG:4978", "--out",
                                                      f / "other.gpkg"), ("--overwrite",))  # fmt: skip
 
 
 def pair(folder: Path) -> Scenario:
-    """``convert`` into two tables."""
+    """Return ``convert`` to two tables."""
     project = _twin(folder)
     files = [project.parent / name for name in ("points.csv", "observations.csv")]
     return Scenario("pair", folder, lambda f: ("convert", *(f / "twin" / file.name for file in files),
@@ -118,7 +118,7 @@ def pair(folder: Path) -> Scenario:
 
 
 def model(folder: Path) -> Scenario:
-    """``convert`` of a bundle into the three files of COLMAP."""
+    """Return ``convert`` of a bundle to the three files of COLMAP."""
     from fg_orient.formats.exchange.bal import BalData, write_bal
 
     rng = np.random.default_rng(4)
@@ -131,7 +131,7 @@ def model(folder: Path) -> Scenario:
 
 
 def projection(folder: Path) -> Scenario:
-    """``rectify projection``: one table."""
+    """Return ``rectify projection``, which writes one table."""
     (folder / "points.csv").write_text("id,lon_deg,lat_deg\na,31.5,41.5\nb,31.6,41.4\n", "utf-8")
     return Scenario("projection", folder, lambda f: ("rectify", "projection", f / "points.csv", "--to", "EPSG:32636",
                                                      "--out", f / "map.csv"), ("--overwrite",))  # fmt: skip
@@ -153,7 +153,7 @@ def rectify(folder: Path) -> Scenario:
 
 
 def ortho(folder: Path) -> Scenario:
-    """``rectify ortho`` to a cloud optimised GeoTIFF, which GDAL writes twice."""
+    """Return ``rectify ortho`` to a cloud optimised GeoTIFF, which GDAL writes twice."""
     import rasterio
 
     rectify(folder)
@@ -187,7 +187,7 @@ def match(folder: Path) -> Scenario:
 
 
 def control(folder: Path) -> Scenario:
-    """``match --control``: a table of points, too."""
+    """Return ``match --control``, which also writes a table of points."""
     _rendered(folder, chips=True)
     return Scenario("control", folder, lambda f: ("match", f / "project.toml", "--control", f / "chips.gpkg",
                                                   "--quiet"), ("--overwrite",), (".project.match",))  # fmt: skip
@@ -200,7 +200,7 @@ def report(folder: Path) -> Scenario:
 
 
 def figures(folder: Path) -> Scenario:
-    """``report --figures``; the page is an output of its own, which is written first."""
+    """Return ``report --figures``; the page is an output of its own and is written first."""
     project = _twin(folder)
     _good(folder, "adjust", project, "--out", folder / "out", "--quiet")
     return Scenario("figures", folder, lambda f: ("report", f / "out", "--figures"), ("--overwrite",),
@@ -208,7 +208,7 @@ def figures(folder: Path) -> Scenario:
 
 
 def layers(folder: Path) -> Scenario:
-    """``report --export`` to a GeoPackage; the page is written first."""
+    """Return ``report --export`` to a GeoPackage; the page is written first."""
     project = _twin(folder)
     _good(folder, "adjust", project, "--out", folder / "out", "--quiet")
     return Scenario("layers", folder, lambda f: ("report", f / "out", "--export", f / "layers.gpkg"), ("--overwrite",),
@@ -216,7 +216,7 @@ def layers(folder: Path) -> Scenario:
 
 
 def cloud(folder: Path) -> Scenario:
-    """``dsm-points``: a file that laspy writes."""
+    """Return ``dsm-points`` to a file that laspy writes."""
     project = _twin(folder)
     _good(folder, "adjust", project, "--out", folder / "out", "--quiet")
     return Scenario("cloud", folder, lambda f: ("dsm-points", f / "out", "--out", f / "points.las"),

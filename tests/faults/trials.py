@@ -98,7 +98,7 @@ class Faults:
         return ended, contents(self.root)
 
     def fail(self, nth: int, name: str, *, sticky: bool = False) -> None:
-        """Let a call fail once, or from then on; check the files and the message."""
+        """Make a call fail once, or from then on; check the files and the message."""
         self._copy()
         words = self.scenario.words(self.root)
         ended = run(command(*words), self.root, nth=nth, error=ERRORS[name], sticky=sticky)
@@ -141,7 +141,7 @@ class Faults:
             self._note(f"{where}: message {ended.stderr[-600:]}")
 
     def kill_after(self, seconds: float) -> bool:
-        """Kill the command after some time; check the next run. False if it had ended before."""
+        """Kill the command after some time; check the next run; return False if it had ended before."""
         self._copy()
         ended = run(command(*self.scenario.words(self.root)), self.root, count=False, kill_after_s=seconds)
         self.report.runs += 1
@@ -160,7 +160,7 @@ class Faults:
             done += self.kill_after(rng.uniform(0.0, duration))
 
     def _next_run(self, where: str) -> None:
-        """Repeat the command after a killed one: same bits as without the kill, nothing left."""
+        """Repeat the command after a killed one; check for the bits of a run without the kill and no further files."""
         words = (*self.scenario.words(self.root), *self.scenario.resume)
         ended, end = run(command(*words), self.root, count=False), "next run writes the output"
         if ended.code == 2 and ("--overwrite" in ended.stderr or "exists already" in ended.stderr):
@@ -177,7 +177,10 @@ class Faults:
             self._note(f"{where}: next run {ended.code}, differs in {names[:8]}, {ended.stderr[-300:]}")
 
     def two_writers(self, chosen: Sequence[int], *, overwrite: bool) -> None:
-        """Let the command wait before some of its calls while a second one runs; one output whole, no other files."""
+        """Run a second command while the first one waits before some of its calls.
+
+        One output is then whole, and there are no other files.
+        """
         more = self.scenario.again if overwrite else ()
         seconds = (*more, *self.scenario.other)
         first, second = self._alone(*more)[1], self._alone(*seconds)[1]

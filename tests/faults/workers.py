@@ -83,7 +83,7 @@ def killer(kills: int, longest_s: float, seed: int) -> Iterator[Counter[str]]:
 
 
 def trial(problem: Problem, pool: Pool, expected: State) -> str:
-    """Adjust once: "same bits", "exit 3" with its code, or what went wrong."""
+    """Adjust once; return "same bits", "exit 3" with its code, or the failure."""
     try:
         found = adjusted(problem, pool)
     except NoSolutionError as error:
@@ -95,7 +95,10 @@ def trial(problem: Problem, pool: Pool, expected: State) -> str:
 
 
 def while_working(kills: int, longest_s: float, seed: int) -> Counter[str]:
-    """Ends of the adjustments while workers are killed; the number of replacements is not limited."""
+    """Return the ends of adjustments while workers are killed.
+
+    The number of replacements is not limited.
+    """
     problem = compile_problem(block())
     expected, ends = adjusted(problem, Pool()), Counter[str]()
     watch.REPLACED, limit = 10**6, watch.REPLACED
@@ -110,7 +113,10 @@ def while_working(kills: int, longest_s: float, seed: int) -> Counter[str]:
 
 
 def while_starting(runs: int, longest_s: float, seed: int) -> Counter[str]:
-    """Ends of runs in which one worker is killed about the start of the processes; with the usual limits."""
+    """Return the ends of runs in which one worker is killed about the start of the processes.
+
+    The usual limits apply.
+    """
     problem = compile_problem(block())
     expected, ends = adjusted(problem, Pool()), Counter[str]()
     for run in range(runs):
@@ -135,7 +141,10 @@ RUNS = {
 
 
 def run_killed(command: str, kills: int, seed: int) -> Counter[str]:
-    """Ends of a command with workers after a kill of its own process: its workers end, and the next run continues."""
+    """Return the ends of a command with workers after its own process is killed.
+
+    Its workers end, and the next run continues.
+    """
     rng, ends = random.Random(seed), Counter[str]()
     with tempfile.TemporaryDirectory(prefix="faults-") as name:
         folder = Path(name)

@@ -52,7 +52,7 @@ def _figures(session: Session) -> dict[str, object]:
 
 
 def _watched(name: str, seed: int, cases: int, share: float, keep: Path) -> dict[str, object]:
-    """Run a reader in a process; begin again behind a case at which it hangs or dies."""
+    """Run a reader in a process; start it again after a case at which it hangs or dies."""
     total: dict[str, object] = {}
     for attempt in range(20):
         pulse = keep / f"{name}.figures"
@@ -88,7 +88,7 @@ def _watched(name: str, seed: int, cases: int, share: float, keep: Path) -> dict
 
 
 def _wait(pid: int, now: Path) -> str:
-    """Wait for a process; "" if it ended well, else what happened."""
+    """Wait for a process; return "" if it ended well, else a word for its end."""
     last = time.time()
     while True:
         done, status = os.waitpid(pid, os.WNOHANG)

@@ -79,7 +79,7 @@ class Broken:
 
 
 def outcome(read: Callable[[], object], size: int, *, limits: bool = True) -> Broken | str:
-    """Call a reader; "" if it returned, the code of the error if it refused, else what is broken.
+    """Call a reader; return "" if it returned, the code of the error if it refused, else the failure.
 
     ``limits``: measure time and memory, too.
     """

@@ -452,7 +452,7 @@ _MEASURED: Final = (
 
 
 def _each(*reads: Callable[[], object]) -> None:
-    """Call each; an FgOrientError of one does not hinder the next. The first one is raised at the end."""
+    """Call each function, also after an FgOrientError of another one; raise the first error at the end."""
     from fg_orient.model.errors import FgOrientError
 
     errors = []

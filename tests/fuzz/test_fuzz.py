@@ -47,7 +47,7 @@ def test_some_mutated_files_of_each_quick_reader(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", READERS)
 def test_files_that_fuzzing_begins_with_are_read(tmp_path: Path, name: str) -> None:
-    """A reader that refuses them is not tested beyond its first check."""
+    """Each reader reads the files that its fuzzing begins with. Otherwise only its first check would be tested."""
     reader = READERS[name]
     reader.make(tmp_path)
     assert any(reader.changes(path.name) for path in tmp_path.rglob("*") if path.is_file())
@@ -63,7 +63,7 @@ def test_mutated_files(tmp_path: Path, name: str) -> None:
 
 
 def test_a_case_is_repeated_by_its_seed(tmp_path: Path) -> None:
-    """The same seed gives the same files, on every machine."""
+    """A fuzzing run with the same seed has the same outcomes."""
     a, b = (_run("geojson", tmp_path / str(k), 40, 3, limits=False).tally for k in range(2))
     assert (a.codes, a.read) == (b.codes, b.read) and len(a.codes) > 2
 
@@ -113,7 +113,7 @@ def _read_or_refused(read: Any, *arguments: Any) -> Any:
 @given(JSON)
 @settings(max_examples=12)
 def test_json(value: Any) -> None:
-    """Valid JSON is read as json.loads reads it; other content is refused."""
+    """The parser reads valid JSON as ``json.loads`` does, or refuses it."""
     text = json.dumps(value)
     found = _read_or_refused(parse_json, text.encode(), "a.json", "interchange.json")
     if found is not None and "e+" not in text and not any(mark in text for mark in ("NaN", "Infinity")):

@@ -13,7 +13,7 @@ from .keep import fresh, keep
 
 
 def main() -> int:
-    """Keep, or compare: 0 if nothing differs."""
+    """Keep the outputs or compare them; return 0 if nothing differs."""
     parser = argparse.ArgumentParser(prog="python -m tests.golden", description=__doc__)
     actions = parser.add_subparsers(dest="action", required=True)
     kept = actions.add_parser("keep", help="run the cases and keep what they give")

@@ -126,7 +126,7 @@ def _table(text: str) -> dict[str, list[Value]]:
 
 
 def _leaves(tree: Any, place: str = "") -> dict[str, list[Value]]:
-    """Return the values of a record by their keys; those of the same key in a list stand together."""
+    """Return the values of a record by their keys, with those of one key in a list as one entry."""
     out = dict[str, list[Value]]()
     if OTHER_EACH_TIME.search(place):
         return out

@@ -34,7 +34,7 @@ def keep(folder: Path, chosen: Callable[[str], bool], told: Callable[[str], None
 
 
 def _run(case: Case, place: Path, folder: Path) -> None:
-    """Run a command in its folder; what it prints and its exit code stand beside its files."""
+    """Run a command in its folder; write its output and exit code next to its files."""
     words = [word.replace("{real}", real_data()) for word in case.command.split()]
     with contextlib.chdir(place):
         ended = in_process(*words)

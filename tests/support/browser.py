@@ -57,7 +57,7 @@ class Page:
         return self._browser.call(method, session=self._session, **parameters)
 
     def open(self, path: Path, *, wait: str = "document.readyState === 'complete'") -> None:
-        """Open a file and wait for a condition; troubles of earlier pages are forgotten."""
+        """Open a file and wait for a condition; forget errors of earlier pages."""
         self.troubles.clear()
         self.call("Page.navigate", url=path.absolute().as_uri())
         self.until(f"location.href !== 'about:blank' && ({wait})")
@@ -95,7 +95,7 @@ class Page:
         self.call("Input.dispatchKeyEvent", type="keyUp", key=name)
 
     def picture(self, path: Path, clip: dict[str, float] | None = None) -> None:
-        """Save what is seen, or a part of the page (``x, y, width, height``), as PNG."""
+        """Save the visible part, or a part of the page (``x, y, width, height``), as PNG."""
         part = {"clip": {**clip, "scale": 1}, "captureBeyondViewport": True} if clip else {}
         path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png", **part)["data"]))
 

@@ -27,7 +27,10 @@ def simulate_pixel_areas_m2(
 
 
 def synthetic_outline(area_m2: float, perimeter: float, n_vertices: int, seed: int) -> Array:
-    """Random coast (n_vertices, 2) of a given area and perimeter: a circle whose radius has random harmonics, m."""
+    """Return a random coast (n_vertices, 2) of a given area and perimeter in m.
+
+    It is a circle whose radius has random harmonics.
+    """
     rng, angle = np.random.default_rng(seed), np.linspace(0.0, 2.0 * np.pi, n_vertices, endpoint=False)
     order = np.arange(2, 24)
     waves = np.cos(np.outer(angle, order) + rng.uniform(0.0, 2.0 * np.pi, len(order))) @ (

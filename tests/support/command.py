@@ -7,6 +7,7 @@ import functools
 import gc
 import io
 import json
+import math
 import os
 import signal
 import sys
@@ -21,6 +22,7 @@ import typer.main
 from click.testing import CliRunner
 
 from fg_orient.cli import app, main
+from fg_orient.cli import command as cli_command
 
 
 @dataclass(frozen=True)
@@ -51,8 +53,9 @@ def command_line() -> Any:
 
 
 def in_process(*words: object) -> Ended:
-    """Run a command in this process."""
-    result = CliRunner().invoke(command_line(), [str(word) for word in words])
+    """Run a command in this process; without the note on compilation, which a slow machine prints."""
+    with patch.object(cli_command, "NOTED_S", math.inf):
+        result = CliRunner().invoke(command_line(), [str(word) for word in words])
     kept = os.environ.get("FG_ORIENT_RECORDS")  # for the schemas: tests/support/json_schemas.py
     if kept and "--json" in words:
         one = json.dumps({"words": [str(word) for word in words], "out": result.stdout})
@@ -66,7 +69,8 @@ def entry_point(*words: object, **environment: str) -> Ended:
     before = signal.getsignal(signal.SIGTERM)
     with (
         patch.object(sys, "argv", ["fg-orient", *map(str, words)]), patch.dict(os.environ, environment),
-        patch.object(gc, "freeze"), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err),
+        patch.object(gc, "freeze"), patch.object(cli_command, "NOTED_S", math.inf),
+        contextlib.redirect_stdout(out), contextlib.redirect_stderr(err),
     ):  # fmt: skip
         try:
             main()

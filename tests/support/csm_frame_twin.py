@@ -59,7 +59,7 @@ class State:
         )
 
     def distorted(self, x: float, y: float) -> tuple[float, float]:
-        """Measured coordinates, mm."""
+        """Return measured coordinates in mm."""
         if self.s["m_distortionType"] == 1:
             return self._transverse(x, y)
         if self.s["m_distortionType"] == 7:

@@ -55,7 +55,7 @@ def line_time(state: State, line: float) -> float:
 
 
 def transverse(x: float, y: float, c: np.ndarray) -> np.ndarray:
-    """Measured focal-plane coordinates of ideal ones, polynomials of degree 3."""
+    """Return measured focal-plane coordinates of ideal ones by polynomials of degree 3."""
     terms = np.array([1.0, x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3])
     return np.array([terms @ c[:10], terms @ c[10:]])
 

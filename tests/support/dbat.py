@@ -93,9 +93,10 @@ def block(cameras: list[FrameCamera], form: Format, marks: np.ndarray, known: di
 
 
 def camcal(folder: Path) -> Block:
-    """camcaldemo from nothing of its results: resection on the four control points, then intersection.
+    """Return the block of camcaldemo without its results.
 
-    Four points of a plane have two poses; in all 21 photos the one with the smaller misfit is the true one.
+    Four control points give the resection, then points are intersected. Four points of a plane have two poses; in all
+    21 photos the one with the smaller misfit is the true one.
     """
     form, marks = Format(2272, 1704, 5.43764), table(folder / "measurements" / "markpts.txt")
     control = {int(r[0]): r[2:5].tolist() for r in table(folder / "reference" / "camcal-fixed.txt")}
@@ -120,7 +121,10 @@ def _oriented(interior: PhotoInterior, marks: np.ndarray, ground: dict[int, list
 
 
 def roma(folder: Path, *, calibrate: bool = True, aspect: float = 0.0) -> Block:
-    """romabundledemo: photo 1 held, and the Y of the projection centre of photo 19 (the longest base)."""
+    """Return the block of romabundledemo.
+
+    Photo 1 is held, and the Y of the projection centre of photo 19 (the longest base).
+    """
     form = Format(5616, 3744, 24.0)
     marks = table(folder / "measurements" / "markpts.txt.gz")
     start = table(folder / "prior" / "initial_eo.txt")

@@ -29,7 +29,7 @@ def rpc(kind: str = "affine") -> Block:
 
 
 def with_control(block: Block, keep: Sequence[int], known_m: np.ndarray | None = None) -> Block:
-    """Only these points are control points; the others are tie points."""
+    """Return the block with only these points as control points and the others as tie points."""
     known, n = block.points.known, len(block.points.ids)
     mask = np.isin(np.arange(n), keep)[:, None]
     ecef = known.ecef_m if known_m is None else known_m
@@ -94,7 +94,7 @@ def two_pinhole_blocks(control: Sequence[int]) -> Block:
 
 
 def seen_once(block: Block, points: Sequence[int]) -> Block:
-    """These points keep their first ray only."""
+    """Return the block in which these points keep their first ray only."""
     o = block.observations
     _, first = np.unique(o.point, return_index=True)
     keep = ~np.isin(o.point, points) | np.isin(np.arange(len(o)), first)

@@ -55,7 +55,10 @@ def random_rotation(rng: np.random.Generator) -> Array:
 
 
 def look_angle_collinearity(rng: np.random.Generator) -> Example:
-    """Return the SPOT-like observation; both kinds of files, both attitude forms and curves occur."""
+    """Return a SPOT-like observation.
+
+    Both kinds of files, both attitude forms and curves occur.
+    """
     p = rng.normal(size=3)
     p *= 7.2e6 / np.linalg.norm(p)
     v = np.cross(p, rng.normal(size=3))
@@ -78,9 +81,9 @@ def look_angle_collinearity(rng: np.random.Generator) -> Example:
 
 
 def frame_collinearity(rng: np.random.Generator) -> Example:
-    """Return the wide-angle camera.
+    """Return a ray of a wide-angle camera.
 
-    Both directions of the polynomial, small and large rotations, subsets of unknowns.
+    Both directions of the polynomial, small and large rotations, and subsets of unknowns occur.
     """
     start, n = random_rotation(rng), frame.N_UNKNOWNS
     centre, depth = rng.normal(scale=100.0, size=3), rng.uniform(50.0, 500.0)
@@ -137,7 +140,10 @@ def latitudinal_point(rng: np.random.Generator) -> Example:
 
 
 def rational_function(rng: np.random.Generator) -> Example:
-    """Return the metre-resolution image; shift, drift and affine compensation occur."""
+    """Return an observation in an image of metre resolution.
+
+    Shift, drift and affine compensation occur.
+    """
     c = rng.normal(scale=1e-3, size=(4, 20))
     c[1::2, 0] = 1.0
     c[0, 1:4] += 0.1 * rng.normal(), -1.0, 0.1 * rng.normal()
@@ -157,7 +163,10 @@ def rational_function(rng: np.random.Generator) -> Example:
 
 
 def frame_extended_collinearity(rng: np.random.Generator) -> Example:
-    """Frame image with all corrections: both directions, fisheye and perspective, lines up and down, conditions."""
+    """Return a ray of a frame image with all corrections.
+
+    Both directions, fisheye and perspective, lines up and down, and conditions occur.
+    """
     plain = frame_collinearity(rng)
     constants = dict(zip(frame.RECORD.fields, np.split(plain.record, np.cumsum([*frame.RECORD.sizes.values()])[:-1]),
                          strict=True))  # fmt: skip
@@ -186,7 +195,7 @@ def _plane_record(rng: np.random.Generator) -> Array:
 
 
 def dlt(rng: np.random.Generator) -> Example:
-    """Return the state of eleven parameters and some coefficients of the distortion."""
+    """Return a point of the DLT with eleven parameters and some coefficients of the distortion."""
     x = np.concatenate([rng.normal(size=8), rng.uniform(-0.2, 0.2, 3)])
     most = dlt_equation.N_DISTORTION
     codes = np.sort(rng.permutation(most)[: rng.integers(0, most + 1)]).astype(float)
@@ -196,9 +205,9 @@ def dlt(rng: np.random.Generator) -> Example:
 
 
 def plane_transformation(n_linear: int, n_quotient: int = 0) -> Callable[[np.random.Generator], Example]:
-    """Return the transformation with these numbers of unknowns of numerators and denominators.
+    """Return a function that draws a transformation with these numbers of unknowns.
 
-    0: a polynomial of any degree.
+    They are those of numerators and denominators. With 0 numerators it is a polynomial of any degree.
     """
 
     def draw(rng: np.random.Generator) -> Example:
@@ -228,7 +237,7 @@ def _navigation_parts(rng: np.random.Generator) -> tuple[Array, Array, Array, Ar
 
 
 def antenna_position(rng: np.random.Generator) -> Example:
-    """Return the position of a receiver."""
+    """Return an observed position of an antenna."""
     rotation, mounting, setup, x = _navigation_parts(rng)
     record = POSITION.pack(
         offset=rng.normal(scale=0.5, size=3), arm=rng.normal(size=3), strip=_turned(rng, 1.0).ravel(),

@@ -14,13 +14,16 @@ _ROUNDING = re.compile(r"[+-]?\d+(\.\d+)?e[+-]\d+")
 
 
 def shown_of(repository: Path) -> dict[str, Command]:
-    """Return the command of the page by the name of its script, what is shown below it with it."""
+    """Return the commands of the page with their shown output, by the name of the script."""
     blocks = [fence for fence in fences(repository / PAGE, str(PAGE)) if fence.language == "console"]
     return {Path(command.words[1]).name: command for block in blocks for command in commands(block)}
 
 
 def check_shown(repository: Path, name: str, ended: Ended) -> None:
-    """Hold what an example printed against the page; numbers with exponents hang on rounding and are not compared."""
+    """Check the output of an example against the page.
+
+    Numbers with exponents depend on rounding and are not compared.
+    """
     command = shown_of(repository)[name]
     masked = tuple(_ROUNDING.sub("#", line) for line in command.shown)
     assert len(masked) > 1, f"{PAGE} shows nothing of {name}"

@@ -96,7 +96,10 @@ def own_tables(folder: Path) -> None:
 
 
 def shown(page: str, *files: tuple[str, str]) -> Callable[[Path], None]:
-    """Write what a page shows to the files of these names; the second word of each holds it, ``{}`` stands for it."""
+    """Return a function that writes the samples of a page to files of these names.
+
+    The second word of each is the text of the file, in which the sample replaces ``{}``.
+    """
 
     def write(folder: Path) -> None:
         for (name, around), sample in zip(files, samples(page), strict=True):

@@ -107,7 +107,7 @@ def after_numpy(problem: Problem, state: State, robust: Robust | None = None) ->
 
 
 def of_pairs(problem: Problem, norm: np.ndarray) -> np.ndarray:
-    """Return the norms of image points, with the same for both rays of a tie point that has two, and nothing else."""
+    """Return the norms of image points; both rays of a tie point that has only these two share one."""
     out = norm.copy()
     for j in np.flatnonzero(problem.active & ~problem.observed):
         rays = np.flatnonzero(problem.observations.point == j)
@@ -126,7 +126,10 @@ def stepped(problem: Problem, state: State, step: np.ndarray) -> State:
 
 
 def damped_of_numpy(problem: Problem, v: np.ndarray, design: np.ndarray, damping: float) -> np.ndarray:
-    """Step by numpy's least squares: the damping is added to the images' diagonal, and is a share of the points'."""
+    """Return the step by numpy's least squares.
+
+    The damping is added to the images' diagonal, and is a share of the points'.
+    """
     roots = np.full(design.shape[1], np.sqrt(damping))
     roots[problem.n_image_unknowns :] *= np.linalg.norm(design[:, problem.n_image_unknowns :], axis=0)
     rows, scale = np.vstack([design, np.diag(roots)]), np.hypot(np.linalg.norm(design, axis=0), roots)
@@ -134,7 +137,10 @@ def damped_of_numpy(problem: Problem, v: np.ndarray, design: np.ndarray, damping
 
 
 def dogleg_of_numpy(problem: Problem, v: np.ndarray, design: np.ndarray, radius: float) -> np.ndarray:
-    """Powell's step: along steepest descent to its minimum, from there to Gauss-Newton's, as far as the radius."""
+    """Return Powell's step within the radius.
+
+    It goes along steepest descent to its minimum and from there to Gauss-Newton's step.
+    """
     newton, gradient = damped_of_numpy(problem, v, design, 0.0), design.T @ v
     steepest = -gradient * (gradient @ gradient) / np.sum((design @ gradient) ** 2)
     if np.linalg.norm(newton) <= radius:

@@ -30,7 +30,10 @@ def orbit(time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def states(time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, Rotation]:
-    """Orbit, and rotations Earth-fixed from spacecraft: near the ground point at time -1, then at a constant rate."""
+    """Return the orbit, and the rotations from spacecraft to Earth-fixed axes.
+
+    The spacecraft looks near the ground point at time -1, and turns at a constant rate.
+    """
     p, v = orbit(np.array([-1.0]))
     z, x = -p[0] / np.linalg.norm(p[0]), v[0] / np.linalg.norm(v[0])
     y = np.cross(z, x) / np.linalg.norm(np.cross(z, x))
@@ -40,7 +43,7 @@ def states(time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, Rotation]:
 
 @functools.cache
 def isd_text() -> str:
-    """Text of a file whose camera is turned and shifted in the spacecraft, with an inclined detector line."""
+    """Return a file whose camera is turned and shifted in the spacecraft, with an inclined detector line."""
     t = STEP_S * np.arange(N_STATES)
     p, v, turn = states(t - 1.0)
     numbers = [" ".join(f"{x:.17g}" for x in row) for row in np.hstack([p, v])]

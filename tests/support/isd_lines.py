@@ -93,7 +93,10 @@ def simulated(
 
 
 def slerp(isd: Isd, place: str, time: float) -> np.ndarray:
-    """Rotation matrix at a time from the centre: the shortest way between neighbours, then the constant rotation."""
+    """Return the rotation matrix at a time from the centre.
+
+    It goes the shortest way between neighbours, then the constant rotation follows.
+    """
     own = isd[place]
     times, q = np.array(own["ephemeris_times"]) - isd["center_ephemeris_time"], np.array(own["quaternions"])
     k = min(max(int(np.searchsorted(times, time)) - 1, 0), len(times) - 2)

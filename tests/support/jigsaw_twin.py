@@ -179,7 +179,10 @@ class Bundle:
         return 1e3 * s * np.column_stack([r, r * np.cos(self.place[:, 0]), np.ones(len(s))])
 
     def residuals(self) -> dict[tuple[str, str], Array]:
-        """Computed minus measured ideal coordinates in pixels of the scan, of all measures, by point and image."""
+        """Return computed minus measured ideal coordinates of all measures, by point and image.
+
+        They are in pixels of the scan.
+        """
         row, out = {f.serial: i for i, f in enumerate(self.frames)}, {}
         for j, p in enumerate(self.points):
             for serial, sample, line in p.measures:
@@ -298,7 +301,10 @@ def flagged(solved: Bundle, out: frozenset[tuple[str, str]], multiplier: float =
 
 
 def rejected(network: Network) -> frozenset[tuple[str, str]]:
-    """Measures that are rejected when sigma0 and the set come to rest: the rule is applied after each iteration."""
+    """Return the measures that are rejected when sigma0 and the set come to rest.
+
+    The rule is applied after each iteration.
+    """
     before = np.inf
     for _ in range(50):
         network.step()

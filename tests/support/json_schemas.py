@@ -27,9 +27,9 @@ Schema = dict[str, Any]
 
 
 def command_of(words: list[str]) -> str:
-    """Return the name of the command of a command line, as that of its schema.
+    """Return the name of the schema for the command of a command line.
 
-    Options of the program stand before it.
+    Options of the program come before the command.
     """
     first = next(k for k, word in enumerate(words) if word in COMMANDS)
     return "_".join(words[first : first + (2 if words[first] in GROUPS else 1)])
@@ -87,7 +87,7 @@ def schema_of(value: Any) -> Schema:
 
 
 def faults(value: Any, schema: Schema, place: str = "$") -> Iterator[str]:
-    """Yield where a value is not as its schema says, also with a key that it does not name."""
+    """Yield the places where a value contradicts its schema; a key that the schema does not name is one, too."""
     if not schema:
         return
     kind = "object" if isinstance(value, dict) else "array" if isinstance(value, list) else _TYPES[type(value)]
@@ -109,7 +109,7 @@ def faults(value: Any, schema: Schema, place: str = "$") -> Iterator[str]:
 
 
 def opened(schema: Schema) -> Schema:
-    """Return the schema that allows everything where only null was seen: null says nothing of the type."""
+    """Return the schema with everything allowed where only null was seen, because null shows no type."""
     if schema.get("type") == ["null"]:
         return {}
     out = {key: opened(schema[key]) for key in ("items", "additionalProperties") if key in schema}

@@ -34,7 +34,7 @@ class Outcome:
 
     @property
     def p_value(self) -> float:
-        """Of the global test."""
+        """Return the p-value of the global test."""
         return float(stats.chi2(self.redundancy).sf(self.chi2))
 
 
@@ -62,5 +62,5 @@ def run(seed: int, wrong: dict[str, float] | None = None, *, components: bool = 
 
 
 def uniform(outcomes: Iterable[Outcome]) -> float:
-    """p-value of Kolmogorov and Smirnov's test that the p-values of the global test are uniform."""
+    """Return the p-value of Kolmogorov and Smirnov's test that p-values of the global test are uniform."""
     return float(stats.kstest([o.p_value for o in outcomes], "uniform").pvalue)

@@ -12,7 +12,10 @@ from tests.support.equation_examples import Example
 
 @compiled
 def residual(record: Any, setup: Any, x: Any) -> Any:
-    """``(x - x_0) / sigma``: record (0, unused), setup rows x_0 and sigma; (k,)."""
+    """Return ``(x - x_0) / sigma`` (k,).
+
+    The record is 0 and unused; setup has the rows x_0 and sigma.
+    """
     return (x - setup[0]) / setup[1]
 
 

@@ -180,7 +180,10 @@ def made(project: Path) -> Survey:
 
 
 def differences(survey: Survey, there: Place) -> tuple[float, float]:
-    """Largest differences of a project from the truth: ground points in m, by PROJ, and image points in px."""
+    """Return the largest differences of a survey from the truth: ground points in m, image points in px.
+
+    Coordinates are transformed by PROJ.
+    """
     crs = pyproj.CRS(survey.crs)
     to = pyproj.Transformer.from_crs(
         crs if crs.is_compound or crs.is_geocentric else crs.to_3d(), "EPSG:4978", always_xy=True

@@ -46,10 +46,10 @@ class Structure(HTMLParser):
         self.text.append(data)
 
 
-def structure(path: Path) -> Structure:
-    """Parse a report."""
+def structure(page: Path | str) -> Structure:
+    """Parse a page, from its file or its text."""
     found = Structure()
-    found.feed(path.read_text("utf-8"))
+    found.feed(page if isinstance(page, str) else page.read_text("utf-8"))
     found.close()
     assert found.open == []
     return found

@@ -129,7 +129,7 @@ def run_script(path: Path, *arguments: object) -> Ended:
 
 
 def check_command(command: Command, ended: Ended) -> None:
-    """Hold a command's end against what the page says."""
+    """Check a command's exit code and output against the page."""
     said = f"{command.page}: {command.text}\n{ended.stdout[-2000:]}{ended.stderr[-2000:]}"
     assert ended.code == command.code, f"ended with {ended.code}, not {command.code}\n{said}"
     have = iter(_plain(line) for line in (ended.stdout + ended.stderr).splitlines())
@@ -143,7 +143,7 @@ def _plain(line: str) -> str:
 
 
 def _leaf(command: Command) -> tuple[Any, list[str]]:
-    """Return the command of the command line that is meant, and the words after its name."""
+    """Return the command object of a command line and the words after its name."""
     words, leaf = command.words[1:], command_line()
     while words[:1] == ["--plugin"]:  # stands before the command
         del words[:2]
@@ -154,13 +154,13 @@ def _leaf(command: Command) -> tuple[Any, list[str]]:
 
 
 def takes_overwrite(command: Command) -> bool:
-    """Tell whether a command writes something and may be told to replace it."""
+    """Return whether a command has the option --overwrite and does not use it."""
     leaf, words = _leaf(command)
     return "--overwrite" not in words and any("--overwrite" in option.opts for option in leaf.params)
 
 
 def parse_command(command: Command) -> None:
-    """Let the command line read the options of a command, without running it."""
+    """Parse the options of a command by the command line, without running it."""
     leaf, words = _leaf(command)
     context = leaf.make_context(leaf.name, [], resilient_parsing=True)
     with context.scope(), contextlib.suppress(click.exceptions.Exit):  # --help ends here
@@ -195,7 +195,7 @@ def check_toml(fence: Fence) -> None:
 def run_page(
     page: list[Fence], names: dict[str, Any], repository: Path, take: Callable[[Command | Fence], bool]
 ) -> int:
-    """Run the blocks of a page that ``take`` wants, in the current folder; give how many commands and blocks ran."""
+    """Run the blocks of a page that ``take`` accepts, in the current folder; return the number run."""
     ran = 0
     for fence in page:
         if fence.language == "toml":

@@ -33,20 +33,21 @@ def read_centres(path: Path) -> dict[str, np.ndarray]:
 
 
 def points_of(export: FrameModel) -> dict[int, np.ndarray]:
-    """Start coordinates of all points by number."""
+    """Return the start coordinates of all points by number."""
     return {int(name): at for name, at in zip(export.point_ids, export.points_m, strict=True)}
 
 
 def shift_of(export: FrameModel, control: dict[int, np.ndarray]) -> np.ndarray:
-    """What leads from the export's system to that of the control points: mean difference of the control points."""
+    """Return the shift from the export's system to that of the control points, their mean difference."""
     points = points_of(export)
     return np.mean([control[i][:3] - points[i] for i in control], axis=0)
 
 
 def block(export: FrameModel, control: dict[int, np.ndarray], sigma_px: float, centres: dict[str, np.ndarray]) -> Block:
-    """Block of a run: the camera held; control points held or with their sigmas, and so observed centres by photo.
+    """Return the block of a run.
 
-    Coordinates are those of the export's system, as in the reports.
+    The camera is held, control points are held or have their sigmas, and so have observed centres by photo. Coordinates
+    are those of the export's system, as in the reports.
     """
     shift = shift_of(export, control)
     (interior,) = export.cameras.values()
@@ -65,7 +66,7 @@ def block(export: FrameModel, control: dict[int, np.ndarray], sigma_px: float, c
 
 
 def _points(export: FrameModel, ids: np.ndarray, control: dict[int, np.ndarray], shift: np.ndarray) -> GroundPoints:
-    """Hold the control points, or observe them with sigmas.
+    """Return the ground points with control points held or with their sigmas.
 
     The others begin at the export's coordinates.
     """
@@ -106,7 +107,7 @@ FOCAL, SIDE_MM = 8.0, 8.0
 
 
 def write_projects(folder: Path) -> None:
-    """Write projects under the names that docs/how-to/photomodeler.md has for DBAT's, and one of its own."""
+    """Write projects under the names that docs/how-to/photomodeler.md gives DBAT's, and one under another name."""
     aerial = [f"{n}.jpg" for n in (8811, 8936, 8937, 8938, 9111)]
     control = [317, 375, 403, 410]
     for name, files, others in (

@@ -101,7 +101,10 @@ def pinhole_block(
 
 
 def _drawn(n: int, images: int, views: int, rng: np.random.Generator) -> npt.NDArray[np.intp]:
-    """Different images (n, views) at random for each of n points (Floyd's algorithm; Bentley & Floyd 1987)."""
+    """Return random different images (n, views) for each of n points.
+
+    Floyd's algorithm (Bentley & Floyd 1987).
+    """
     out = np.empty((n, views), np.intp)
     for k, last in enumerate(range(images - views, images)):
         image = rng.integers(last + 1, size=n)

@@ -73,7 +73,10 @@ End
 
 
 def network(points: Sequence[dict[str, Any]]) -> str:
-    """Control network of points with ``name``, ``xyz`` m, ``kind``, ``sigma`` (lat, lon, radius) m, ``measures``."""
+    """Return a control network as text.
+
+    Points have ``name``, ``xyz`` m, ``kind``, ``sigma`` (lat, lon, radius) m and ``measures``.
+    """
     out = ["Object = ControlNetwork", "  NetworkId = Test", "  TargetName = Moon", "  Version = 5"]
     for p in points:
         out += ["  Object = ControlPoint", f"    PointType = {p['kind']}", f"    PointId = {p['name']}"]

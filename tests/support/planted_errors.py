@@ -53,7 +53,10 @@ def planted() -> Planted:
 
 @cache
 def planted_large() -> Planted:
-    """Four images of 1730 rows: 330 points, 20 of them control, whose heights are worth little beside the images."""
+    """Return four images of 1730 rows with 330 points.
+
+    20 of these are control, whose heights add little to the images.
+    """
     chosen = BlockOptions(
         points=330, control_share=0.06, check_share=0.0, seed=2, image_noise_px=0.0, errors="none",
         ground_noise_m=(0.0, 0.0, 0.0),

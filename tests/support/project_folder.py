@@ -77,7 +77,7 @@ class StandInSensor:
 
 
 def install_stand_in(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let every metadata file be read as a stand-in sensor."""
+    """Replace the reader of metadata files by one that returns a stand-in sensor."""
     import fg_orient.formats.sensor
 
     monkeypatch.setattr(fg_orient.formats.sensor, "read_sensor", lambda path, **options: StandInSensor())

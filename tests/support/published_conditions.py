@@ -33,7 +33,10 @@ def frame(p: np.ndarray, v: np.ndarray, as_run: bool) -> np.ndarray:
 
 
 def attitude(a: np.ndarray, as_run: bool) -> np.ndarray:
-    """Payload to orbital frame of roll, pitch, yaw (n, 3): Rx(pitch)^T Ry(roll)^T Rz(yaw)^T, passive rotations."""
+    """Return the matrices from payload to orbital frame of roll, pitch, yaw (n, 3).
+
+    Rx(pitch)^T Ry(roll)^T Rz(yaw)^T, passive rotations.
+    """
     roll, pitch, yaw = a[:, 0], a[:, 1], a[:, 2]
     one, nought = np.ones_like(roll), np.zeros_like(roll)
     if as_run:
@@ -47,7 +50,7 @@ def attitude(a: np.ndarray, as_run: bool) -> np.ndarray:
 
 
 def f_vector(eop: np.ndarray, ground: np.ndarray, as_run: bool) -> np.ndarray:
-    """f = R_UY^T R_OG^T (G - P), (n, 3)."""
+    """Return f = R_UY^T R_OG^T (G - P), (n, 3)."""
     w = np.einsum("nji,nj->ni", frame(eop[:, 0:3], eop[:, 3:6], as_run), ground - eop[:, 0:3])
     return np.einsum("nji,nj->ni", attitude(eop[:, 6:9], as_run), w)
 
@@ -74,7 +77,7 @@ def ray(eop: np.ndarray, look: np.ndarray, as_run: bool, third: float = -1.0) ->
 def derivatives(
     eop: np.ndarray, look: np.ndarray, ground: np.ndarray, as_run: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """By complex step: to the nine EOPs (n, 2, 9), the ground (n, 2, 3), psi_y and psi_x (n, 2, 2)."""
+    """Return complex-step derivatives by the EOPs (n, 2, 9), the ground (n, 2, 3), psi_y and psi_x (n, 2, 2)."""
     out = []
     for which, width in ((0, 9), (2, 3), (1, 2)):
         columns = []
@@ -87,7 +90,10 @@ def derivatives(
 
 
 def published_derivatives(eop: np.ndarray, ground: np.ndarray) -> np.ndarray:
-    """The written-out derivatives of F with respect to the nine EOPs, orthonormal frame and small-angle attitude."""
+    """Return the written-out derivatives of F by the nine EOPs.
+
+    The frame is orthonormal, the attitude of small angles.
+    """
     p, v, d = eop[:, 0:3], eop[:, 3:6], ground - eop[:, 0:3]
     u, r = attitude(eop[:, 6:9], True), frame(p, v, False)
     x, z, n = r[:, :, 0], r[:, :, 2], np.cross(v, p)
@@ -113,7 +119,10 @@ def published_derivatives(eop: np.ndarray, ground: np.ndarray) -> np.ndarray:
 
 
 def file_eop(block: Block, image: int) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of an image and its nine EOPs there (n, 9): parabolas of the line through the metadata at these lines."""
+    """Return the rows of an image and its nine EOPs there (n, 9).
+
+    They are parabolas of the line through the metadata at these lines.
+    """
     rows = np.flatnonzero(block.observations.image == image)
     line = block.observations.line[rows]
     states = block.images[image].sensor.states(line)

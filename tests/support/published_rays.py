@@ -84,7 +84,10 @@ def misses_m(
 
 
 def published_pixels(m: PushbroomMetadata, ground_m: np.ndarray) -> np.ndarray:
-    """Lines and samples (n, 2) whose rays meet ground points, by Newton from the middle with difference quotients."""
+    """Return lines and samples (n, 2) whose rays meet ground points.
+
+    Newton's method starts in the middle and uses difference quotients.
+    """
 
     def off(at: np.ndarray) -> np.ndarray:
         centre, direction = rays(m, *at.T)

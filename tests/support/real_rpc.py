@@ -52,7 +52,10 @@ def block_of(
 
 
 def with_roles(block: Block, control: Collection[int], left_out: Collection[str] = ()) -> Block:
-    """These control points stay, the others become check points; points left out lose their observations."""
+    """Return the block with these control points and all others as check points.
+
+    Points left out lose their observations.
+    """
     points, o = block.points, block.observations
     roles = tuple(Role.CONTROL if j in control else Role.CHECK for j in range(len(points.ids)))
     is_control = np.array([r is Role.CONTROL for r in roles])

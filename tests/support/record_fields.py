@@ -154,7 +154,7 @@ class Program:
                 walk.run()
 
     def _read(self, module: Module) -> None:
-        """Functions, imports and records of a module."""
+        """Read functions, imports and records of a module."""
         for node in ast.walk(module.tree):
             if isinstance(node, ast.FunctionDef):
                 function = module.functions[f"{node.name}:{node.lineno}"] = Function(module, node)
@@ -177,7 +177,7 @@ class Program:
                 self._read_fields(ast.unparse(target), node.value)  # type: ignore[arg-type]
 
     def _read_fields(self, record: str, call: ast.Call) -> None:
-        """Sizes of the fields of a record, and of the numbers that they name."""
+        """Read the sizes of the fields of a record, and of the numbers that they name."""
         for keyword in call.keywords:
             value = keyword.value.value if isinstance(keyword.value, ast.Constant) else None
             size = len(value.split()) if isinstance(value, str) else value if isinstance(value, int) else 99
@@ -186,7 +186,10 @@ class Program:
                 self.sizes[record, name] = max(self.sizes.get((record, name), 0), own)
 
     def _take_contract(self) -> None:
-        """Kernels, residuals and fills of equations: the first argument is a record, the others are none."""
+        """Set the arguments of kernels, residuals and fills of equations.
+
+        The first one is a record, the others are none.
+        """
         for module in self.modules.values():
             made = ("Equation", "register_condition")
             for call in (n for n in ast.walk(module.tree) if any(_is_call(n, name) for name in made)):
@@ -199,7 +202,7 @@ class Program:
                         function.fixed |= {first: RECORD, **dict.fromkeys(others, FREE)}
 
     def resolve(self, module: Module, name: ast.expr) -> Function | None:
-        """Return the function that a name or an attribute of a module means."""
+        """Return the function to which a name or an attribute of a module refers."""
         if isinstance(name, ast.Name):
             if name.id in module.functions:
                 return module.functions[name.id]
@@ -260,7 +263,7 @@ def _integers(node: ast.AST) -> list[int]:
 
 
 def _is_neighbour(node: ast.expr) -> bool:
-    """``k + 1`` or ``k - 1``, the last element, all but the first or the last."""
+    """Return whether a node is ``k + 1`` or ``k - 1``, the last element, or all but the first or the last."""
     if isinstance(node, ast.Slice):
         return (isinstance(node.lower, ast.Constant) and node.lower.value == 1 and node.upper is None) or (
             node.lower is None and node.upper is not None and ast.unparse(node.upper) == "-1")  # fmt: skip
@@ -282,7 +285,7 @@ class _Walk:
         self.nodes = [n for n in ast.walk(function.node) if n not in inner and isinstance(n, kinds)]
 
     def run(self) -> None:
-        """Take in what the function assigns, passes on and gives back."""
+        """Analyse what the function assigns, passes on and returns."""
         f, results = self.function, []
         for node in self.nodes:
             match node:
@@ -466,7 +469,10 @@ class _Walk:
                         yield node.lineno, ast.unparse(node)
 
     def _is_row(self, node: ast.Subscript, several: bool) -> bool:
-        """``records[0]`` or ``records[:1]`` of a batch, and neighbours along its axes: ``knots[1:, :-1]``."""
+        """Return whether a node is ``records[0]`` or ``records[:1]`` of a batch, or neighbours along its axes.
+
+        An example of neighbours is ``knots[1:, :-1]``.
+        """
         if several and isinstance(node.slice, ast.Tuple):
             return all(isinstance(i, ast.Slice) and _integers(i) == [1] for i in node.slice.elts)
         return self._is_batch(node.value) and max(_integers(node.slice)) <= 1
@@ -493,7 +499,7 @@ def sources() -> dict[str, str]:
 
 
 def main() -> int:
-    """Print all findings; 1 if there are any."""
+    """Print all findings; return 1 if there are any."""
     found = list(dict.fromkeys(Program(sources()).findings(FOLDERS)))
     print("\n".join(found) or "records of constants are indexed by name")
     return 1 if found else 0

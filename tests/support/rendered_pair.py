@@ -45,7 +45,7 @@ class View:
 
     @property
     def matrix(self) -> np.ndarray:
-        """(line, sample) - middle = matrix (x, y) / GSD."""
+        """Return the matrix of (line, sample) - middle = matrix (x, y) / GSD."""
         c, s = np.cos(np.radians(self.rotation_deg)), np.sin(np.radians(self.rotation_deg))
         return np.array([[-s, -c], [c, -s]])  # line against y, sample along x
 
@@ -55,7 +55,7 @@ class View:
         return (self.matrix @ at / GSD_M).T + 0.5 * (self.size - 1)
 
     def ray(self, pixel: np.ndarray, h: np.ndarray) -> np.ndarray:
-        """x and y (2, n) of pixels at heights."""
+        """Return x and y (2, n) of pixels at heights."""
         at = self.matrix.T @ (pixel - 0.5 * (self.size - 1)).T * GSD_M
         return at + np.outer(self.lean, np.broadcast_to(h, len(pixel)))
 
@@ -198,7 +198,7 @@ class Scene:
         return np.asarray(np.clip(np.rint(view.gain * noisy + view.offset), 1, 65535).astype(np.uint16))
 
     def seen(self, first: View, second: View, pixel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """True pixels (n, 2) in the second image of pixels of the first, and whether they are visible there."""
+        """Return true pixels (n, 2) in the second image of pixels of the first, and whether they are visible."""
         ground = self.meet(first, pixel)
         there = second.project(*ground)
         again = self.meet(second, there)

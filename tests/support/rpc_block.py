@@ -106,7 +106,7 @@ def without_control(block: Block) -> Block:
 
 
 def write_folder(folder: Path, twin: RpcTwin, *, control: bool = True, datum: str = "control") -> Path:
-    """Write the twin as a project, truth beside it."""
+    """Write the twin as a project, with the truth in its folder ``truth``."""
     folder.mkdir()
     block, o = twin.block, twin.block.observations
     ids = block.points.ids

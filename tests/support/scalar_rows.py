@@ -12,7 +12,7 @@ Array = npt.NDArray[np.float64]
 
 
 def scalar_rows(problem: Problem, state: State) -> tuple[Array, list[Array], list[Array]]:
-    """Return the whitened residuals (n, 2) of all image points, Jacobians (2, k) and (2, 3) of each."""
+    """Return whitened residuals (n, 2) of all image points, and Jacobians (2, k) and (2, 3) of each."""
     o, values, d_image, d_ground = problem.observations, [], [], []
     for row, (k, j) in enumerate(zip(o.image.tolist(), o.point.tolist(), strict=True)):
         model, ground = problem.models[k], np.ascontiguousarray(state.ground[j : j + 1])

@@ -76,7 +76,7 @@ def _measured(
 
 
 def taken(survey: Survey, rows: tuple[int, ...]) -> Survey:
-    """Some of the ground points, and the image points of these only."""
+    """Return the survey with some of the ground points, and the image points of these only."""
     k, o = list(rows), survey.observed
     o = o.take(np.isin(o.point, k))
     observed = ImagePoints(o.image, np.searchsorted(k, o.point), o.line, o.sample, o.sigma_line_px, o.sigma_sample_px)
@@ -96,7 +96,10 @@ def by_name(survey: Survey) -> dict[tuple[str, str], tuple[float, ...]]:
 
 
 def assert_same(found: Survey, expected: Survey, *, pixels: float = 0.0, sigmas: float = 0.0) -> None:
-    """Two surveys hold the same; pixels and sigmas may differ by rounding where a reader adds or divides."""
+    """Assert that two surveys hold the same.
+
+    Pixels and sigmas may differ by rounding where a reader adds or divides.
+    """
     assert sorted(found.ids) == sorted(expected.ids)
     order = [found.ids.index(name) for name in expected.ids]
     assert [found.roles[k] for k in order] == list(expected.roles)

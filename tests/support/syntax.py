@@ -9,5 +9,5 @@ from pathlib import Path
 
 @functools.cache
 def nodes(path: Path) -> list[ast.AST]:
-    """Every node of a module."""
+    """Return every node of a module."""
     return list(ast.walk(ast.parse(path.read_text("utf-8"))))
