@@ -71,7 +71,7 @@ class _KernelCompiler(_FunctionCompiler):  # type: ignore[misc]
                 _flags(*(options["fastmath"] or ("",)), options["forceinline"]), {}, library,
                 pipeline_class=self.pipeline_class,
             )  # fmt: skip
-            # otherwise numba would give the function loaded from disk the constants of the part, and a part has none
+            # numba would otherwise use the constants of the part, which has none, in the function loaded from disk
             Environment._memo.pop(result.fndesc.env_name, None)
             part = _Part(object(), result)
             context.insert_user_function(part.key, result.fndesc, [library])
@@ -81,7 +81,7 @@ class _KernelCompiler(_FunctionCompiler):  # type: ignore[misc]
     def _compile_core(self, args: tuple[Any, ...], return_type: Any) -> Any:
         report_compilation(self.py_func.__name__)
         result = self.part(tuple(args)).result
-        context = result.target_context  # it includes the options of the part
+        context = result.target_context  # this context includes the compiler options of the part
         library = KernelLibrary(context.codegen(), result.fndesc.qualname)
         library.vectorised = self.vectorised
         library.enable_object_caching()
@@ -142,7 +142,7 @@ class _Cache(FunctionCache):  # type: ignore[misc]
     """Cache of kernels on disk. If a file cannot be read or written, the kernel is compiled and the run continues."""
 
     def load_overload(self, signature: Any, context: Any) -> Any:
-        try:  # only numba's memory management: with its registries of functions it takes twice the time
+        try:  # only numba's memory management: its registries of functions would double the time
             rtsys.initialize(context)
             return self._load_overload(signature, context)
         except Exception:  # a damaged file may fail in any way; it is rewritten

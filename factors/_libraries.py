@@ -96,7 +96,7 @@ class Result(compiler.CompileResult):  # type: ignore[misc]
     __slots__ = ()
 
     def _find_referenced_environments(self) -> list[Any]:
-        return []  # none: its own environment is stored separately
+        return []  # there are none: the kernel's own environment is stored separately
 
 
 class PartLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]

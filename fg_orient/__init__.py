@@ -74,7 +74,8 @@ def _require_own_factors() -> None:
 
 _require_own_factors()
 
-#: Public name to the module that defines it; ``module:name`` where it has another name there.
+#: For each public name the module that defines it; ``module:name`` if the object has another name in
+#: the module.
 _HOME: Final = {
     "Argument": "factors._contract",
     "Block": "fg_orient.model.block",

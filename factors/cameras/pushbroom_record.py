@@ -14,9 +14,10 @@ import numpy as np
 from factors._contract import compiled, inlined
 from factors.records import Record
 
-#: Units: position m, velocity m/s, angles and look angles rad; matrices row by row. The two flags are 1 if the frame
-#: follows position and velocity, and if the attitude has the small-angle form; otherwise 0. The reference ground point
-#: is in local m; its difference from the position has ECEF axes, m.
+#: Units: position m, velocity m/s, angles and look angles rad; matrices row by row. ``follows`` is 1 if
+#: the orbital frame changes with position and velocity, otherwise 0; ``small_angle`` is 1 if the
+#: attitude has the small-angle form. ``reference`` is a ground point in local coordinates, m;
+#: ``from_position`` is its difference from the position in ECEF axes, m.
 RECORD: Final = Record(
     position=3, velocity=3, angles=3, mounting="m11 m12 m13 m21 m22 m23 m31 m32 m33", tau=1, look="psi_x psi_y", s=1,
     whitening="a11 a12 a21 a22", follows=1, small_angle=1, reference=3, from_position=3,

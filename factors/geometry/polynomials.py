@@ -32,8 +32,8 @@ import numpy as np
 
 from factors._contract import Array
 
-#: Degree of the splines. The number of coefficients exceeds the number of intervals by
-#: this, and the differences have this order.
+#: Degree of the splines. A spline has this number of coefficients more than intervals. The penalty uses
+#: differences of the coefficients of this order.
 DEGREE: Final = 3
 #: Smallest and largest number of intervals of a curve.
 FEWEST, MOST = 2, 32
@@ -109,7 +109,8 @@ def _jitter(n_intervals: int) -> tuple[Array, Array]:
     """Return N (k + 3, k), scaled to jitter of unit mean square, and the standard deviations (3,) of c0, c1, c2."""
     tau = np.linspace(-1.0, 1.0, 40 * n_intervals + 1)
     values = basis(tau, n_intervals)
-    powers = np.linalg.lstsq(values, tau[:, None] ** np.arange(DEGREE), rcond=None)[0]  # exact: splines contain them
+    # exact, because the splines contain these powers
+    powers = np.linalg.lstsq(values, tau[:, None] ** np.arange(DEGREE), rcond=None)[0]
     q, r = np.linalg.qr(powers, mode="complete")
     scale = 1.0 / np.sqrt(np.mean(np.sum(values**2, axis=1)))
     out = np.asarray(q[:, DEGREE:] * scale), np.asarray(np.linalg.norm(np.linalg.inv(r[:DEGREE]), axis=1) * scale)

@@ -127,8 +127,8 @@ class _Search:
         self._problem, self._state, self._points, self._limits = problem, state, points, limits
         o = problem.observations
         rows = np.flatnonzero(np.isin(o.point, points))
-        #: Rows of the rays, position of each ray's point among the given points, number
-        #: of each ray among the rays of its point.
+        #: Row of each ray. ``of`` is the position of its point among the given points, ``number``
+        #: its number among the rays of its point.
         self.rows = rows[np.argsort(o.point[rows], kind="stable")]
         self.of = np.searchsorted(points, o.point[self.rows])
         self._first = np.searchsorted(self.of, np.arange(len(points) + 1))

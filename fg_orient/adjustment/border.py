@@ -237,7 +237,7 @@ class Border(BorderMatrix):
             n, _, k = part.d_image.shape
             at = np.repeat(columns[part.image], 2, axis=0).ravel()
             begin = np.arange(0, 2 * n * k + 1, k)
-            full = bool((at < len(self)).all())  # then no columns are selected, which takes as long as a product
+            full = bool((at < len(self)).all())  # all columns are used: their selection would take as long as a product
             wide = sparse.csr_array((part.d_image.reshape(-1), at, begin), shape=(2 * n, len(self) + (not full)))
             yield part, wide if full else wide[:, : len(self)]
 

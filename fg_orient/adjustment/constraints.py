@@ -317,7 +317,8 @@ def hold(
         estimate = _continued(problem, estimate, run)
     damped = problem.block.options.optimizer != "gauss-newton"
     if _has_hard(problem) and estimate.converged and damped and not problem.least_damping:
-        # damping is relative to the weights of the constraints, so the last damped steps across them are too short
+        # damping is relative to the large weights of the constraints, so the last damped steps are
+        # too short
         ahead = _continued(undamped(problem), estimate, run)
         estimate = ahead if ahead.converged else estimate
     return problem, estimate
@@ -364,7 +365,8 @@ def released(problem: Problem, estimate: Estimate) -> tuple[Problem, Estimate]:
     for n, e, _, correlates in (s for s in _constraints(problem, estimate.state) if s[1].hard):
         extra[n] = replace(e, record=np.concatenate([e.record[: -len(correlates)], np.zeros(len(correlates))]))
         value, left = (extra_blocks(problem, one, estimate.state, jacobian=False)[0] for one in (e, extra[n]))
-        # chi2 without the rows, then the change caused by the movement onto the constraints
+        # first remove the rows from chi2, then add the change that the movement onto the constraints
+        # causes
         chi2 += float(value @ (2.0 * left - value))
     problem = _with_extra(problem, extra)
     if not _has_hard(problem) or not estimate.converged:

@@ -92,7 +92,8 @@ class Elimination:
         self.impossible: dict[int, str] = {}
         self._free = problem.image_vector(problem.start)
         self._ground = problem.start.ground.copy()  # ground points at which the rows in the buffers were computed
-        # state at the last linearisation of each group: free unknowns, ground points, and those of the group among them
+        # for each group, the state at its last linearisation: free unknowns, its ground points, and
+        # their positions
         self._base: dict[int, tuple[Array, Array, Any]] = {}
         self._rows: list[GroupRows | None] = [None] * len(self.groups)
         # unknowns at which the cost of all groups was computed last, and the cost
@@ -259,7 +260,7 @@ class Elimination:
                 continue
             rows, own = self._rows[g], self.groups[g].free
             if rows is not None and np.array_equal(rows.at, base[0]):
-                known.append(g)  # its elimination is in the buffers
+                known.append(g)  # the buffers contain the elimination of this group
             else:
                 back.append(g)
         if known:

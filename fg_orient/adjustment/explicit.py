@@ -108,7 +108,7 @@ def _add_image_points(graph: gtsam.NonlinearFactorGraph, problem: Problem) -> No
     makers: dict[int, Callable[[int, int, int], gtsam.CustomFactor]] = {}
     for images in groups(models):
         equation, parameters = models[images[0]].equation, models[images[0]].parameters
-        if equation.fill is None:  # general factors follow below
+        if equation.fill is None:  # equations without this function get general factors below
             continue
         make = image_point_factors(
             equation, len(parameters), records, parameters.setup, lambda n: problem.label(rows[n])
@@ -248,7 +248,7 @@ class ExplicitSystem:
                 # a sixth faster than by cliques, because each point would be a separate clique
                 return self._step(linear.eliminateSequential(self._backend.ordering).optimize())
             except RuntimeError:  # GTSAM's Cholesky fails on well-posed but badly scaled systems; QR does not
-                pass  # the next iteration tries Cholesky again: it must depend only on its input
+                pass  # the next iteration tries Cholesky again, because an iteration must depend only on its input
         return self._step(linear.optimize(self._backend.ordering, gtsam.EliminateQR))
 
     def dogleg(self, radius: float) -> Step:

@@ -207,8 +207,8 @@ class ImageElimination:
     def start_at(self, state: State) -> None:
         """Begin at a state; the images are oriented again from there."""
         self._own = self.places.own_of(state)
-        self._at: Array | None = None  # border at the last elimination of the images; None: none yet
-        self._now: Images | None = None  # their elimination; None: impossible
+        self._at: Array | None = None  # border at the last elimination of the images; None before the first one
+        self._now: Images | None = None  # this elimination; None if it was impossible
         self._base: tuple[Array, Array, Images] | None = None  # border, images and elimination at which S was computed
 
     def hold_weights(self, robust: Weighing | None, state: State) -> None:

@@ -123,18 +123,20 @@ class Places:
         own = free < n_own
         most = max(int(own.sum(axis=1).max()), 1)
         place = np.argsort(~own, axis=1, kind="stable")[:, :most]
-        #: True if the image has a first, second, ... own unknown (M, k), and its position in the image, else -1.
+        #: (M, k), True if the image has a first, second, ... own unknown; ``own`` is its position in
+        #: the image, or -1.
         self.exists = np.take_along_axis(own, place, axis=1)
         self.own = np.where(self.exists, place, -1).astype(np.int64)
-        #: Free unknown (M, k) for each of them; z: no unknown.
+        #: Number (M, k) of each own unknown among the free unknowns; z if there is no unknown.
         self.free = np.where(self.exists, np.take_along_axis(free, place, axis=1), z)
-        #: Free unknowns (s,) that images share, and position (M, w) of each unknown of an
-        #: image in the border; -1: own unknown.
+        #: Free unknowns (s,) that images share. ``in_border`` (M, w) is the position of each unknown
+        #: of an image in the border, or -1 for an own unknown.
         self.shared = np.arange(n_own, z)
         self.in_border = np.where((columns < problem.n_image_unknowns) & ~own, free - n_own, -1).astype(np.int64)
         #: First position (N,) of each unknown point in the border; other elements are not used.
         self.of_point = problem.point_columns - problem.n_image_unknowns + len(self.shared)
-        #: First position in the border of the point of each image point (n,); -1: a constant.
+        #: For each image point (n,), the first position of its ground point in the border; -1 for a
+        #: constant ground point.
         self.of_ray = np.where(problem.active[self.point], self.of_point[self.point], -1).astype(np.int64)
         self._alike = bool((self.own == self.own[0]).all() and (self.in_border == self.in_border[0]).all())
 

@@ -210,7 +210,7 @@ def _optimise(
             course.go_on(control=run.control, rejected=carried.rejected + 1)
             continue
         known = carried.previous < math.inf
-        rate = min(step.length / carried.previous, 1.0) if known else 1.0  # rate of the steps, and of the gradient
+        rate = min(step.length / carried.previous, 1.0) if known else 1.0  # factor by which steps and gradient decrease
         # with a free datum, Gauss-Newton steps are impossible, and the next damped step cannot decrease the cost
         flat = is_free and rate * step.length < ROUNDING_STEP and rate**2 * (before - run.error) <= FLAT * before
         if flat or (newton and settled(step.length, carried.previous, tolerance)):
@@ -445,5 +445,5 @@ def _parameters(priors: bool) -> gtsam.ISAM2Params:
     out.setRelinearizeThreshold(RELINEARISE)
     out.relinearizeSkip = 1
     out.findUnusedFactorSlots = True
-    out.setFactorization("CHOLESKY" if priors else "QR")  # QR of the rows does not square their condition
+    out.setFactorization("CHOLESKY" if priors else "QR")  # QR of the rows does not square their condition number
     return out

@@ -82,7 +82,7 @@ def penalties(problem: Problem, rows: Any, source: str, condition: float) -> tup
     for own in (g for g in [*groups, np.flatnonzero(first < last)] if len(g)):
         of = np.unique(image[np.isin(row, own)])
         columns = np.concatenate([np.arange(problem.first[k], problem.first[k + 1]) for k in of])
-        compressed = triangle(wide[own][:, columns].toarray())  # not more observations than unknowns
+        compressed = triangle(wide[own][:, columns].toarray())  # QR: at most as many observations as unknowns remain
         equation, unknowns, setup = linear_rows(problem, compressed, of, "penalty", source)
         named = unknowns[0].replace("image:", "image ") if len(of) == 1 else f"{len(of)} images"
         out.append(Penalty(equation, unknowns, np.zeros(0), setup, len(setup), f"penalty of {named}", condition))

@@ -26,11 +26,12 @@ BAND_LIMIT: Final = 30_000_000
 LARGEST_FULL: Final = 15_000
 #: Maximum number of unknowns of a full matrix of a border: 0.5 GB.
 FULL_BORDER: Final = 8000
-#: Ratio of GTSAM's to LAPACK's time for the same operations, and GTSAM's time for each image in these operations.
+#: Time of GTSAM divided by the time of LAPACK for the same operations. GTSAM also takes the time of
+#: ``GTSAM_IMAGE`` operations of LAPACK for each image.
 GTSAM: Final = 6.0
 GTSAM_IMAGE: Final = 1e6
-#: Ratio of the time of LAPACK's banded to its full factorisation for the same operations
-#: (measured: 432 to 2700 unknowns).
+#: Time of LAPACK's factorisation of a band divided by the time of its factorisation of a full matrix
+#: with the same number of operations (measured with 432 to 2700 unknowns).
 BANDED: Final = 1.4
 #: Number of steps of conjugate gradients that are expected for each link on the path from
 #: one image to the farthest one (measured: 2 to 10 in each of the first iterations), and
@@ -226,7 +227,7 @@ def elimination_degrees(pattern: Pattern) -> Index:
     for n in range(images):
         k = int(np.argmin(degree))
         out[n] = degree[k]
-        if degree[k] == images - n - 1:  # all remaining images are linked, or will be
+        if degree[k] == images - n - 1:  # the elimination of this image links all remaining images
             out[n:] = np.arange(images - n)[::-1]
             break
         own, degree[k] = bits[k], gone

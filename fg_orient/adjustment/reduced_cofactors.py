@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 #: Maximum number of joint blocks of images in memory.
 KNOWN: Final = 1000
 
-# of an unknown point: the images that see it, in ascending order; H^-1 (3, 3); and K (3, u)
+# Data of an unknown point: the images that see it, in ascending order; H^-1 (3, 3); K (3, u).
 Gain = tuple[tuple[int, ...], Array, Array]
 
 

@@ -34,9 +34,9 @@ if TYPE_CHECKING:
 
 Pair = tuple[int, int]
 
-#: Number of vectors from which they are joined to variables of about this number of
-#: unknowns, if all are linked; number of unknowns up to which all form one variable.
-#: GTSAM takes less time for few large factors.
+#: If there are at least ``JOINED_FROM`` vectors and all are linked, they are joined to variables of
+#: about ``JOINED_SIZE`` unknowns. Up to ``JOINED_SIZE`` unknowns, all vectors form one variable. GTSAM
+#: takes less time for few large factors.
 JOINED_FROM: Final = 40
 JOINED_SIZE: Final = 150
 #: Blocks of a factor of three vectors, in the order of GTSAM's arguments.
@@ -102,7 +102,8 @@ class GroupSums:
             linked[a], linked[b] = linked[a] + size[b], linked[b] + size[a]
         #: Maximum number of unknowns of the vectors linked to a vector; the widest elimination has at least this size.
         self.widest = max(linked.values(), default=0)
-        #: vectors are joined to few variables if no order saves anything, or if this costs less than small factors
+        # vectors are joined to few variables if no elimination order saves work, or if a full matrix
+        # is cheaper than small factors
         is_dense = n >= JOINED_FROM and len(pairs) == n * (n - 1) // 2
         self.is_joined = alone and (is_dense or self.vectors[-1][1].stop <= JOINED_SIZE)
         if self.is_joined:

@@ -37,7 +37,7 @@ from fg_orient.model.distributions import chi_square_median, chi_square_quantile
 #: With a smaller share, rounding would dominate the cofactors of a point with one good
 #: ray (its pivots differ by this factor).
 FLOOR: Final = 1e-6
-#: Weight below which an observation is down-weighted.
+#: An observation counts as down-weighted if its weight is below this.
 DOWN: Final = 0.5
 IMAGE, CONTROL = 2, 3
 NONE: Final = "none"

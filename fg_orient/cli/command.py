@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from fg_orient.sensors.surface import RasterDem
 
 INTERRUPTED: Final = 130
-#: A command receives the declared options that the user gives in this keyword argument, by name.
+#: Keyword argument of a command for the declared options that the user gave, a dict by name.
 GIVEN: Final = "options"
 #: For these faults of a user's own file, --debug shows the traceback.
 PLUGINS: Final = ("plugin.failed", "sensor.own_reader")
@@ -270,7 +270,7 @@ def _value(option: Option, values: dict[str, Any]) -> Any:
     try:
         return parts if option.kind is Names else tuple(map(float, parts))
     except ValueError:
-        return parts  # not numbers: the check of all values refuses them
+        return parts  # the parts are not numbers; the later check of all values reports this
 
 
 LIGHT = declared(Reading)["light"]

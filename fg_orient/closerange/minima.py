@@ -31,21 +31,23 @@ RIVAL_LEVEL: Final = 0.05
 #: Two minima are equal if their directions differ by less than this, rad, and their
 #: centres by less than this share of the object's distance.
 SAME: Final = 1e-5
-#: Limit of the bend. At this limit an error of two standard deviations (exceeded by one error
-#: in 20) moves another combination by one standard deviation.
+#: Limit of the curvature (see above). At this limit, an error of two standard deviations in one
+#: unknown moves a well-determined combination of unknowns by one standard deviation. One error in 20 is
+#: larger than two standard deviations.
 BENT: Final = 0.25
 #: Error probability of an interval. The decision does not depend on it if the squares grow as a parabola.
 LEVEL: Final = 1e-3
-#: Factor by which the sigmas of points may be too small without a change of the decision:
-#: a real surface is not a spheroid. A larger m0 replaces the factor; with a redundancy of
-#: one or two, m0 alone is too uncertain. If points do not determine a semi-axis, noise of
-#: f sigmas reduces the squares by at most f^2 times a chi-square of one.
+#: The decision stays the same if the sigmas of the points are too small by up to this factor,
+#: because a real surface is not exactly a spheroid. If m0 is larger than the factor, m0 is used
+#: instead. With a redundancy of one or two, m0 alone is too uncertain. If points do not determine a
+#: semi-axis, noise of f sigmas reduces the squares by at most f^2 times a chi-square of one.
 OPTIMISTIC: Final = 5.0
 #: The fit is repeated at these fractions of the distance.
 _WAY: Final = (1 / 64, 1 / 8, 1.0)
-#: Normalised unknowns are changed by this at a state without derivatives.
+#: If the start has no derivatives, the normalised unknowns are changed by this.
 ASIDE: Final = 1e-5
-#: Number of iterations of a distant fit, and of repetitions while it still decreases towards the limit.
+#: Maximum number of iterations of one fit far from the solution. The fit is repeated at most
+#: ``_ROUNDS`` times while its squares still decrease towards the limit.
 _ROUND: Final = 50
 _ROUNDS: Final = 8
 

@@ -57,7 +57,7 @@ def plane(points: Array) -> list[Pair]:
     h = h / np.linalg.svd(h)[1][1]
     h = h * np.sign(np.sum(second * (first @ h.T)))
     _, (s1, _, s3), axes = np.linalg.svd(h)
-    if s1 - s3 <= FLAT:  # no base
+    if s1 - s3 <= FLAT:  # the homography is a rotation, so it gives no base
         return []
     v1, v2, v3 = axes * np.sign(np.linalg.det(axes))
     out = []

@@ -102,7 +102,8 @@ def alone(*files: Path) -> Iterator[None]:
         Another run writes one of them, or its folder cannot be written.
     """
     with contextlib.ExitStack() as stack:
-        for file in sorted({file.absolute() for file in files}):  # in one order, against mutual waiting
+        # always in the same order, so that two processes never wait for each other
+        for file in sorted({file.absolute() for file in files}):
             if file.parent.is_dir():
                 with writing(file, option=""):
                     sweep_once(file.parent)

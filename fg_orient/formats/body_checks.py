@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     from fg_orient.model.block import Image
     from fg_orient.sensors.base import Sensor
 
-#: Share by which the major axis of a body may differ between images and the CRS of points: one may use a sphere.
+#: Largest relative difference of the major axis of a body between the images and the CRS of the
+#: points. One of them may use a sphere.
 SAME_BODY: Final = 0.01
 
 

@@ -58,7 +58,7 @@ def estimated(path: Path) -> Estimate:
     said: dict[str, Any] = {"undulation_m": mean, "sigma_m": sigma, "single_m": single, "n": n}
     notes = [finding("heights.estimated", file=path, **said)]
     if n >= 4:
-        from fg_orient.model.distributions import sidak, t_two_sided  # not above: it loads scipy
+        from fg_orient.model.distributions import sidak, t_two_sided  # imported here, because it loads scipy
 
         others = (difference.sum() - difference) / (n - 1)
         # sum of squares of the other points about their own mean

@@ -128,7 +128,8 @@ class SlicedCells(Cells):
             or width > WIDEST
             or sum(map(len, names)) != np.count_nonzero(known.view(np.uint8))
         ):
-            return super().positions(place)  # rare: a cell is longer, or a name contains a zero byte
+            # rare cases: a cell is longer than all names, or a name contains a zero byte
+            return super().positions(place)
         cells = np.zeros((n, width), np.uint8)
         for k in range(width):
             rows = np.flatnonzero(size > k)
@@ -149,7 +150,8 @@ class SlicedCells(Cells):
 
     def finite(self, rows: Mask | None = None) -> Array | None:
         """See :class:`Cells`."""
-        # equal cells are common, for example standard deviations: one of them is converted
+        # columns of equal cells are common, for example standard deviations: only one cell is
+        # converted
         if rows is None and len(self) and self[0] == self[-1] and self.are(self[0]).all():
             one = finite([self[0]])
             return None if one is None else np.full(len(self), one[0])

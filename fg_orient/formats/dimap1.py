@@ -42,7 +42,7 @@ from fg_orient.sensors.metadata import AngleAttitude, LineTiming, LookAngleTable
 PROFILES = ("SPOTSCENE_1A", "SPOTSEGMENT_1A")
 #: The values of the file are multiplied by these signs to give roll, pitch, yaw of the records.
 ATTITUDE_SIGN = np.array([-1.0, -1.0, 1.0])
-#: Maximum time by which an angular speed is extended; its own interval is 0.125 s.
+#: An angular speed is used for at most this time beyond its own interval, which is 0.125 s.
 SPEED_HOLD_S = 0.2
 #: Height of the points of Dataset_Frame and of the tie points: they lie on the ellipsoid.
 FRAME_HEIGHT_M = 0.0

@@ -31,7 +31,8 @@ from fg_orient.sensors.metadata import BodyRotation, GeneralMetadata, Quaternion
 
 #: Lists of states of an ISD.
 _LISTS: Final = ("instrument_position", "instrument_pointing", "body_rotation")
-#: Camera axes that look forwards, from axes that look along their third axis backwards: half a turn about the second.
+#: Rotates camera axes that look along the negative third axis to axes that look along the positive
+#: third axis.
 _HALF_TURN: Final = np.diag([-1.0, 1.0, -1.0])
 
 

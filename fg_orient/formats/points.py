@@ -54,7 +54,9 @@ FIXED: Final = "fixed"
 def _layouts(first: Kind, incomplete: bool) -> list[tuple[str, ...]]:
     kinds: list[Kind] = sorted(COORDINATE_COLUMNS, key=lambda kind: kind != first)
     usual: list[tuple[str, ...]] = [("id", "role", *COORDINATE_COLUMNS[kind], *SIGMA_COLUMNS) for kind in kinds]
-    if incomplete:  # if several layouts have the same columns, the first one is used: it lacks the fewest
+    # if several layouts have the same columns, the first one is used, because it lacks the fewest
+    # columns
+    if incomplete:
         lacking = (("role", *SIGMA_COLUMNS), SIGMA_COLUMNS, ("role",), ())
         usual = [tuple(name for name in layout if name not in out) for out in lacking for layout in usual]
     return [*usual, ("id", "role", *COORDINATE_COLUMNS["geocentric"], *_SIGMA_XYZ)]
@@ -95,7 +97,7 @@ def parse_points(path: Path, crs: str, faults: Faults, *, incomplete: bool = Fal
     table.report(faults)
     known_roles = tuple(role or Role.TIE for role in roles)
     if is_of_body(crs):
-        from fg_orient.geodesy.bodies import points_on  # not above: it compiles kernels
+        from fg_orient.geodesy.bodies import points_on  # imported here, because it compiles kernels
 
         crs, given = BODY_FIXED, points_on(crs, given)
     return Survey(crs, ids, known_roles, given, sigma, fixed, lines=table.lines, unit=table.unit)

@@ -105,7 +105,7 @@ class ObservationsEntry(_Foreign):
 def _rotation(value: tuple[Row, Row, Row] | None) -> tuple[Row, Row, Row] | None:
     """Refuse a matrix that is not a rotation: its columns are not orthonormal, or it is a reflection."""
     if value is not None:
-        from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation  # not above: it loads numba
+        from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation  # imported here, because it loads numba
 
         if away_from_rotation(np.array(value)) > ORTHONORMAL:
             raise ValueError

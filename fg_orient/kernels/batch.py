@@ -289,7 +289,7 @@ def rows_of_form(
         _evaluate(constants, d, place, size, small, want, out)
         found = scatter(first, size, members, column, out, value, d_image, d_ground, want, nine, own)
         if other and small is None and found < 0:
-            found = first  # without the small-angle form only a nan causes this
+            found = first  # only nan causes this, because the small-angle form is not used
         bad = found if bad < 0 else bad
     return bad
 

@@ -105,10 +105,10 @@ def _adder(rows: int) -> Callable[..., None]:
 
 #: Only for compiled code; numba supplies the first argument. ``f(out, at, apart, t,
 #: begin, stride, weight, w, width, vectors, sums)`` adds eight, four, two rows or one row
-#: to sums. The rows begin at ``begin`` of ``t``, ``stride`` apart; the sums begin at
-#: ``at`` of ``out``, ``apart`` from each other. The factors of the first sum begin at
-#: ``w`` of ``weight``, those of each next sum ``width`` further. A row has ``vectors``
-#: times LANES elements.
+#: to sums. The rows begin at ``begin`` of ``t``; the distance from row to row is ``stride``. The sums
+#: begin at ``at`` of ``out``; the distance from sum to sum is ``apart``. The factors of the first sum
+#: begin at ``w`` of ``weight``; the factors of each further sum begin ``width`` elements later. A row
+#: has ``vectors`` times LANES elements.
 _eight, _four, _two, _one = _adder(8), _adder(4), _adder(2), _adder(1)
 
 

@@ -87,7 +87,7 @@ BLAS_BYTES: Final = 40_000_000
 #: Address space that a run needs at its beginning, at least, for libraries and the compilation of kernels, bytes: LLVM
 #: ends the process if it does not get memory.
 START_BYTES: Final = 200_000_000
-#: Rows of a product that OpenBLAS does not compute without it.
+#: Number of rows of a product for which OpenBLAS needs this address space.
 _BLAS_ROWS: Final = 160
 
 

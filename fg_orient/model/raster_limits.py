@@ -21,12 +21,13 @@ from fg_orient.model.limits import exceeded, limit, within, within_memory
 
 #: Memory that GDAL needs for each block that it does not decode, bytes.
 BLOCK_BYTES: Final = 24
-#: First bytes of TIFF and BigTIFF files, and how a directory stores its number of entries, an entry and its link.
+#: For the first bytes of a TIFF or BigTIFF file: byte order, format of the number of entries of a
+#: directory, bytes of an entry, format of the link to the next directory.
 _TIFF: Final = {
     b"II*\0": ("<", "H", 12, "I"), b"MM\0*": (">", "H", 12, "I"),
     b"II+\0": ("<", "Q", 20, "Q"), b"MM\0+": (">", "Q", 20, "Q"),
 }  # fmt: skip
-#: Position of the first link, by its format.
+#: Position in the file of the link to the first directory, by the format of the link.
 _FIRST: Final = {"I": 4, "Q": 8}
 
 

@@ -244,7 +244,7 @@ class Incremental:
                 place=place,
             )
 
-    # both are one change of the block
+    # ``add`` and ``remove`` change the block by this method
 
     def _change(self, block: Block, touched: Mask, *, removed: bool) -> None:
         """Replace the groups of touched ground points (N,); nothing changes if this fails."""

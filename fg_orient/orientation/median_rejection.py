@@ -113,7 +113,8 @@ def flagged(problem: Problem, residuals_px: Array, out: Mask, multiplier: float)
     left = np.bincount(point[~latest], minlength=len(problem.active))
     above = np.flatnonzero(~latest & (size > limit) & (left[point] > 2))
     worst = above[np.argsort(size[above], kind="stable")]
-    # for each point the last assignment remains
+    # dict keeps the last value of each key: the image point with the largest residual of the ground
+    # point
     largest = dict(zip(point[worst].tolist(), worst.tolist(), strict=True))
     latest[list(largest.values())] = True
     return latest

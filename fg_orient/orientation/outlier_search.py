@@ -31,7 +31,8 @@ from fg_orient.quality.variance_components import VarianceComponents, least_free
 from fg_orient.sensors import initial
 from fg_orient.sensors.lines import on_features
 
-#: Function that adjusts a block from a state and the problem of the last round, which differs in some observations.
+#: Function that adjusts a block. It receives a start state and the problem of the last round, from
+#: which the block differs in some observations.
 Run = Callable[[Block, State, Problem], AdjustmentResult]
 
 #: Maximum number of observations that a round excludes or includes again.

@@ -246,8 +246,8 @@ class StarCofactors(CommonCofactors):
         places, images = border.places, border.images
         m, width = problem.columns.shape
         own = images.followed(np.eye(len(border)))
-        # for each image: movement of its unknowns (k, b) with the border, and inverse of its
-        # normal matrix, both padded with zeros
+        # for each image: derivatives (k, b) of its unknowns by the border, and inverse of its normal
+        # matrix, padded with zeros
         self._follow, self._own = np.zeros((m, width + 1, len(border))), np.zeros((m, width + 1, width + 1))
         image, at = np.arange(m)[:, None], np.where(places.exists, places.own, width)
         self._follow[image, at] = own

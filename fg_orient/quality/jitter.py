@@ -50,7 +50,8 @@ PER_CYCLE: Final = 3.0
 ABSORBED_AT: Final = 8
 #: Number of lines of a band.
 LINES: Final = 201
-#: Normal quantile of a one-sided bound of 95 %, and by how much the log likelihood is lower at this bound.
+#: Normal quantile of a one-sided bound of 95 %. At this bound, the log likelihood is lower than its
+#: maximum by ``DROP``.
 ONE_SIDED: Final = 1.644854
 DROP: Final = 0.5 * ONE_SIDED**2
 
@@ -173,7 +174,7 @@ def step(system: JitterSystem, chosen: Sequence[Strength], rng: np.random.Genera
     drawn = np.column_stack([observed, rng.standard_normal((m, SIMULATED))])
     drawn -= q @ (q.T @ drawn)
     squares = np.sum(drawn**2, axis=0)
-    if nu > m - p:  # the rows were compressed: draw the sum of squares of the others
+    if nu > m - p:  # the system was compressed to m rows: draw the sum of squares of the others
         squares[1:] += rng.chisquare(nu - (m - p), SIMULATED)
     largest, bounds, best = np.full(SIMULATED + 1, -np.inf), np.full(len(system.angles), np.nan), None
     taken = {c.angle for c in chosen}

@@ -37,7 +37,8 @@ from fg_orient.model.errors import InputError
 from fg_orient.model.jitter import ANGLES
 from fg_orient.quality.elimination import CHUNK, PointRows, control_residuals, eliminated_points, extra_rows
 
-#: Numbers of intervals that are tested; their common multiple, whose splines contain the splines of all of them.
+#: Numbers of intervals that are tested. ``FINE`` is their common multiple: splines over ``FINE``
+#: intervals contain all these splines.
 RESOLUTIONS: Final = (2, 3, 4, 6, 8, 12, 16, 24, 32)
 FINE: Final = 96
 #: Share of jitter of 1 px that must be determined at a resolution.
@@ -194,7 +195,8 @@ def _shape(intervals: int) -> Array:
     """Return coefficients (99, k) over 96 intervals that represent unit jitter over k intervals without quadratics."""
     tau = np.linspace(-1.0, 1.0, 8 * FINE + 1)
     wanted = polynomials.jitter_curves(tau, intervals)
-    return np.asarray(np.linalg.lstsq(polynomials.basis(tau, FINE), wanted, rcond=None)[0])  # exact: knots are common
+    # exact, because the fine splines have all knots of the others
+    return np.asarray(np.linalg.lstsq(polynomials.basis(tau, FINE), wanted, rcond=None)[0])
 
 
 def jitter_system(problem: Problem, state: State) -> JitterSystem:

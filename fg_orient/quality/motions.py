@@ -285,7 +285,8 @@ def _remedy(
 
 # --- navigation unknowns --------------------------------------------------------------------------
 
-#: Smallest share of an unknown in the directions held by the priors; two strips that shift together have one half each.
+#: An unknown is named if its share of the directions that only the priors determine is at least
+#: this. If two strips shift together, each has a share of one half.
 HELD: Final = 0.4
 #: Term, reason and remedy for each kind of unknown; the key is the beginning of the names of the unknowns.
 _KINDS: Final = (

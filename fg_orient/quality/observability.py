@@ -152,7 +152,8 @@ def _name_by_unknowns(directions: Array, words: tuple[str, ...]) -> tuple[str, .
     shares = directions**2
     largest = shares == shares.max(axis=1, keepdims=True)
     if largest.sum(axis=1).max(initial=0) <= 1 and largest.sum(axis=0).max(initial=0) <= 1:
-        return tuple(words[j] for j in shares.argmax(axis=1))  # usual case: each direction has another largest unknown
+        # usual case: no two directions have the same largest unknown
+        return tuple(words[j] for j in shares.argmax(axis=1))
     # scipy.optimize has the same function, but takes 0.1 s to load
     rows, places = csgraph.min_weight_full_bipartite_matching(sparse.csr_array(2.0 - shares))
     return tuple(words[j] for j in places[np.argsort(rows)])

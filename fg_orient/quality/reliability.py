@@ -181,7 +181,7 @@ def unseen_shifts(known: ResidualCofactors) -> Array:
     for part in parts_of_rows(len(o)):
         size, axes = eigen(known.image[part])
         axis, point = axes[:, :, :1], o.point[part]
-        moved = rays.response[part] @ axis  # shift by a whitened error of length 1
+        moved = rays.response[part] @ axis  # shift of the ground point by a whitened image error of length 1
         effect = _in_own_sigmas(rays.points[point], moved)[:, 0]
         unseen = np.flatnonzero(effect > limit * np.sqrt(np.maximum(size[:, 0], ROUNDING)))
         sigma = np.stack([o.sigma_line_px[part], o.sigma_sample_px[part]], axis=1)[unseen]
@@ -211,7 +211,7 @@ def _reliability(
     size, axes = eigen(q)
     known = np.where(r > ROUNDING, r, np.nan)
     bias = np.sqrt(noncentrality(alpha, power) / known)
-    together = np.einsum("ni,nij,nj->nij", 1.0 / sigma, q, 1.0 / sigma)  # in the unit of the coordinates
+    together = np.einsum("ni,nij,nj->nij", 1.0 / sigma, q, 1.0 / sigma)  # now in the unit of the coordinates
     spread = eigen(together)[0]
     checked = size[:, 0] > ROUNDING
     group = noncentrality(alpha, power, d)

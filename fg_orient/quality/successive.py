@@ -33,8 +33,8 @@ from fg_orient.quality.suspects import Kind, suspects
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-#: Number of suspects that are used, in the order of their probabilities: minimum, number per suspicious
-#: observation (a gross error hides others), and maximum.
+#: Suspects with the smallest probabilities are used. Minimum of their number; number for each
+#: suspicious observation, because a gross error hides others; maximum.
 LEAST: Final = 256
 EACH: Final = 2
 MOST: Final = 4096

@@ -21,8 +21,8 @@ from fg_orient.adjustment.schur_reduced import Singular
 #: This number is added to the diagonal of the scaled matrix. It is above the rounding error and far below the
 #: eigenvalues of weak directions.
 SHIFT: Final = 1e-11
-#: Number of start directions in addition to seven per part; numbers of steps of the inverse iteration and of
-#: the correction by rows.
+#: Number of start directions in addition to seven for each part of the block; number of steps of the
+#: inverse iteration; number of corrections by the observation equations.
 BESIDE: Final = 9
 STEPS: Final = 3
 CORRECTIONS: Final = 2

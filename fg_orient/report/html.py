@@ -97,7 +97,8 @@ def render(result: Result, comparison: dict[str, Any] | None = None, folder: Pat
     ended = verdict(record)
     truth = Section("truth", "Comparison with the simulated truth", values=lambda _: {"truth": comparison})
     first = [one for one in findings_of(record) if _is_first(one)]
-    doubts = [str(one) for one in first[any(one.severity in DECISIVE for one in first) :]]  # the first is the verdict
+    # the first doubt is the verdict itself, which ``ended`` contains
+    doubts = [str(one) for one in first[any(one.severity in DECISIVE for one in first) :]]
     words: Values = {**ended, "text": [ended["text"], *doubts, *accuracy_words(record)]}
     return _page(result, [*SECTIONS, *([truth] if comparison else [])], words, _problems(record), folder)
 

@@ -48,7 +48,7 @@ class Width(NamedTuple):
 
 #: Bytes of the differences of a control or check point.
 KNOWN: Final = 16
-#: If all image points fit, and if not.
+#: Number formats if the page can contain all image points; below: if it cannot.
 FINE: Final = Width(31, 24, "f4")
 COARSE: Final = Width(21, 16, "f2")
 

@@ -43,7 +43,8 @@ def _degree(degree: float, parameter: str) -> str:
     """Return the power of an unknown as words; "" if it has none, as the unknowns of a frame camera."""
     if math.isnan(degree):
         return ""
-    ending, power = parameter.rpartition("_")[2], int(degree)  # of a polynomial of samples: s and its degree
+    # the name of a coefficient of a polynomial of samples ends with s and the degree
+    ending, power = parameter.rpartition("_")[2], int(degree)
     return {"s": f"s^{power}", "c": f"curve {power}"}.get(ending[0]) or _DEGREES[power]
 
 

@@ -42,7 +42,8 @@ def physical_unknowns(correction: Correction) -> tuple[Array, Array]:
     """Return setup (2, k) and unknowns (k,) of the equation for a correction in physical units, without zeros."""
     codes = np.arange(N_EOP + correction.look.size, dtype=float)
     x = np.concatenate([correction.eop.ravel(), correction.look.T.ravel()])
-    if not correction.is_quadratic:  # sums of curves follow the record: one "curve" of 1 for each EOP
+    # the record contains the sum of all curves of an EOP as one curve with the coefficient 1
+    if not correction.is_quadratic:
         codes = np.concatenate([codes, CURVE + (CURVES + 1.0) * np.arange(9)])
         x = np.concatenate([x, np.ones(9)])
     codes, x = codes[x != 0.0], x[x != 0.0]
@@ -118,7 +119,7 @@ def linearised(
     records = sensor.records_of(states, *thrice, ground, small_angle=small)
     f_before, f_after = _conditions(records[n:], ground[n:], correction).reshape(2, n, 2)
     by_line = (f_after - f_before) / (after - before)[:, None]
-    if sensor.bends_light:  # then the mounting depends on the sample
+    if sensor.bends_light:  # light effects make the mounting depend on the sample
         here, other = states.first(n), ((s, sensor.look_angles(s)) for s in (low, high))
         there = [sensor.records_of(here, *one, ground_m, small_angle=small) for one in other]
         f_low, f_high = (_conditions(part, ground_m, correction) for part in there)

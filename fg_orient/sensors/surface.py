@@ -162,7 +162,8 @@ def _bracket(p: Array, u: Array, bottom: Array, top: Array, dem: HeightSurface) 
         hit = free & (end >= 0.0)
         above[going[hit]], below[going[hit]] = level[0][hit], level[1][hit]
         last[going], t[going], depth[going] = level[1], ahead, end
-        going = going[free & (end < 0.0) & (ahead < 1.0)]  # neither a hit nor above the ground: nodata
+        # other rays end here: they have a hit, left the path, or reached nodata
+        going = going[free & (end < 0.0) & (ahead < 1.0)]
     return above, below
 
 

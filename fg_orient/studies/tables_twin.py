@@ -20,7 +20,8 @@ from fg_orient.studies.claims import Study
 from fg_orient.studies.switches import Switches, switches_of
 from fg_orient.studies.two_stage import TwoStage
 
-# Cells of one run; a cell has several values if the source does not state which of several computations it shows.
+# Cells of one run. A cell has several values if several computations are possible and the source does
+# not name one.
 Cells = dict[CellKey, float | list[float]]
 #: Function called after each run with runs done and number of runs.
 Progress = Callable[[int, int], None]

@@ -193,5 +193,6 @@ def read_array(path: Path) -> Array:
     """Map the array of a file; InputError if this process has no access to it."""
     try:
         return np.asarray(np.load(path, mmap_mode="r", allow_pickle=False), dtype=np.float64)
-    except (OSError, ValueError, EOFError, TypeError) as error:  # the last one: an archive, or a record
+    # TypeError: the file contains an archive or records instead of an array
+    except (OSError, ValueError, EOFError, TypeError) as error:
         raise InputError.of("parallel.folder", file=path, value=type(error).__name__) from error

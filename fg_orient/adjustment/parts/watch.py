@@ -12,7 +12,7 @@ from typing import Any, Final
 
 #: Replacements for each worker of a run.
 REPLACED: Final = 3
-#: Seconds between two looks at the processes; a start takes longer.
+#: Pause between two checks of the processes, s. It is shorter than the start of a process.
 PAUSE_S: Final = 0.2
 
 

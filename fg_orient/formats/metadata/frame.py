@@ -82,7 +82,7 @@ class ConventionFile(Table):
 
         Impossible values raise InputError.
         """
-        from fg_orient.sensors.camera_conversion import convert_camera  # not above: it loads scipy.optimize
+        from fg_orient.sensors.camera_conversion import convert_camera  # imported here, because it loads scipy.optimize
 
         try:
             out = convert_camera(
@@ -97,7 +97,8 @@ class ConventionFile(Table):
 def read_convention(path: str | Path) -> ConventionFile | None:
     """Read a camera file in the convention of a program, or one from Metashape; None if the file has a ``model``."""
     if Path(path).suffix.lower() == ".xml":
-        from fg_orient.formats.metadata.metashape_camera import read_metashape_camera  # it loads lxml
+        # imported here, because it loads lxml
+        from fg_orient.formats.metadata.metashape_camera import read_metashape_camera
 
         return validate(read_metashape_camera(path), str(path), ConventionFile)
     content = parse_toml(Path(path))

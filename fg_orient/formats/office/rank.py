@@ -61,7 +61,7 @@ def readings(
                         where = np.empty((0, 2))
                     elif not len(where):
                         whole = ecef[np.isfinite(ecef).all(axis=1)]
-                        where = lonlat(whole) / 1e-6 if len(whole) else np.empty((0, 2))  # 0.1 m
+                        where = lonlat(whole) / 1e-6 if len(whole) else np.empty((0, 2))  # 1e-6 degrees are 0.1 m
                     out.append(Reading(triple, code, images, exchanged, evidence, where))
     return out
 

@@ -71,7 +71,8 @@ class CellComparison:
     high: float = math.nan
 
 
-#: Function that compares a cell; its printed number may be its own or that of another cell (``reproduction.baseline``).
+#: Function that compares the printed number of a cell, or of another cell
+#: (``reproduction.baseline``), with the values of this cell.
 Judge = Callable[[PublishedCell], CellComparison]
 Judges = dict[CellKey, Judge]
 
