@@ -141,7 +141,7 @@ def show(record: dict[str, Any]) -> None:
         note(f"{record['status'].replace('_', ' ')}{regularised_words(record)}: {record['reason']}")
     if record["status"] == Status.RANK_DEFICIENT:
         if record["out"]:
-            say(f"report of what is not determined: {Path(record['out']) / 'report.html'}")
+            say(f"report of the undetermined unknowns: {Path(record['out']) / 'report.html'}")
         return
     tell_findings(record, as_result=True)
     low, high = record["sigma0_interval_99_9"]
@@ -180,7 +180,7 @@ def show(record: dict[str, Any]) -> None:
             f"{number(found['rms_after_px'])} px after")  # fmt: skip
     if "dem_control" in record:
         found = record["dem_control"]
-        rest = "" if found["at_rest"] else f"; the points do not rest: {number(found['moved_m'])} m"
+        rest = "" if found["at_rest"] else f"; the points still move: {number(found['moved_m'])} m"
         say(f"heights of {found['n']} tie points from {Path(found['dem']).name}: RMS {number(found['rms_m'])} m "
             f"above it after {found['rounds']} adjustments, {len(found['outside'])} outside{rest}")  # fmt: skip
     say(f"report: {Path(record['out']) / 'report.html'}")
@@ -195,11 +195,11 @@ def reduce(
     project: Project,
     options: Mapping[str, Any],
     direction: Annotated[
-        Literal["backward", "forward"], option("Remove coefficients from the whole set, or add them to the best one.")
+        Literal["backward", "forward"], option("Remove coefficients from all, or add them to the best small set.")
     ] = "backward",
     level: Annotated[float, option("Probability of a false choice in one step.", "P")] = 0.05,
     cross_validation: Annotated[
-        str | None, option("Predict control points that are left out: one at a time, or in K parts.", "loo|K")
+        str | None, option("Cross-validation: leave out control points one at a time or in K parts.", "loo|K")
     ] = None,
 ) -> None:
     """Reduce the unknowns of the images one at a time by F tests; with AIC, AICc, BIC and prediction errors."""

@@ -307,8 +307,8 @@ def cache_findings(*folders: Path) -> list[Finding]:
     more = f" and {len(places) - 1} more" if len(places) > 1 else ""
     return [finding(
         "installation.cache_open (warning): others can change the compiled kernels in {folder} ({why}); its files hold "
-        "pickled code, which is run -> remove what lies there and take the right to write from others (chmod -R go-w), "
-        "or set NUMBA_CACHE_DIR to a folder of yours", file=f"{path}{more}", folder=folders[0], why=why,
+        "pickled code, which is run -> delete the files in it and remove the write permission of others "
+        "(chmod -R go-w), or set NUMBA_CACHE_DIR to your own folder", file=f"{path}{more}", folder=folders[0], why=why,
     )]  # fmt: skip
 
 

@@ -20,9 +20,9 @@ from fg_orient.model.options import Options
 app = typer.Typer(help="Close range: DLT, resection, intersection, bundle, surfaces of the second degree.")
 
 Control = Annotated[
-    Path, argument("POINTS", "CSV: id,x,y,x_m,y_m,z_m; photo, role (control, check), sigma_x and sigma_y if wanted.")
+    Path, argument("POINTS", "CSV: id,x,y,x_m,y_m,z_m; optional: photo, role (control, check), sigma_x, sigma_y.")
 ]
-Measured = Annotated[Path, argument("POINTS", "CSV: id,photo,x,y; sigma_x and sigma_y if wanted.")]
+Measured = Annotated[Path, argument("POINTS", "CSV: id,photo,x,y; optional: sigma_x, sigma_y.")]
 Photos = Annotated[Path, argument("PHOTOS", 'TOML file with one table "photos" per photo.')]
 Out = Annotated[Path | None, option("Folder of the results, with report.html.", "DIR")]
 Report = Annotated[Path | None, option("Write the report only, as one self-contained page.", "FILE.html")]
@@ -92,7 +92,7 @@ def relative(
 @command(SurfaceOptions, only=("sigma_m",))
 def absolute(
     model: Annotated[Path, argument("MODEL", "CSV: id,x,y,z, in any unit, as relative writes it.")],
-    control: Annotated[Path, argument("CONTROL", "CSV: id,x_m,y_m,z_m; sigma_x_m,sigma_y_m,sigma_z_m if wanted.")],
+    control: Annotated[Path, argument("CONTROL", "CSV: id,x_m,y_m,z_m; optional: sigma_x_m,sigma_y_m,sigma_z_m.")],
     options: Mapping[str, Any],
     out: Annotated[Path | None, option("All points of the model on the ground.", "CSV")] = None,
     report: Report = None,
@@ -136,7 +136,7 @@ def bundle(
     photos: Photos,
     options: Mapping[str, Any],
     output: Any,
-    control: Annotated[Path | None, option("id,x_m,y_m,z_m; sigma_x_m,sigma_y_m,sigma_z_m if wanted.", "CSV")] = None,
+    control: Annotated[Path | None, option("id,x_m,y_m,z_m; optional: sigma_x_m,sigma_y_m,sigma_z_m.", "CSV")] = None,
     check: Annotated[
         Path | None, option("id,x_m,y_m,z_m of check points, which are not used in the adjustment.", "CSV")
     ] = None,
@@ -149,7 +149,7 @@ def bundle(
     stations: Annotated[
         Path | None,
         option(
-            "Observed projection centres: photo,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m; attitudes if wanted "
+            "Observed projection centres: photo,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m; optional: attitudes "
             "(docs/closerange.md).",
             "CSV",
         ),
@@ -176,7 +176,7 @@ def import_(
     source: Annotated[
         str, option("Format of EXPORT, with cameras and poses.", "FORMAT", flag="--from")
     ] = "photomodeler",
-    control: Annotated[Path | None, option("Control points: id, name, X, Y, Z and sigmas if wanted.", "FILE")] = None,
+    control: Annotated[Path | None, option("Control points: id, name, X, Y, Z; optional: sigmas.", "FILE")] = None,
     stations: Annotated[Path | None, option("Observed projection centres: photo, X, Y, Z, sigma.", "FILE")] = None,
     sigma_image: Annotated[float | None, option("Sigma of image coordinates, pixels.", "PX")] = None,
     image_size: ImageSize = None,
@@ -207,7 +207,7 @@ def _show_imported(record: dict[str, Any]) -> None:
 @command()
 def compare_report(
     result: Annotated[Path, argument("RESULT", "Folder of a result of close range.")],
-    values: Annotated[Path, argument("VALUES", "CSV: name,value of a published report; sigma, digits if wanted.")],
+    values: Annotated[Path, argument("VALUES", "CSV: name,value of a published report; optional: sigma, digits.")],
     report: Report = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -235,7 +235,7 @@ def _show_comparison(record: dict[str, Any]) -> None:
 @app.command("surface")
 @command(SurfaceOptions, several=OUTPUT)
 def surface(
-    points: Annotated[Path, argument("POINTS", "CSV: id,x_m,y_m,z_m; sigma_x_m,sigma_y_m,sigma_z_m if wanted.")],
+    points: Annotated[Path, argument("POINTS", "CSV: id,x_m,y_m,z_m; optional: sigma_x_m,sigma_y_m,sigma_z_m.")],
     kind: Annotated[Literal["sphere", "spheroid", "ellipsoid", "quadric"], option("Kind of surface.")],
     options: Mapping[str, Any],
     output: Any,

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(help="Rectify images by points or on a DEM; accuracy of a map, areas, projections.")
 
-POINTS: Final = "CSV: id,line,sample,easting_m,northing_m (or lon_deg,lat_deg); height_m, role, sigmas if wanted."
+POINTS: Final = "CSV: id,line,sample,easting_m,northing_m (or lon_deg,lat_deg); optional: height_m, role, sigmas."
 Points = Annotated[Path, argument("POINTS", POINTS)]
 PROJECTIONS: Final = "utm:36, gauss-krueger:30, lambert-cylindrical:R, lambert-polar:R, som:5,180 or PROJ."
 
@@ -204,11 +204,11 @@ def _show_ortho(record: dict[str, Any]) -> None:
 def area(
     outlines: Annotated[
         Path,
-        argument("OUTLINES", "CSV of vertices in order: easting_m,northing_m or lon_deg,lat_deg; outline if wanted."),
+        argument("OUTLINES", "CSV of vertices in order: easting_m,northing_m or lon_deg,lat_deg; optional: outline."),
     ],
     projection: Annotated[str, option("Projection of lon_deg, lat_deg: " + PROJECTIONS, "NAME|PROJ")] = "",
     ellipsoid: Annotated[str, option("Ellipsoid of lon_deg, lat_deg, in PROJ.", "NAME")] = "WGS84",
-    pixel_size: Annotated[float | None, option("Pixel size for the area by count of pixels.", "M")] = None,
+    pixel_size: Annotated[float | None, option("Pixel size, to compute the area by counting pixels.", "M")] = None,
 ) -> None:
     """Area and perimeter of outlines, in the plane, on the ellipsoid and by count of pixels."""
     from fg_orient.rectification.measures import measure_outlines
@@ -262,7 +262,7 @@ def scanner(
     focal: Annotated[float | None, option("Focal length.", "M")] = None,
     speed: Annotated[float | None, option("Speed of the ground track.", "M/S")] = None,
     overlap: Annotated[float, option("Overlap of strips, 0 to below 1.")] = 0.0,
-    rotation: Annotated[float | None, option("Period of the mirror: 2 pi of scan angle.", "S")] = None,
+    rotation: Annotated[float | None, option("Time in which the scan angle changes by 2 pi.", "S")] = None,
 ) -> None:
     """Element sizes and displacements of an across-track scanner over flat ground, by scan angle."""
     from fg_orient.rectification.measures import scanner_record

@@ -184,7 +184,7 @@ def dsm_points(
     max_sigma_height: Annotated[
         float | None, option("Largest standard deviation of the height, m.", "M", min=0.0)
     ] = None,
-    min_rays: Annotated[int, option("Least number of image points.", "N", min=1)] = 2,
+    min_rays: Annotated[int, option("Smallest number of image points.", "N", min=1)] = 2,
     control: Annotated[bool, option("Write control points, too.", flag="--control")] = False,
     rejected: Annotated[
         bool,

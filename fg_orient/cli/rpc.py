@@ -137,7 +137,7 @@ def refine(
     points: Annotated[
         Path,
         option(
-            "CSV: id,line,sample,lon_deg,lat_deg,height_m and, if wanted, role (control, check), "
+            "CSV: id,line,sample,lon_deg,lat_deg,height_m; optional: role (control, check), "
             "sigma_line_px,sigma_sample_px.",
             show_default=False,
         ),
@@ -295,7 +295,7 @@ def _show_check(record: dict[str, Any]) -> None:
         tell("note", text)
     _show_source(record)
     below = record["denominators"]
-    say(f"heights {record['heights_m'][0]:g} .. {record['heights_m'][1]:g} m: least denominators "
+    say(f"heights {record['heights_m'][0]:g} .. {record['heights_m'][1]:g} m: smallest denominators "
         f"{number(below['least_line'], 5)} (line), {number(below['least_sample'], 5)} (sample)")  # fmt: skip
     used = ", ".join(f"{name} {value:.3f}" for name, value in record["extrapolation"].items())
     say(f"used of the model's range: {used}")
@@ -312,10 +312,10 @@ def _show_out(out: Mapping[str, Any] | None) -> None:
     if out is None:
         return
     say(f"written: {out['file']} ({out['format']}), its first pixel is ({out['first_pixel']:g}, "
-        f"{out['first_pixel']:g}); read back it projects alike within {out['round_trip_line_px']:.2g}, "
+        f"{out['first_pixel']:g}); the written file, read again, agrees within {out['round_trip_line_px']:.2g}, "
         f"{out['round_trip_sample_px']:.2g} px (line, sample)")  # fmt: skip
     if out["not_kept"]:
-        say(f"the format has no place for: {', '.join(out['not_kept'])}")
+        say(f"the format cannot contain: {', '.join(out['not_kept'])}")
     if "exact" in out:
         e = out["errors"]
         how = "exact" if out["exact"] else "refitted"
@@ -339,7 +339,7 @@ def _show_refine(record: dict[str, Any]) -> None:
     _show_source(record["source"])
     rows = [(term["name"], number(term["px"], 4), number(term["sd_px"], 4)) for term in record["terms"]]
     table(f"compensation {record['compensation']}, px", ("term", "value", "standard deviation"), rows)
-    say(f"sigma0 {number(record['sigma0'])}, redundancy {record['redundancy']}, left out as grossly wrong: "
+    say(f"sigma0 {number(record['sigma0'])}, redundancy {record['redundancy']}, left out as gross errors: "
         f"{', '.join(o['id'] for o in record['outliers']) or 'none'}")  # fmt: skip
     stages = [
         (_counted(f"{role} {stage}", record[role][stage]), record[role][stage])

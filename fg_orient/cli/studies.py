@@ -129,7 +129,7 @@ def _show_comparison(record: dict[str, Any]) -> None:
         heads = ("set", "unknowns", "check m", "ratio", "sigma0", "AICc", "BIC", "status")
         shown = [_set_row(one) for one in sets[:SHOWN]]
         _show_table(f"EOP sets, the recommended one first: {len(shown)} of {len(sets)}", heads, shown)
-        say("check: 3-D RMSE at check points; ratio: their errors over the predicted ones")
+        say("check: 3-D RMSE at check points; ratio: their errors divided by the predicted errors")
         if any(s["regularisation"] != "none" for s in record["sets"]):
             say("regularised estimates are biased: they have no ratio and no AICc")
         measures = ("engine", "processor s", "memory MB", "forward error", "differs m")
@@ -166,7 +166,7 @@ def _show_scale(record: dict[str, Any]) -> None:
         solved = [r["image_points"] for r in record["rows"] if r["engine"] == engine and not r["failure"]]
         rows.append((engine, max(solved, default="-"), own.get("processor_s", "-"), own.get("peak_bytes", "-"), below))
     _show_table("engines", ("engine", "largest", "exponent time", "memory", "crossing"), rows)
-    say("largest, crossing: image points; from the crossing on it takes less time than full matrices")
+    say("largest, crossing: image points; above the crossing the engine takes less time than full matrices")
     say(f"page: {Path(record['out']) / 'scale.md'}")
 
 
@@ -236,10 +236,10 @@ def _metres(value: float | None) -> str:
 def reproduce(
     source: Annotated[str, argument("SOURCE", "terlemezoglu2019, topan2010, ipbuker1994, ayhan1996.")],
     tables: Annotated[str, option("Tables and ranges, such as 4.3-4.9,4.28; default: all.", "TABLES")] = "",
-    seeds: Annotated[int, option("Number of simulated twins, with the seeds 1 to N.", "N")] = 10,
+    seeds: Annotated[int, option("Number of simulated blocks, with the seeds 1 to N.", "N")] = 10,
     as_run: Annotated[
         bool,
-        option("Compute as the authors' program does, on a twin with radial velocity and attitude.", flag="--as-run"),
+        option("Compute as the authors' program does, on blocks with radial velocity and attitude.", flag="--as-run"),
     ] = False,
     claims: Annotated[bool, option("Also assess the claims about the publication.")] = True,
     published: Annotated[Path | None, option("Folder of published tables (CSV) to use instead.", "DIR")] = None,
@@ -276,7 +276,7 @@ def _show_reproduction(found: Reproduction, out: Path) -> None:
     heads = ("table", "cells", "equal", "rounding", "differs", "gained", "others")
     table("cells by verdict", heads, rows, left=7)
     say("shuffled: printed values exchanged among cells of the same role")
-    say("gained: cells that agree beyond what shuffled values give")
+    say("gained: agreeing cells minus those that agree with shuffled values")
     judged = [
         (c.id, f"{c.passed}/{c.of}", f"{c.interval[0]:.2f}-{c.interval[1]:.2f}", "met" if c.met else "not met",
          c.reason or c.text)

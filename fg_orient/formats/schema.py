@@ -140,10 +140,10 @@ class LinesEntry(Table):
 class ConstraintEntry(Table):
     """One ``[[constraints]]`` table of a project file or of a constraint file."""
 
-    kind: Text = Field(description='what it is, such as "distance" or "horizontal circle"')
+    kind: Text = Field(description='the kind of the constraint, such as "distance" or "horizontal circle"')
     members: tuple[Text, ...] = Field(min_length=1, description='ids of points (or names of photos): ["1", "2"]')
     value_m: Size | None = Field(default=None, description="a distance or base, m")
-    sigma: Size | None = Field(default=None, description="m (rad for angles) above 0; without it it is hard")
+    sigma: Size | None = Field(default=None, description="m (rad for angles) above 0; without it, a hard constraint")
     observed: dict[str, tuple[Size, Size]] = Field(default={}, description="name = [value, sigma], m, above 0")
     axis: Text = Field(default="y", description='"x", "y" or "z"')
     offset: tuple[Row, Row, Row] | None = Field(default=None, description="three rows of three numbers")

@@ -161,7 +161,7 @@ def test_what_reads_results_refuses_one_where_nothing_was_adjusted(run: Any, twi
 def test_rank_deficient_for_people(run: Any, twin: Path) -> None:
     ended = run("adjust", twin, "--eop-set", 20, "--no-priors")
     assert ended.code == 3
-    assert ended.stdout == f"report of what is not determined: {twin.parent / 'result' / 'report.html'}\n"
+    assert ended.stdout == f"report of the undetermined unknowns: {twin.parent / 'result' / 'report.html'}\n"
     assert "velocity across track acts as yaw" in ended.stderr
     (line,) = ended.stderr.splitlines()
     assert line.startswith("error: image left: velocity along track (constant) acts on nothing | radial velocity")

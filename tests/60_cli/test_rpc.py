@@ -689,7 +689,7 @@ def test_independent_points_of_a_sensor_depend_on_the_seed_only(model: RpcModel)
 def test_tables_for_people(run: Run, file: Path, model: RpcModel, tmp_path: Path) -> None:
     points = write_points(tmp_path / "p.csv", *measured(model, 60, noise=0.2), check=20)
     shown = run("rpc", "refine", file, "--points", points, "--compensation", "affine").stdout
-    for text in ("line_s1", "check after (20)", "left out as grossly wrong: none", "sigma0"):
+    for text in ("line_s1", "check after (20)", "left out as gross errors: none", "sigma0"):
         assert text in shown
     shown = run("rpc", "fit", points, "--degree", 1).stdout
     for text in ("m0 of the linear form", "left out, 10 folds", "control (40)"):
@@ -698,7 +698,7 @@ def test_tables_for_people(run: Run, file: Path, model: RpcModel, tmp_path: Path
     assert "at independent points" in shown
     shown = run("rpc", "convert", file, "--out", tmp_path / "b.xml").stdout
     assert "its first pixel is (1, 1)" in shown
-    assert "the format has no place for: error estimates" in shown
+    assert "the format cannot contain: error estimates" in shown
 
 
 # --- files that no command takes -----------------------------------------------------------------

@@ -334,7 +334,7 @@ def test_a_part_of_a_table_that_is_misread_is_named(block: Block) -> None:
     solution = fg.adjust(replace(block, observations=replace(o, line=line, sample=sample)))
     (text,) = (str(f) for f in solution.findings if f.code == "solution.mix_up")
     seen = int(np.isin(o.point[o.image == 0], rows).sum())
-    assert f"the misclosures of {wrong.sum()} of its {seen} control points" in text
+    assert f"the median misclosure of {wrong.sum()} of its {seen} control points" in text
     assert "line and sample exchanged" in text and "no doubt remains" in text
 
 

@@ -31,7 +31,7 @@ jitter.no_angles: no image has roll or pitch with coefficients of degree 0, 1 an
     -> choose an EOP set with the attitude, such as A or PUA
 jitter.found (note): jitter was found in {angles!w}; the adjustment contains its curves (docs/jitter.md)
 jitter.not_found (note): no jitter was found in {angles!w}
-jitter.untold (note): jitter cannot be told in {angles!w}, because too few points determine it
+jitter.untold (note): it is not known whether there is jitter in {angles!w}, because too few points determine it
     -> measure more control points along the lines of the image
 jitter.many: jitter is tested in at most {limit} images at once
     -> adjust parts of the block with <jitter>, then name the curves found by <jitter_curves>
@@ -103,7 +103,7 @@ earlier.size: the image of the earlier result has another size; here it has {lin
 earlier.unknowns: only one of the two adjustments has these unknowns
     -> adjust with the same EOP set and the same options of unknowns as in the earlier run
 earlier.metadata: the metadata file of the image has changed since the earlier run
-    -> bring back the file of the earlier run: corrections refer to it
+    -> restore the metadata file of the earlier run, because the corrections refer to it
 earlier.not_converged: the earlier adjustment did not converge, so its covariance is not a prior
     -> leave <start_prior> out
 earlier.no_covariance: the earlier result has no joint covariance ({name}). The joint covariance needs <statistics>
@@ -115,7 +115,7 @@ earlier.inner: a free network cannot use a prior of an earlier result
     -> give another <datum>, or leave <start_prior> out
 earlier.check: these check points were control points of the earlier result, so they are no independent check
     -> make them control points, give a result without them, or leave <start_prior> out
-earlier.shared: this unknown of the image is shared under another id in the earlier result
+earlier.shared: the id under which images share this unknown differs from the id in the earlier result
     -> give the cameras the same ids as in the earlier run
 earlier.singular: the covariance of the earlier result is not positive definite
     -> leave <start_prior> out
@@ -146,7 +146,7 @@ regularise.zero: the observations do not depend on the image unknowns
     -> check the points and the unknowns
 regularise.common_null: neither the observations nor the penalty determine {n} direction(s) of the image unknowns
     -> add <penalty_deviation>, choose <penalty> deviation, or keep the priors
-regularise.rule_large: this rule needs a decomposition, or no priors, in a block of so many image unknowns
+regularise.rule_large: with so many image unknowns this rule is not possible, or not possible together with priors
     -> choose one of {known}, or give <kappa> a number
 regularise.rule_priors: this rule is not defined together with priors, units or a penalty of this kind
     -> choose one of {known}, leave the priors out, or give <kappa> a number
@@ -235,11 +235,11 @@ loop.gradient_left: the optimiser ended too early: the next Gauss-Newton step wo
     -> try <optimizer> levenberg-marquardt, or search for gross errors
 loop.step_left: the optimiser ended too early: the next Gauss-Newton step would be {step:.1e}
     -> search for gross errors, and check the start values
-loop.error_rises: the error rises
+loop.error_rises: the weighted sum of squares increases
     -> try <optimizer> levenberg-marquardt
-loop.last_step: the last step raised the error
+loop.last_step: the last step increased the weighted sum of squares
     -> try <optimizer> levenberg-marquardt
-loop.no_step: no step lowers the error
+loop.no_step: no step decreases the weighted sum of squares
     -> search for gross errors, and check the start values
 loop.iterations: no convergence within {iterations} iteration(s)
     -> raise <max_iterations>, or check the start values
@@ -265,10 +265,10 @@ verdict.gross_error (doubt): gross error suspected
     + ; {symbol} = {size:.1f}; fewer than {level:g} % of blocks without gross errors have such a large value
     + ; the error may also be in {also:5}, which cannot be separated from it
     + ; {more} more observation(s) are above their limits, perhaps because of this error
-    + ; among them are {crowd}: its measurements are wrong, or its orientation
+    + ; among them are {crowd}: the measurements or the orientation of this image are wrong
     -> correct the measurement or the coordinates, search with <snoop>, or <accept> "gross_error:{place}"
 verdict.sigmas (doubt): the stated standard deviations are too small: {words}; if they were right, fewer than {level:g}
-    % of blocks would have residuals as large. Standard deviations and coordinates must not be trusted
+    % of blocks would have such large residuals. Standard deviations and coordinates must not be trusted
     + ; the standard deviations of {more} are too small, too
     -> correct them, let <variance_components> estimate them, or <accept> "sigmas:{place}<={size:.3g}"
 verdict.sigmas_large (note): the stated standard deviations are too large: {words}; the observations have too little
@@ -288,8 +288,8 @@ verdict.check_far (doubt): check points contradict the adjusted points: {points:
     {size:.1f} times its standard deviation; the limit for {n} coordinates is {limit:.1f}
     -> check the coordinates and image points of these points, or <accept> "check_far<={size:.3g}"
 verdict.check_beyond (doubt): check points contradict the adjusted points: {size} of {n} check coordinates differ by
-    more than 3 standard deviations of the difference, {expected:.1f} are expected. With the joint covariance fewer
-    than {level:g} % of blocks without mistakes have as many such coordinates: {points:10}
+    more than 3 standard deviations of the difference, {expected:.1f} are expected. According to their joint covariance,
+    fewer than {level:g} % of blocks without mistakes have so many such coordinates: {points:10}
     -> compare datum, heights and sigmas of control and check points, or <accept> "check_beyond<={size}"
 verdict.cause (note): likely cause: {what}; twice the logarithm of its likelihood ratio to a block without mistakes:
     {gain:.1f}
@@ -354,11 +354,12 @@ solution.wide_factor (note): the points link the images in such a way that GTSAM
 solution.few_check (warning): only {n} check point(s) are given; ASPRS (2023) requires at least {least}
 solution.check_not_located (warning): {n} excluded check point(s) have no coordinates, because their rays do not
     determine them: {points:10}
-solution.mix_up (doubt): image {image}: with {reading} the misclosures of {n} of its {of} control points are
-    {best_px:.3g} px, as given {given_px:.3g} px (medians)
+solution.mix_up (doubt): image {image}: with {reading} the median misclosure of {n} of its {of} control points is
+    {best_px:.3g} px; with the data as given it is {given_px:.3g} px
     + ; with this, sigma0 {before} -> {after}, and {left}
     -> check the columns of the table and the metadata file of the image
-solution.id_mix_up (doubt): {what}; so their misclosures are {best_px:.3g} px, as given {given_px:.3g} px (medians)
+solution.id_mix_up (doubt): {what}; their median misclosure is then {best_px:.3g} px; with the data as given it is
+    {given_px:.3g} px
     + ; with this, sigma0 {before} -> {after}, and {left}
     -> give the right ids in the tables of points and image points
 solution.id_copied (doubt): its coordinates are those of control point {other}, and its image points lie {given_px:.3g}
@@ -382,7 +383,7 @@ unavailable.slopes (warning): the shift is not estimated: {n} points lie on slop
 unavailable.aspects (warning): the shift is not estimated: the terrain has too few slopes of different aspect to
     separate East and North
 unavailable.steps (warning): the shift is not estimated: the computation has not converged after {steps} steps
-search.restless: the rejection by the median does not come to rest: its image points change after each of {value}
+search.restless: the rejection by the median does not converge: the rejected image points change after each of {value}
     iterations
     -> raise <median_rejection> or <max_iterations>, or search with <snoop>
 search.left_out (warning): snooping left out {n} observation(s) in {rounds} rounds: {names:5}

@@ -81,7 +81,7 @@ closerange.datum: nothing ties these photos to the coordinate system
        the scale; <datum> inner adjusts a free network
 closerange.unobservable: the observations do not determine this
     -> leave one of these unknowns out, observe it, or measure points at other depths
-closerange.parallel_rays: the rays to the point are close to parallel: its distance is open
+closerange.parallel_rays: the rays to the point are close to parallel: its distance is not determined
     -> measure it in a photo from another place
 closerange.parallax: the parallax is not above 0
     -> check that left and right are not exchanged
@@ -143,10 +143,10 @@ closerange.prior_text: this is not an observed parameter
     -> write it as name=value:sigma, for instance b=0.845:0.001
 closerange.no_redundancy (warning): there is no redundancy, so there are no standard deviations
 closerange.little_redundancy (warning): with redundancy 1, m0 and the standard deviations are ten times too small in 8
-    of 100 sets, and 1 of 15 sets that are flat within the noise is not detected
+    of 100 cases. One of 15 sets of points that are flat within the noise is not detected
     -> give <sigma>
 closerange.nearly_parallel (warning): the projection is {sigmas:.2g} sigmas from a parallel one: standard deviations of
-    the centre and of the principal distances are too small (correct above {honest:.3g} sigmas)
+    the centre and of the principal distances are too small; they are correct only above {honest:.3g} sigmas
 closerange.second_pose (warning): a second pose fits nearly as well, centre at {centre_m[0]:.4g}, {centre_m[1]:.4g},
     {centre_m[2]:.4g} m. Its weighted sum of squares is {ratio:.3g} times as large; an F test at 5 % distinguishes the
     poses only above {limit:.3g}

@@ -140,7 +140,7 @@ bundle.lines: the counts of the second line require {expected} lines in total
 bundle.list: the list has fewer images than the bundle, which has at least {last}
     -> give the list of this bundle
 bundle.camera: the camera has coefficients that the files of Bundler and BAL do not have
-    -> needed: k1 and k2 alone; write a text model of COLMAP
+    -> use a camera that has only k1 and k2, or write a text model of COLMAP
 photomodeler.size: the export contains no image size, and its marks do not determine the size
     -> give the size: <image_size> {photo}=LINES,SAMPLES
 photomodeler.size_found (note): the export contains no image size. Its marks fit best with {fit_lines:.2f} lines and

@@ -132,7 +132,7 @@ rectify.hardly_determined (warning): the points hardly determine the transformat
     usually {typical:g}. The points are close to {what} of this transformation
 rectify.sigma_size (warning): the residuals are {m0:.2g} times as large as the sigmas: check unit and size of the
     sigmas
-rectify.sigma_span (warning): one sigma is {span:.1g} times another: points with large ones carry negligible weight
+rectify.sigma_span (warning): one sigma is {span:.1g} times another: points with large sigmas have negligible weight
 rectify.far_from_zone (warning): {n} control point(s) lie far outside the area of {crs} ({west:g} to {east:g} degrees
     east, {south:g} to {north:g} north), such as {point} ({where}): check the zone and the order of the coordinates
 rectify.check_worse (warning): the errors at check points are {ratio:.1f} times as large as the control points predict:

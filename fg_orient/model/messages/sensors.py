@@ -94,8 +94,8 @@ frame.nothing_unknown: the camera has no unknown, so its image cannot be adjuste
     -> name some unknowns with their prior sigmas; small prior sigmas hold the camera almost fixed
 frame.shared: images that share this unknown ({id!r}) have different prior sigmas or start values
     -> give all of them the same prior sigma and the same start value
-frame.shared_not: images have unknowns in common ({id}), which is not possible here
-    -> leave it out, or give each image separate unknowns
+frame.shared_not: images share unknowns ({id}), which is not possible here
+    -> leave the shared id out, or give each image separate unknowns
 frame.no_direction: the distortion of the camera cannot be inverted at this pixel
     -> check k1, k2, k3, p1, p2: the polynomial folds inside the image
 frame.local: the image is in a local coordinate system, which has no heights above the ellipsoid

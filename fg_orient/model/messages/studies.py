@@ -97,7 +97,7 @@ accuracy.local: points in a local coordinate system cannot be compared with an e
 linear.not_square: the normal matrix must be square and not empty
     -> give N as a (u, u) array
 linear.not_symmetric: the normal matrix is not symmetric
-    -> form it as A^T W A; (N + N^T)/2 if only rounding differs
+    -> form it as A^T W A, or give (N + N^T)/2 if the difference is only rounding
 linear.not_finite: the normal matrix contains a value that is not finite
     -> find the observation that causes it
 linear.not_real: the matrix or vector must contain real numbers
@@ -198,23 +198,24 @@ compare.memory: not tried: it needs an estimated {needed}, and {allowed} are all
 compare.time: not tried: it needs an estimated {seconds:.2g} s of processor time, more than {limit:.3g} s
     -> <time_limit_s> sets the limit
 compare.named: not tried: extra observations name ground points, which arrays cannot eliminate
-    -> the graph has these points as variables
+    -> see the rows of the graph, which has these points as variables
 compare.shared: not tried: images share unknowns, and the reduced matrix is then stored in full
-    -> the row of the full Cholesky factor has it
+    -> see the row of the full Cholesky factor
 compare.full: not tried: the reduced matrix has no band that is narrower than the matrix, or is too large
-    -> the rows of the other methods have it
+    -> see the rows of the other methods
 compare.not_eliminated: not tried: without priors the graph does not eliminate points
-    -> the rows of the explicit graph have it
+    -> see the rows of the explicit graph
 compare.ill_conditioned: not tried: the regularised equations have the condition {condition:.1e}, above {limit:.0e},
     and normal equations lose the weakest direction
-    -> the rows of full matrices and of the explicit graph have it
+    -> see the rows of full matrices and of the explicit graph
 compare.regularisation: unknown regularisation
     -> give METHOD, METHOD:RULE or METHOD:KAPPA, for a method without kappa METHOD:CUT with a cut of the rank below 1.
     Methods are {methods}; rules are {rules}
 compare.no_reference (note): forward errors are not computed, because python-flint is not installed
     -> install the extra: pip install "fg-orient[reference]"
 compare.damped: left out: regularised steps converge more slowly to the same minimum
-    -> here the priors regularise; the published procedure makes a single step
+    -> the priors already regularise this adjustment; only the published procedure uses regularised solvers, because it
+       makes a single step
 compare.no_solution: none of the {count} adjustments has a solution; reason of the first: {why}
     -> the table gives the reason of each
 """)
