@@ -21,7 +21,7 @@ class _Spent:
 
 
 def report_compilation(name: str) -> None:
-    """Tell all registered listeners that this kernel is being compiled because it is not on disk."""
+    """Call all registered listeners: this kernel is compiled now, because it is not on disk."""
     for listener in _LISTENERS:
         listener(name)
 

@@ -1,6 +1,7 @@
 """Collinearity of a frame image with all supported corrections: the observation equation.
 
-As ``factors.cameras.frame``, with the corrections, projections and directions of ``frame_corrections``::
+The equation of ``factors.cameras.frame`` is used with the corrections, projections and directions of
+``frame_corrections``::
 
     1 camera       R = exp([w]x) R_0,  C = C_0 + dC,  interior orientation = metadata + correction
     2 collinearity (x, y, 1) ~ R (G - C);  Z is the depth
@@ -9,8 +10,8 @@ As ``factors.cameras.frame``, with the corrections, projections and directions o
     4 whitening    r = W d Z^p,  W = (w_line  w_12; 0  w_sample)
 
 The unit of d is the pixel for p = 0, and pixels times metres for p = 1 (Ayhan 1996, eq. 76, condition F with the other
-sign). The coefficients of D refer to the image's ``unit`` from measured to ideal coordinates, and to the unit of X/Z
-from ideal to measured coordinates.
+sign). If D converts measured to ideal coordinates, its coefficients refer to the image's ``unit``. If D
+converts ideal to measured coordinates, they refer to the unit of X/Z.
 """
 
 from __future__ import annotations

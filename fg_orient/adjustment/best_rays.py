@@ -9,9 +9,9 @@ the least truncated cost is chosen (exhaustive consensus, after Fischler & Bolle
     c(x) = sum min(|v|^2, L^2),   L: limit of right observations
 
 Each candidate is improved by steps. The first step uses the observations within twice the
-limit, because two rays intersect less precisely than all right rays. The next steps use
-those within the limit. At the solution, rays get the same weight if the data do not show
-which of them is wrong (:func:`sharing`).
+limit, because two rays intersect less precisely than all right rays. The next steps use the
+observations within the limit. At the solution, rays get the same weight if the data do not show which
+of them is wrong (:func:`sharing`).
 """
 
 from __future__ import annotations
@@ -82,8 +82,8 @@ def sharing(problem: Problem, state: State, weights: Weights) -> Weights | None:
     A loss keeps the rays that fit best and down-weights the other rays. A kept ray and a
     down-weighted ray are rivals under two conditions: the point fits nearly as well if
     the two are exchanged, and it fits far worse with both. One of them is wrong, but the
-    data do not show which one. An example are two nearly parallel rays with an error
-    along their plane. The point loses both rays, like a point with two rays.
+    data do not show which one. An example is a pair of nearly parallel rays with an error along their
+    plane. Both rays of the pair are then down-weighted, like the rays of a point with two rays.
 
     Parameters
     ----------

@@ -8,7 +8,7 @@ G and K = H^-1 G^T B
 
 If images are eliminated first (:mod:`fg_orient.adjustment.images_first`), the border
 consists of the shared unknowns of the images and all ground points. :func:`border_of`
-chooses. The matrix of both: :mod:`fg_orient.adjustment.border_matrix`.
+chooses. :mod:`fg_orient.adjustment.border_matrix` contains the matrix of both kinds.
 """
 
 from __future__ import annotations
@@ -202,7 +202,8 @@ class Border(BorderMatrix):
     def gains(self, points: Index) -> tuple[Array, Array]:
         """Return ``-K`` (n, 3, b) and H^-1 (n, 3, 3) of ground points.
 
-        A named point has its columns and zero.
+        For a named point, the first array selects its own unknowns in the border, and the second one is
+        zero.
         """
         gain, inverse = np.zeros((len(points), 3, len(self))), np.zeros((len(points), 3, 3))
         for place in np.flatnonzero(np.isin(points, self.named)).tolist():

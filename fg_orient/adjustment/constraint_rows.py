@@ -359,7 +359,8 @@ class FittedFigure:
 def fitted_figures(problem: Problem, state: State) -> list[FittedFigure]:
     """Return the figures of the constraints at a solution.
 
-    With the joint cofactors C of its points a figure has the cofactors ``own + by C by^T``.
+    Let C be the joint cofactors of the points of a figure. The cofactors of the figure are then ``own +
+    by C by^T``.
     """
     out = []
     for e in problem.block.extra:

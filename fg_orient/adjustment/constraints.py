@@ -275,7 +275,7 @@ def _constraints(problem: Problem, state: State) -> list[tuple[int, ConstraintOb
 
 
 def misclosures(problem: Problem, state: State) -> list[tuple[ConstraintObservation, Array]]:
-    """Return constraints with their misclosures (c,) at a state, in m or as sines; for a figure those of its points."""
+    """Return constraints with their misclosures (c,) at a state, in m or as sines; for a figure, of its points."""
     return [(e, c) for _, e, c, _ in _constraints(problem, state)]
 
 

@@ -383,7 +383,7 @@ class Elimination:
             self._sum(groups, state, done=near)
 
     def _eliminate(self, groups: Sequence[int], state: State, *, near: bool, of_images: bool = True) -> None:
-        """Compute rows and point blocks of groups at a state; ``near`` the intersection also sums of the pairs of rays.
+        """Compute rows and point blocks of groups at a state; if ``near`` the intersection, also sum the pairs of rays.
 
         Without ``of_images`` the rows have no derivatives by the images.
         """

@@ -84,7 +84,7 @@ class ExplicitRun:
 
 
 def elimination_seconds(problem: Problem, order: Sequence[int]) -> float:
-    """Return the processor seconds of one Cholesky elimination of the explicit graph at the start, by GTSAM's cliques.
+    """Return the processor seconds of one Cholesky elimination of the explicit graph at the start, clique by clique.
 
     Parameters
     ----------

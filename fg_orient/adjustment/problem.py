@@ -158,7 +158,7 @@ class Problem:
         return self.free(self.image_columns(state))
 
     def free(self, wide: Array) -> Array:
-        """Return the rows of all image unknowns, those of shared unknowns once, as ``ties`` numbers them."""
+        """Return the rows of all image unknowns; rows of shared unknowns occur once, as ``ties`` numbers them."""
         return wide if self.ties is None else np.asarray(wide[self.ties.place])
 
     def image_matrix(self, vector: Array) -> Array:

@@ -8,9 +8,10 @@ cost.
 
 The two rays of a tie point without further observations contradict each other in one
 residual, the y-parallax. The data do not show which ray is wrong. Both get the mean of
-their squared norms (:func:`together`). So a gross error in one of them costs the point,
-not the ray that happens to have the larger residual. Graduated non-convexity also gives
-rivals among three or more rays one weight (``fg_orient.adjustment.best_rays.sharing``).
+their squared norms (:func:`together`). A gross error in one of them then makes the point useless.
+Otherwise the ray with the larger residual would be rejected, although it may be the right one.
+Graduated non-convexity also gives rivals among three or more rays one weight
+(``fg_orient.adjustment.best_rays.sharing``).
 
 Each loss contains the share :data:`FLOOR` of the square. Therefore a ground point whose
 image points have no other weight is still determined by the intersection of its rays.
@@ -209,12 +210,12 @@ LOWEST: Final = 0.01
 def robust_scale(problem: Problem, state: State) -> tuple[float, float]:
     """Return scales of image points and control points at a state, in sigmas; 1 with fewer than :data:`LEAST` ratios.
 
-    The ratio of residuals to sigmas from their median: gross errors do not affect it. A
-    residual is smaller than its error, because the unknowns absorb a part. With ground
-    points free and the orientation of each image free (the others held fixed), image
-    point i keeps ``Q_i = Q_g - Q_g B N_k^-1 B^T Q_g``, ``Q_g = I - C M_j^-1 C^T`` (B, C:
-    whitened Jacobians of image and point; M_j, N_k: their normal matrices). Without gross
-    errors ``T_i = v^T Q_i^+ v`` is nearly chi-square of rank d, and::
+    A scale is the ratio of residuals to sigmas. It is computed from a median, so that gross errors do
+    not affect it. A residual is smaller than its error, because the unknowns absorb a part. With ground
+    points free and the orientation of each image free (the others held fixed), image point i keeps
+    ``Q_i = Q_g - Q_g B N_k^-1 B^T Q_g``, ``Q_g = I - C M_j^-1 C^T`` (B, C: whitened Jacobians of image
+    and point; M_j, N_k: their normal matrices). Without gross errors ``T_i = v^T Q_i^+ v`` is nearly
+    chi-square of rank d, and::
 
         scale^2 = median over i of T_i / median(chi2_d)
 

@@ -50,7 +50,7 @@ def _crossings(
 ) -> list[float]:
     """Return the kappas where a function changes its sign in this direction, ascending.
 
-    Breakdown with the given text: there is no such kappa.
+    If there is no such kappa, Breakdown is raised with the text ``missing``.
     """
     logs = np.log(ridge.grid if grid is None else grid)
 

@@ -84,7 +84,8 @@ def l_curve_of(system: LinearSystem, given: Given | None = None) -> LCurve:
     system : LinearSystem
         Its design matrix is required.
     given : Given, optional
-        Additional inputs. Without them kappas of published rules are clamped, as in their solvers.
+        Additional inputs. If they are missing, the kappas of the published rules are clamped, as in the
+        published solvers.
 
     Returns
     -------

@@ -147,7 +147,7 @@ class PartedSystem:
     def summed(self) -> SummedSystem:
         """Return the reduced system for the covariance, without the parts.
 
-        a singular system raises its error at its use.
+        If the system is singular, the error is raised when it is used.
         """
         partial: Partial | Multifrontal | RuntimeError
         try:
