@@ -268,8 +268,7 @@ def order_by_point(problem: Problem) -> Index:
 
 
 def parts_of(problem: Problem, state: State, points: Index | None = None, order: Index | None = None) -> Iterator[Part]:
-    """Yield ground points in parts, by default all measured points, with their rays, linearised at a state.
-    """
+    """Yield ground points in parts, by default all measured points, with their rays, linearised at a state."""
     order = order_by_point(problem) if order is None else order
     points = np.flatnonzero(np.bincount(problem.observations.point)) if points is None else points
     if not len(points):

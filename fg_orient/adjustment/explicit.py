@@ -50,8 +50,7 @@ def shared_key(g: int) -> int:
 
 
 def vector_keys(problem: Problem) -> list[tuple[int, slice]]:
-    """Return the GTSAM vectors of the images that are not empty, with their parts of ``Problem.image_vector``.
-    """
+    """Return the GTSAM vectors of the images that are not empty, with their parts of ``Problem.image_vector``."""
     m = problem.n_images
     return [(image_key(n) if n < m else shared_key(n - m), part) for n, part in vector_parts(problem)]
 

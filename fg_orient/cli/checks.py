@@ -4,8 +4,8 @@
 self-test, which adjusts a synthetic block in memory in about a second. The block is the
 synthetic Zonguldak block with observations that have no errors. Its metadata have
 constant errors, and an adjustment without priors recovers them. With a correct
-installation, the coordinates of the check points are right within a micrometre. With a
-wrong Jacobian, a damaged compiler cache or another version of GTSAM, they are not.
+installation, the coordinates of the check points are right within a micrometre. With a wrong Jacobian,
+a damaged compiler cache or another version of GTSAM, the coordinates are wrong.
 """
 
 from __future__ import annotations
@@ -258,7 +258,7 @@ def examine_cache(folders: Sequence[Path]) -> dict[str, Any]:
 def _rights(folder: Path) -> dict[str, Any]:
     """Return the owner and the rights of a folder.
 
-    If it does not exist, those of the nearest parent.
+    If the folder does not exist, return those of the nearest parent.
     """
     there = next(p for p in (folder, *folder.parents) if os.path.exists(p))  # also False if a path is not readable
     status = there.stat()

@@ -80,7 +80,7 @@ def relative(
     report: Report = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Orient two photos to each other without control points."""
+    """Orient two photos relative to each other without control points."""
     from fg_orient.closerange.orient_job import run_relative
 
     output = _output(report=report, overwrite=overwrite)

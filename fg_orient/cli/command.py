@@ -198,7 +198,7 @@ def _explained(as_json: bool, debug: bool) -> Iterator[None]:
 def in_short(error: BaseException) -> str:
     """Return the text of an exception in one line of at most 300 characters.
 
-    If it has no text, its type.
+    If it has no text, return its type.
     """
     return " ".join(str(error).split())[:300] or type(error).__name__
 

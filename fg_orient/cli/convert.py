@@ -172,7 +172,7 @@ def _bands(
 ) -> dict[str, Any]:  # fmt: skip
     """Write bands of about the same number of columns.
 
-    The record of each, and the differences of all.
+    Return the record of each band, and the differences of all bands.
     """
     ends = [round(k * sensor.n_samples / len(paths)) for k in range(len(paths) + 1)]
     columns = list(itertools.pairwise(ends))
@@ -228,12 +228,14 @@ def _list() -> None:
     answer(record, lambda _: table("formats", ("name", "files", "first pixel", "verified"), rows, left=2))
 
 
-camera = typer.Typer(help="Camera files: from one direction or program's convention to another.", no_args_is_help=True)
+camera = typer.Typer(
+    help="Convert camera files to another direction, or to another program's convention.", no_args_is_help=True
+)
 
 
 @camera.callback()
 def camera_group() -> None:
-    """Camera files: from one direction or program's convention to another."""
+    """Convert camera files to another direction, or to another program's convention."""
 
 
 @camera.command("convert")
@@ -251,8 +253,8 @@ def convert_camera(
 ) -> None:  # fmt: skip
     """Convert a camera file to the other direction of the distortion polynomial, or to a program's convention.
 
-    Where no exact conversion exists, the camera is fitted over the whole image: the
-    largest and the rms difference in the image are part of the result.
+    If no exact conversion exists, the new camera is fitted over the whole image. The result states the
+    largest difference and the RMS difference in the image.
     """
     from fg_orient.formats.atomic import outputs, require_free_files
     from fg_orient.formats.metadata.frame import read_camera, read_convention, write_camera, write_convention

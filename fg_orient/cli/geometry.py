@@ -51,7 +51,7 @@ def locate(
     out: Out = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Image to ground: where a pixel lies, at a height or on a DEM.
+    """Image to ground: compute the ground point of a pixel, at a height or on a DEM.
 
     Points of a CSV file: columns id,line,sample and, without --height or --dem, height_m.
     """
@@ -120,7 +120,7 @@ def project(
     out: Out = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Ground to image: the pixel that sees a point.
+    """Ground to image: compute the pixel that shows a ground point.
 
     Points of a CSV file: columns id,lon_deg,lat_deg,height_m.
     """
@@ -150,10 +150,10 @@ def intersect(
     out: Out = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Stereo: the ground point where rays of several images meet.
+    """Stereo: compute the ground point where rays of several images meet.
 
-    A project file gives all its points that are measured twice or more; their coordinates
-    in the file are not used. Sigmas of a point follow from its image points (--pixel: 1
+    With a project file, the command computes all points that are measured twice or more; their
+    coordinates in the file are not used. Sigmas of a point follow from its image points (--pixel: 1
     pixel each); the orientation is assumed to have no errors.
     """
     from fg_orient.sensors.ground import intersection_records
@@ -271,7 +271,7 @@ def footprint(
 ) -> None:
     """Footprints, ground sampling distance, incidence; convergence and base to height of pairs.
 
-    On the ground at --height or on --dem.
+    The ground is at --height or on --dem.
     """
     from fg_orient.formats.atomic import outputs, require_free_files, write_text
     from fg_orient.sensors.viewing import View, feature_collection, viewing_records

@@ -43,9 +43,9 @@ def match(
 ) -> None:
     """Measure tie points in the pixels of the images; add them to the tables of the project.
 
-    The sensor models, the heights and the prior sigmas restrict the search. Each point
-    has the standard deviation of least-squares matching, with a factor that the
-    y-parallaxes give.
+    The sensor models, the heights and the prior sigmas restrict the search. Each point gets the
+    standard deviation of least-squares matching, times a factor that is estimated from the
+    y-parallaxes.
     """
     require_project(project)
     from fg_orient.orientation.match.job import match_project

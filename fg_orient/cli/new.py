@@ -149,10 +149,9 @@ def new(
 ) -> None:
     """Make a project from images and tables of any form.
 
-    Columns, units, CRS and pixel origin are found out by names and by projecting the
-    points into the images. Each assumption is listed, and written into project.toml. On a
-    terminal the command asks about properties that the data do not determine; elsewhere
-    it ends and names the option.
+    The command finds columns, units, CRS and pixel origin by names and by projecting the points into
+    the images. It lists each assumption and writes it into project.toml. On a terminal the command asks
+    about properties that the data do not determine; elsewhere it ends and names the option.
     """
     from fg_orient.formats.office.decisions import Decisions
     from fg_orient.formats.office.project import Given, draft, write_draft

@@ -210,7 +210,7 @@ def area(
     ellipsoid: Annotated[str, option("Ellipsoid of lon_deg, lat_deg, in PROJ.", "NAME")] = "WGS84",
     pixel_size: Annotated[float | None, option("Pixel size, to compute the area by counting pixels.", "M")] = None,
 ) -> None:
-    """Area and perimeter of outlines, in the plane, on the ellipsoid and by count of pixels."""
+    """Compute area and perimeter of outlines, in the plane, on the ellipsoid and by count of pixels."""
     from fg_orient.rectification.measures import measure_outlines
 
     answer(measure_outlines(outlines, projection=projection, ellipsoid=ellipsoid, pixel_m=pixel_size), _show_areas)
@@ -234,7 +234,7 @@ def projection(
     out: Annotated[Path | None, option("Table of the results.", "CSV")] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Map projection of points and its scale factors; the datum does not change."""
+    """Compute the map projection of points and its scale factors; the datum does not change."""
     from fg_orient.rectification.measures import project_points
 
     answer(project_points(points, to, inverse=inverse, out=out, overwrite=overwrite), _show_projection)
@@ -264,7 +264,7 @@ def scanner(
     overlap: Annotated[float, option("Overlap of strips, 0 to below 1.")] = 0.0,
     rotation: Annotated[float | None, option("Time in which the scan angle changes by 2 pi.", "S")] = None,
 ) -> None:
-    """Element sizes and displacements of an across-track scanner over flat ground, by scan angle."""
+    """Compute element sizes and displacements of an across-track scanner over flat ground, by scan angle."""
     from fg_orient.rectification.measures import scanner_record
 
     record = scanner_record(

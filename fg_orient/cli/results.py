@@ -96,9 +96,9 @@ def replay(
     ] = False,
     overwrite: Overwrite = False,
 ) -> None:
-    """Repeat a run from its record, same inputs and options, and compare every value of the result.
+    """Repeat a run from its record, with the same inputs and options, and compare every value of the result.
 
-    Ends with 0 if all agree to the last bit (all but times), with 4 if any differs.
+    The exit code is 0 if all values except times agree to the last bit, and 4 if any value differs.
     """
     from fg_orient.cli.adjust import load
 
@@ -192,7 +192,7 @@ def dsm_points(
     ] = False,
     overwrite: Overwrite = False,
 ) -> None:
-    """Write the adjusted points as a point cloud with covariances: a check of the orientation, no surface model."""
+    """Write the adjusted points as a point cloud with covariances, to check the orientation. It is no surface model."""
     from fg_orient.report.adjusted_points import Selection, export_points
 
     selection = Selection(control, rejected, min_rays, max_sigma_height)

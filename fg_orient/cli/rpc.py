@@ -55,7 +55,7 @@ def check(
     ] = None,
     against: Annotated[Path | None, option("RPC file or metadata (DIMAP) to compare with.", "OTHER")] = None,
 ) -> None:
-    """Check an RPC: the file, denominators, its two directions, points, another model.
+    """Check an RPC: its file, denominators and two directions; compare it with points and another model.
 
     Residuals are projected minus observed, pixels. The exit code is 4 if the RPC is not trustworthy.
     """
@@ -149,8 +149,8 @@ def refine(
 ) -> None:
     """Remove the bias of an RPC with control points; test check points and name gross errors.
 
-    The corrected RPC is exact for shift, otherwise refitted, and its error is stated.
-    The exit code is 4 if the points do not fit the model.
+    For a shift, the corrected RPC is exact. Otherwise it is fitted again, and its error is stated. The
+    exit code is 4 if the points do not fit the model.
     """
     from fg_orient.formats.atomic import require_free_files
     from fg_orient.rpc.compensate import refine as refined
@@ -198,7 +198,7 @@ def fit(
 
     Errors are stated in pixels of the image at points that were not used in the fit. The
     exit code is 4 if a denominator is near zero or the points do not determine the
-    coefficients. The RPC is then written with --force only.
+    coefficients. In these cases the RPC is written only with --force.
     """
     from fg_orient.formats.atomic import require_free_files
     from fg_orient.formats.table_write import is_binary

@@ -76,9 +76,8 @@ def compare(
 ) -> None:
     """Compare EOP sets and engines on a block: recommendation, tables, figures and an HTML report.
 
-    With workers, finished sets are kept until the folder is written: the same command
-    continues with them. Without matplotlib (extra "report") the tables come without
-    figures.
+    With workers, finished sets are kept until the folder is written. If the command is interrupted, the
+    same command continues with them. Without matplotlib (extra "report"), no figures are written.
     """
     if scale:
         given = {"eop_sets": eop_sets != ALL_SETS, "solvers": solvers != "published", "types": types != "1,2",

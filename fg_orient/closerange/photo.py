@@ -1,8 +1,8 @@
 """Close-range photo: projective map from ground to ideal image coordinates, corrections, rotations.
 
 Image coordinates x (right) and y (up or down) have any unit, the same as the focal
-length: mm or pixels. All rotations lead from ground axes to camera axes X right, Y
-**down**, Z along the view (``sensors.frame``).
+length: mm or pixels. All rotations transform ground axes to camera axes X right, Y **down**, Z along
+the view (``sensors.frame``).
 
 Ayhan 1996 multiplies the triple (X, Z, Y): X right, Z up, Y away from the camera. With X
 right, Y forward, Z up this triple is left-handed, so its angles have the opposite sense

@@ -93,7 +93,7 @@ class _Known:
     def positions(self, dictionary: Any) -> npt.NDArray[np.int64]:
         """Return the positions of the texts of a dictionary.
 
-        The last position is the one of an empty cell.
+        The last position belongs to an empty cell.
         """
         if self._dictionary is None or not dictionary.equals(self._dictionary):
             found = [(text or "").strip() for text in dictionary.to_pylist()]

@@ -54,7 +54,7 @@ class PhotoEntry(Table):
     def corrections(self) -> tuple[float, ...]:
         """Return the coefficients that correct measured coordinates to ideal ones.
 
-        Their order is the one of ``factors.cameras.image_corrections``.
+        Their order is the order of ``factors.cameras.image_corrections``.
         """
         return (self.k1, self.k2, self.k3, self.p1, self.p2, self.affinity_a, self.affinity_b)
 

@@ -30,7 +30,7 @@ def line_directions(x: Array, y: Array) -> tuple[DirectionTable, Array]:
     """Directions of the samples of a detector line, and the rotation (3, 3) from our camera axes to those of the file.
 
     ``x``, ``y`` (n,): lines of sight ``(x, y, 1)`` in the file's camera axes, z to the ground. Our axes are forward,
-    left of flight and away from the ground. A detector line along y becomes one across, too.
+    left of flight and away from the ground. A detector line along y is also converted to a line across track.
     """
     across_x = np.ptp(x) >= np.ptp(y)
     forward, left = (y, x) if across_x else (x, -y)
@@ -42,8 +42,9 @@ def line_directions(x: Array, y: Array) -> tuple[DirectionTable, Array]:
 def line_timing(
     first_line: Array, start_s: Array, period_s: Array, *, file: Path, places: tuple[str, str]
 ) -> LineTiming:
-    """Times of lines of segments; a segment begins half a line before the centre of its first line, 0.5 is line 0.
+    """Return the times of the lines of segments; the file gives line 0 the number 0.5.
 
+    A segment begins half a line before the centre of its first line.
     ``places``: names of the periods and of the lines in the file, for InputError if they are impossible.
     """
     if (period_s == 0.0).any():
@@ -54,7 +55,7 @@ def line_timing(
 
 
 def distortion_fields(distortion: Distortion) -> dict[str, Any]:
-    """Fields of a distortion, without one radial coefficients of zero; inverse of :func:`distortion_of`."""
+    """Return the fields of a distortion (none: radial coefficients of zero); inverse of :func:`distortion_of`."""
     kind = {name: number for number, name in DISTORTIONS.items()}.get(distortion.model, 0)
     c = distortion.coefficients or (0.0, 0.0, 0.0)
     return {"m_distortionType": kind, "m_opticalDistCoeffs": list(c[:-1] if kind == RADTAN else c)}

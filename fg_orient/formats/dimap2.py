@@ -179,7 +179,7 @@ def _polynomial(node: XmlNode) -> Array:
 def _look_angles(model: XmlNode, n_samples: int) -> tuple[LookAnglePolynomial, tuple[Finding, ...]]:
     """Read the look polynomials of the panchromatic band.
 
-    If there is no such band, those of the first band.
+    If there is no such band, those of the first band are used.
     """
     calibration = model.one("Geometric_Calibration/Instrument_Calibration")
     if calibration.maybe("Band_Calibration_List") is None:
@@ -208,7 +208,7 @@ def _look_polynomial(band: XmlNode, n_samples: int) -> LookAnglePolynomial:
 def _look(swath: XmlNode, node: XmlNode, tangents: dict[str, Array], n_samples: int) -> LookAnglePolynomial:
     """Read the polynomials of the tangents along and across track from elements of these names.
 
-    At most 45 degrees.
+    Angles above 45 degrees are refused.
     """
     first = swath.one("FIRST_COL").integer(DIMAP_FIRST_PIXEL, n_samples)
     column = np.array([0.0, (n_samples - 1) / 2, n_samples - 1.0]) - (first - DIMAP_FIRST_PIXEL)

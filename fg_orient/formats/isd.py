@@ -37,7 +37,7 @@ def orbit_of(isd: JsonFile, time: float) -> Ephemeris:
 
 
 def turns_of(isd: JsonFile, place: str, time: float) -> QuaternionList:
-    """Read rotations from inertial axes, without the constant rotation behind them; times count from ``time``."""
+    """Read rotations from inertial axes, without the constant rotation after them; times count from ``time``."""
     times, values = _states(isd, place, time, "quaternions", 4)
     if (np.abs(np.linalg.norm(values, axis=1) - 1.0) > 1e-6).any():
         raise InputError.of("earth.quaternion", file=isd.path, place=f"{place}.quaternions")
@@ -99,7 +99,7 @@ def _keyword(isd: JsonFile, name: str, count: int) -> Array | None:
 def distortion_of(isd: JsonFile) -> tuple[Distortion, tuple[Finding, ...]]:
     """Return the distortion of the ISD.
 
-    If it is zero, the distortion of a metric camera in the NAIF keywords.
+    If it is zero, the distortion of a metric camera is read from the NAIF keywords.
     """
     stated: Any = isd.value("optical_distortion", {})
     if not isinstance(stated, dict) or len(stated) > 1:

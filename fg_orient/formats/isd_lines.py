@@ -1,9 +1,10 @@
 """Read line-scan images from image support data (ISD) of ALE, ``name_model = USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL``.
 
-Positions (km) and pointing are listed in inertial axes, and the rotation of the body beside them. Cubic polynomials
-lead between positions and velocities, the shortest way between rotations. ``line_scan_rate`` lists the first line of a
-segment, its time from ``center_ephemeris_time`` and the time per line; 0.5 is the centre of the first line. The line of
-the detector is always its first one. The sensor is that of every pushbroom (``fg_orient.sensors.general``).
+The file lists positions (km) and pointing in inertial axes, and also the rotation of the body. Positions and velocities
+are interpolated by cubic polynomials, rotations by the smallest rotation between neighbours. ``line_scan_rate`` lists
+the first line of a segment, its time from ``center_ephemeris_time`` and the time per line; 0.5 is the centre of the
+first line. The line of the detector is always its first one. The sensor is the general pushbroom
+(``fg_orient.sensors.general``).
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
 A file contains statements ``name = value``. Objects and groups contain further
 statements: ``Object = NAME .. End_Object``. A value is a word, a quoted text or a list in
-parentheses. Units in angle brackets are not interpreted. Upper and lower case of names
-are equal. Networks have millions of lines. The existing Python package reads single
-characters and is too slow for them.
+parentheses. Units in angle brackets are not interpreted. Upper and lower case of a name are not
+distinguished. Networks have millions of lines. The existing Python package reads single characters and
+is too slow for them.
 """
 
 from __future__ import annotations

@@ -86,7 +86,7 @@ def require_writer(path: Path) -> None:
 def table_file(folder: Path, table: str) -> Path:
     """Return the file of a table in a folder, in any format.
 
-    If there is no file, the name of a CSV file.
+    If there is no file, return the name of a CSV file.
     """
     files = [folder / name for name in in_all_forms(table)]
     return next((file for file in files if file.is_file()), files[0])

@@ -1,9 +1,10 @@
 """Sums over the rows of each image, if images are eliminated first (``fg_orient.adjustment.images_first``).
 
-Image points are in the order of their images: image m has the points ``first[m]`` to ``first[m + 1]``. ``own[m, i]`` is
-the place of its own unknown i among its unknowns, or -1 if there is none. ``border[m, j]`` is the place of its unknown
-j in the border, or -1 if the unknown is its own. ``place[a]`` is the first place in the border of the ground point of
-image point a, or -1 if it is constant.
+Image points are in the order of their images: image m has the points ``first[m]`` to ``first[m + 1]``.
+``own[m, i]`` is the place of own unknown i of image m among all unknowns of this image, or -1 if there
+is none. ``border[m, j]`` is the place of unknown j of image m in the border, or -1 if it is an own
+unknown. ``place[a]`` is the first place in the border of the ground point of image point a, or -1 if it
+is constant.
 """
 
 from __future__ import annotations

@@ -101,7 +101,7 @@ def reserve_blas() -> None:
     Raises
     ------
     MemoryError
-        There is none, or less than ``START_BYTES``.
+        There is no such work space, or less than ``START_BYTES``.
     """
     if not _has_address_limit():
         return

@@ -26,7 +26,7 @@ class Role(StrEnum):
 
 
 class Status(StrEnum):
-    """How an adjustment ended."""
+    """Way in which an adjustment ended."""
 
     CONVERGED = "converged"
     NOT_CONVERGED = "not_converged"

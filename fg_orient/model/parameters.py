@@ -78,8 +78,9 @@ def with_options(block: Block, caller: str, **given: Any) -> Block:
 
 
 def chosen_datum(options: Options, images: Sequence[Image], *, control: bool) -> Datum:
-    """Return the datum of a block: "auto" means "vendor" if only metadata determine the position, otherwise "control".
+    """Return the datum of a block.
 
+    "auto" becomes "vendor" if only metadata determine the position, otherwise "control".
     ``control``: True if the block has control points, or observations that may replace them. "inner" also becomes
     "vendor" if the metadata orient all images, because such a block has no exact datum defect.
     """

@@ -57,7 +57,7 @@ def _imported(path: Path) -> ModuleType:
 
 
 def fault_of(error: BaseException) -> Finding | None:
-    """Return the finding of an exception other than ``FgOrientError`` that came from a plugin; None if none did."""
+    """Return the finding of an exception other than ``FgOrientError``; None if it did not come from a plugin."""
     file = next((name for name, _ in reversed(_frames(error)) if name in _LOADED), None)
     if file is None:
         return None
@@ -67,7 +67,7 @@ def fault_of(error: BaseException) -> Finding | None:
 def raised_in(error: BaseException, file: str) -> str:
     """Return file and line of the user's code that raised an exception.
 
-    Only the file if a built-in function raised it.
+    If a built-in function raised the exception, return only the file.
     """
     return f"{file}, {_line(error, Path(file))}" if file in dict(_frames(error)) else file
 
@@ -85,7 +85,7 @@ def _frames(error: BaseException) -> list[tuple[str, int]]:
 def _line(error: BaseException, path: Path) -> str:
     """Return the last line of the file through which the error passed.
 
-    For a syntax error, the line of the error itself.
+    For a syntax error, return the line of the error itself.
     """
     if isinstance(error, SyntaxError) and error.filename == str(path):
         return f"line {error.lineno}"

@@ -44,7 +44,7 @@ def open_bounded(rasterio: Any, path: str | os.PathLike[str], mode: str = "r") -
     Raises
     ------
     InputError
-        The raster exceeds a limit. Other errors are those of rasterio.
+        The raster exceeds a limit. All other errors come from rasterio.
     """
     _require_bounded_file(path)
     source = rasterio.open(path, mode)

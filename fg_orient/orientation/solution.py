@@ -133,7 +133,7 @@ class Solution(AdjustmentResult):
 
     @property
     def scale(self) -> float:
-        """Factor from roots of cofactors to standard deviations: sigma0, or 1 (prior scale) under a loss."""
+        """Factor that converts roots of cofactors to standard deviations: sigma0, or 1 (prior scale) under a loss."""
         return self.sigma0 if self.weights is None else 1.0
 
     @property

@@ -110,7 +110,7 @@ class Beyond:
 
     @property
     def by_chance(self) -> bool:
-        """True if chance explains both the number and the largest of the coordinates."""
+        """True if chance explains the number of large differences and the size of the largest difference."""
         return not self.many and not self.far
 
     @property

@@ -154,7 +154,7 @@ def gross_errors(tests: OutlierTests, accept: Sequence[str] = ()) -> list[Findin
 
 
 def _crowd(tests: OutlierTests, above: Index) -> str | None:
-    """Image most of whose points are above their limits, in words; None if there is none."""
+    """Describe the image that has most of its points above their limits; None if there is no such image."""
     problem, rows = tests.problem, np.unique(tests.row[above])
     images = problem.observations.image
     count = np.bincount(images[rows[rows >= 0]], minlength=problem.n_images)
@@ -227,7 +227,7 @@ def missed_accuracy(problem: Problem, ground_m: Array, cofactors: Cofactors | No
         Adjusted points, ECEF or local.
     cofactors : Cofactors or None
     scale : float
-        Factor from the roots of cofactors to standard deviations.
+        Factor that converts roots of cofactors to standard deviations.
     """
     required = problem.block.options.required_accuracy_m
     if required is None:

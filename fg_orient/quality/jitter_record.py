@@ -40,7 +40,8 @@ class AngleJitter:
     line : (N,) array
         Lines of the band.
     bound_px : float
-        Upper confidence bound (95 %) of the amplitude, where no jitter was found; nan if it cannot be told.
+        Upper confidence bound (95 %) of the amplitude, where no jitter was found; nan if the points
+        cannot show jitter.
     resolved_cycles : float
         Highest frequency, in cycles per image, that the points resolve.
     absorbed_by_points, absorbed_by_orientation : float

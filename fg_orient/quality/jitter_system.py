@@ -5,9 +5,9 @@ The rows of all observations, without the ground points (``fg_orient.quality.eli
     y = A beta + sum_j X_j u_j + e,   beta ~ prior sigmas,   u_j ~ N(0, g_j^2 I),   e ~ N(0, s^2 I)
 
 ``X_j`` has the ``k + 3`` columns of jitter of one angle over k intervals: splines without
-quadratics, and the degree-2 coefficients, whose effect is also that of columns of A
-(``factors.geometry.polynomials``). The strengths g and the scale s follow from the
-restricted likelihood, in which beta is integrated (Patterson & Thompson 1971)::
+quadratics, and the degree-2 coefficients, whose effect equals the effect of columns of A
+(``factors.geometry.polynomials``). The strengths g and the scale s follow from the restricted
+likelihood, in which beta is integrated (Patterson & Thompson 1971)::
 
     log L = -1/2 (log det H + nu log RSS),   H = normal matrix of A and all g_j X_j with their priors
 

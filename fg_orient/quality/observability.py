@@ -314,8 +314,8 @@ def analyse_block(problem: Problem, structure: Structure | None = None, *, whole
     structure : Structure, optional
         Structure of the block, if it is known.
     whole : bool
-        False: only the motions of the parts are computed, in a time proportional to the observations, no singular
-        values.
+        If False, only the motions of the parts are computed, without singular values. The time is then
+        proportional to the number of observations.
     """
     structure = structure or analyse_structure(problem)
     rows = linearised(problem, problem.start)

@@ -115,7 +115,7 @@ class Misclosures:
     points: tuple[int, ...]
 
     def consistency(self, cofactors: Cofactors, chi2: float, redundancy: float, test: str) -> ConsistencyTest:
-        """Test with the adjustment of the others: its cofactors, v^T v and redundancy."""
+        """Test with the adjustment of the other observations, given by its cofactors, v^T v and redundancy."""
         none = not self.images and not self.points  # only the coordinates of a point without rays are excluded
         q = np.zeros((0, 0)) if none else cofactors.joint(self.images, self.points)
         return _judged(self.v, self.e, np.eye(len(self.v)) + self.design @ q @ self.design.T, chi2, redundancy, test)

@@ -235,7 +235,7 @@ KNOWN: Final = 1e8
 def freedoms(residuals: GroupedResiduals, suspects: Sequence[Suspects], components: VarianceComponents) -> Array:
     """Compute the degrees of freedom (n,) of the tests of all suspects with estimated variance components.
 
-    The variance of a suspect's estimated error is a sum of them ::
+    The variance of a suspect's estimated error is a weighted sum of the components::
 
         Var = sum_j c_j s_j^2,   c_j = tr((E^T R E)^+ E^T R E_j R E) / d,   sum_j c_j = 1
 

@@ -119,7 +119,7 @@ def _doubt_of_weights(problem: Problem, weights: Weights) -> Finding | None:
 
 
 def turned_down_images(problem: Problem, weights: Weights) -> list[tuple[str, int, int]]:
-    """List images with more than half of their image points down-weighted: id, number of these, number of all."""
+    """List images with more than half of their image points down-weighted: id, number down-weighted, number of all."""
     o, m = problem.observations, problem.n_images
     if problem.block.options.loss in UNWEIGHED:
         return []

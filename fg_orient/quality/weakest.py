@@ -63,7 +63,8 @@ def weakest(border: BorderMatrix, limit: float, parts: int = 1, start: Array | N
     parts : int
         Parts of the block, each with seven motions at most.
     start : (b, d) array, optional
-        Directions at a neighbouring state: they are corrected only, and no others are looked for.
+        Directions at a neighbouring state: these are only corrected, and no other directions are
+        searched for.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Result folder of ``rectify fit``: its contents, and the record of a folder whose files are those of its run."""
+"""Result folder of ``rectify fit``: its contents, and the record of a folder that is complete and unchanged."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ def read_record(folder: Path) -> dict[str, Any]:
     Raises
     ------
     InputError
-        It is missing or damaged; the folder is a part of a result, or was changed (``fg_orient.result.manifest``).
+        The record is missing or damaged; or the folder is incomplete or was changed
+        (``fg_orient.result.manifest``).
     """
     if not _has_record(folder):
         raise InputError.of("rectify.result", file=folder)

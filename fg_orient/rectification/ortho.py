@@ -370,7 +370,7 @@ def rectify_image(
     result : Path, optional
         Result folder of ``adjust`` whose orientation is used; ``image_id``: the image in it.
     crs : str
-        Coordinate system of the map; default: that of the transformation or of the DEM.
+        Coordinate system of the map; default: the system of the transformation or of the DEM.
     resolution, bounds, options, overwrite, progress
         See :func:`fg_orient.rectification.ortho.orthorectify`.
     extrapolate_attitude_s, light

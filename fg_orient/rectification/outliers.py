@@ -159,10 +159,7 @@ def prune(first: TransformationFit, target_rms: float, *, rule: Rule = "residual
 
 
 def _worst(fitted: TransformationFit, rule: Rule) -> int:
-    """Return the index of the worst point.
-
-    If the test has no redundancy, of the longest residual.
-    """
+    """Return the index of the worst point. Without redundancy, it is the point with the longest residual."""
     tests = point_tests(fitted) if rule == "test" else None
     if tests is None or np.isnan(tests.statistic).all():
         return int(np.argmax(np.linalg.norm(fitted.residuals, axis=1)))

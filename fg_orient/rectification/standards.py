@@ -115,7 +115,7 @@ def nssda_m(rmse_x_m: float, rmse_y_m: float) -> float:
 
 
 def _largest_nmas_scale(limit_at_90_m: float) -> tuple[float, str]:
-    """Return the denominator of the largest scale at which an error is within NMAS, and intermediate failing scales."""
+    """Return the denominator of the largest scale at which an error meets NMAS, and smaller scales that fail."""
     if limit_at_90_m == 0.0:
         return np.nan, ""
     large, small = limit_at_90_m / NMAS_LARGE_M, limit_at_90_m / NMAS_SMALL_M

@@ -227,7 +227,7 @@ class Digitised(NamedTuple):
 def digitised_sheets(extent_km: tuple[int, int] = SHEET_EXTENT_KM, runs: int = RUNS, seed: int = 1) -> Digitised:
     """Digitise 24 nodes of a grid of 1 km, calibrate the sheet, and compare distances before it.
 
-    ``extent_km`` is that of the nodes, east and north.
+    ``extent_km`` is the extent of the nodes, east and north.
 
     Raises
     ------

@@ -269,7 +269,7 @@ def read_transformation(path: Path) -> Transformation:
     Raises
     ------
     InputError
-        The file cannot be read, or it is not a transformation; the folder is part of a result, or was changed.
+        The file cannot be read, or it is not a transformation; the folder is incomplete or was changed.
     """
     if path.is_dir():
         require_whole(path)

@@ -1,7 +1,7 @@
 """Reports: one self-contained HTML file made from a result folder.
 
-The report is made of the record of a result (``fg_orient.result``), never of the solution. The page of a record in
-memory is therefore the page of its folder (``fg-orient report DIR``).
+The report is made from the record of a result (``fg_orient.result``), never from the solution. The page
+of a record in memory is therefore the page of its folder (``fg-orient report DIR``).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def write_report(folder: str | Path, truth: str | Path | None = None) -> tuple[P
     Returns
     -------
     path : Path
-        The file written.
+        File that was written.
     comparison : dict or None
         Estimated minus true; see :func:`fg_orient.report.tables.compare_truth`.
 

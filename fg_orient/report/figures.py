@@ -109,7 +109,7 @@ def write_figures(
     folder : path
         Result folder of ``adjust``.
     out : path, optional
-        Folder to come; default ``figures`` inside the result folder.
+        Folder to create; default ``figures`` inside the result folder.
     overwrite : bool
         Replace a folder of figures.
     formats : sequence of str

@@ -174,8 +174,9 @@ def points_of_rays(result: Result) -> Index:
 def chosen_rays(result: Result, points: Mask, of_ray: Index, used: int = 0) -> tuple[Index, str, Width]:
     """Select the image points of the page; return their rows, a sentence on the other image points, and the width.
 
-    Flagged image points come first, then all image points of points that are drawn at random. ``points`` (N,): those of
-    :func:`chosen_points`. ``of_ray`` (n,): row of the point of each image point.
+    Flagged image points come first, then all image points of points that are drawn at random.
+    ``points`` (N,): result of :func:`chosen_points`. ``of_ray`` (n,): row of the point of each image
+    point.
     """
     n, known = len(result.residuals), int(np.count_nonzero(points & (_role_numbers(result) < 2)))
     budget = BUDGET - used

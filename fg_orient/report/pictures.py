@@ -1,9 +1,10 @@
 """Pixels in the report: pictures of the images under the residual vectors, and chips about the largest residuals.
 
 Image points that the search for gross errors removed have no residual in the result. The estimated error of
-their test, with the opposite sign, replaces it. These points come before all others, which passed the tests.
-A record contains the names of the rasters relative to the result folder. If a raster is missing or cannot be
-read, a sentence on the page states this; it is never an error. Without rasterio the page has no pictures.
+their test, with the opposite sign, replaces it. These points come before all other points, which passed
+the tests. A record contains the names of the rasters relative to the result folder. If a raster is
+missing or cannot be read, a sentence on the page states this; it is never an error. Without rasterio
+the page has no pictures.
 """
 
 from __future__ import annotations

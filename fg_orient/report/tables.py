@@ -174,7 +174,7 @@ def compare_truth(result: Result, truth: Path) -> dict[str, Any]:
     Raises
     ------
     InputError
-        The folder contains no truth, or that of another project.
+        The folder contains no truth, or the truth of another project.
     """
     of_eop, of_points = (table_file(truth, name) for name in ("eop", "points"))
     for file in (of_eop, of_points):

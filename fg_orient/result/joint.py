@@ -41,7 +41,8 @@ class JointCofactors:
     cofactors : (u, u) array
         Cofactor matrix in physical units, prior scale (sigma0 = 1).
     prior_sigma : (u,) array
-        Prior standard deviations of image unknowns. nan if there is no prior, and for points.
+        Prior standard deviations of image unknowns. They are nan for unknowns without a prior, and for
+        points.
     control : tuple of str
         Ids of the control points whose coordinates are observed, not constant.
     control_m : (c, 3) array

@@ -75,7 +75,7 @@ def is_made_by(folder: Path, contents: Contents) -> bool:
 
 
 def checked_record(folder: Path, file: str, contents: Contents, code: str) -> dict[str, Any]:
-    """Read the record of a folder whose files are those of its run.
+    """Read the record of a folder, and check that all its files belong to its run.
 
     Parameters
     ----------

@@ -205,8 +205,8 @@ def arrays_of(solution: Solution, points: Array) -> dict[str, npt.NDArray[Any]]:
     """Return the state, the adjusted points and the cofactors (prior scale) as arrays without Python objects.
 
     ``points`` is the result of :func:`point_cofactors`. The arrays also contain the
-    covariances that the table of points does not contain. Their scale is that of the
-    standard deviations in the table.
+    covariances that the table of points does not contain. They have the scale of the standard
+    deviations in the table.
 
     If images have different unknowns, the arrays of the unknowns have one row for each
     image. Rows are filled with nan (numbers) and "" (names). ``n_parameters`` is the

@@ -109,7 +109,7 @@ def _grid(line: Range, sample: Range, heights_m: Range) -> Array:
 
 
 def denominators(model: RpcModel, ground: Array, heights_m: Range) -> dict[str, Any]:
-    """Return the smallest denominators at ground points (n, 3), and the place of a pole.
+    """Return the smallest denominators at ground points (n, 3), and the place of a pole if there is one.
 
     A pixel without a ground point has nan.
     """

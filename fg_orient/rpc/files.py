@@ -4,10 +4,9 @@ A compensation is written exactly if the form allows it, otherwise approximately
 
     line = off + c0 + scale (f1 (1 + c2/scale))/f2 + c4 f3/f4
 
-Shifts are added to the offsets, the drift of a coordinate with itself changes its
-numerator. The last term needs f3 f2/f4, which is a cubic polynomial only if both
-denominators are equal; otherwise a cubic polynomial is fitted to it. The denominators are
-not changed, so there is no new pole.
+Shifts are added to the offsets. The drift of a coordinate with itself changes its numerator. The last
+term needs f3 f2/f4, which is a cubic polynomial only if both denominators are equal; otherwise a cubic
+polynomial is fitted to it. The denominators are not changed, so there is no new pole.
 """
 
 from __future__ import annotations
@@ -99,7 +98,7 @@ def write_as(
     ----------
     model : RpcModel
     out : Path
-        For "geotiff-tags" without ``image`` an existing image, whose tags are replaced.
+        For "geotiff-tags" without ``image``, it is an existing image whose tags are replaced.
     target : str
         Name of a format.
     overwrite : bool

@@ -136,7 +136,7 @@ class RfmFit:
 
     @property
     def redundancy(self) -> float:
-        """Observations minus unknowns; with a penalty minus the trace of the hat matrix (effective unknowns)."""
+        """Observations minus unknowns. With a penalty, the trace of the hat matrix replaces the number of unknowns."""
         unknowns = float(len(self.x))
         if self.kappa > 0.0:
             unknowns = float(np.trace(self.leverages, axis1=1, axis2=2).sum())

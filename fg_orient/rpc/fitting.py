@@ -55,7 +55,7 @@ def fit_points(
     Returns
     -------
     model : RpcModel
-        Model whose validity range is that of the control points.
+        Model whose validity range is the range of the control points.
     record : dict
         status, warnings, degree, denominators, equations, method, choice, kappa,
         unknowns, rank, condition, redundancy, least_denominators, m0_linear_px, m0_px,

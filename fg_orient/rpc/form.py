@@ -2,9 +2,9 @@
 
     sample = (m a)/(1 + m' b),  line = (m c)/(1 + m' d)       (Terlemezoğlu 2019, T(2.53)-(2.55), x = sample, y = line)
 
-m are the monomials of the normalised ground coordinates in the published order T(2.54),
-m' the same without the constant. The linear form is the equation multiplied by the
-denominator: m a - sample m' b = sample.
+m are the monomials of the normalised ground coordinates in the published order T(2.54); m' are the
+monomials without the constant. The linear form is the equation multiplied by the denominator: m a -
+sample m' b = sample.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 An ``.adjust`` file of ASP moves a camera by a translation t in ECEF: a ground point X is
 projected to the pixel to which the vendor's model projects X - t. A compensation in the
-image is only approximately equal to such a movement. The file is written if the two agree
-within ``SAME_PX`` everywhere in the image. Otherwise the reason is reported.
+image is only approximately equal to such a movement. The file is written if movement and compensation
+agree within ``SAME_PX`` everywhere in the image. Otherwise the reason is reported.
 """
 
 from __future__ import annotations

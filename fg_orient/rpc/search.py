@@ -141,9 +141,9 @@ def genetic(reduced: Reduced) -> Selection:
 def particle_swarm(reduced: Reduced) -> Selection:
     """Find the subset with the smallest errors at excluded points, by a binary particle swarm.
 
-    Each coefficient has a velocity. It changes towards the best subset of the particle
-    and the best subset of the swarm. The coefficient is in the subset with the
-    probability 1/(1 + exp(-velocity)).
+    Each coefficient has a velocity. The velocity changes towards the best subset of the particle and
+    the best subset of the swarm. The coefficient is in the subset with the probability 1/(1 +
+    exp(-velocity)).
     """
     search = _Search(reduced)
     if not search.size:

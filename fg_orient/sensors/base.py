@@ -95,7 +95,7 @@ class ImageModel(ABC):
 
 
 class Sensor(ABC):
-    """Sensor of an image. It knows the centres of the first and last line and sample.
+    """Sensor of an image. It gives the centres of the first and last line and sample.
 
     Attributes
     ----------

@@ -137,8 +137,8 @@ class Detector:
         Line and sample of the detector that are the origin of the affine maps; 0.5 is the
         centre of the first pixel.
     lines, samples : (3,) tuples
-        Coefficients of ``detector line - centre = lines . (1, x, y)``, and of the samples
-        likewise; pixels, and pixels per mm.
+        Coefficients of ``detector line - centre = lines . (1, x, y)``, and of the same form for the
+        samples; pixels, and pixels per mm.
     summing : (2,) tuple
         Numbers of detector lines and samples in one image pixel.
     start : (2,) tuple

@@ -1,9 +1,10 @@
 """Camera of a line-scan state: a straight detector line with distortion, fitted to the look angles of samples.
 
 The line is at ``(x, y) = (d, y0 + b d)`` pixels of the focal plane, d = +-(sample - s0).
-The distortion leads to ideal coordinates, and the line of sight is ``R (x, y, focal)`` in
-body axes turned to the ground (x right of flight, y backward, z down). Look angles that
-are linear in the sample need neither distortion nor R. For others, the better of two is used:
+The distortion converts these to ideal coordinates. The line of sight is ``R (x, y, focal)`` in body
+axes that are rotated towards the ground (x right of flight, y backward, z down). Look angles that are
+linear in the sample need neither distortion nor R. For other look angles, the better of two distortions
+is used:
 
 * radial distortion, ``ideal = (x, y) (1 - k0 - k1 r^2 - k2 r^4)``: degree 5, with one set of coefficients;
 * transverse distortion: d and y0 are polynomials of degree 3 in the ideal x, so each direction has its own degree 3.

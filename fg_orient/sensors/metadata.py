@@ -173,7 +173,7 @@ class QuaternionList:
 
 @dataclass(frozen=True)
 class BodyRotation:
-    """Rotation of a body during an image: listed turns from inertial axes, and a constant rotation (3, 3) behind them.
+    """Rotation of a body during an image: listed rotations from inertial axes, followed by a constant rotation (3, 3).
 
     It has the methods of :class:`fg_orient.sensors.earth_rotation.EarthRotation`.
     """

@@ -117,7 +117,7 @@ class Scenario(Generic[Chosen]):
         out : str or Path
             Folder to make; an unusable folder is refused before anything is drawn.
         options : dataclass, optional
-            They are also in the headers and in ``truth/options.json``.
+            The options, which are also written to the headers and to ``truth/options.json``.
         overwrite : bool
             Replace a folder that an earlier simulation wrote (``truth/options.json``) and
             that contains nothing else.

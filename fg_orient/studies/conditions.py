@@ -12,7 +12,7 @@ polynomials, or interpolated at the line. The across-track axis ``V/|V| x Z`` is
 normalised, and the attitude is a small-angle matrix; both matrices are inverted by
 transposing. The length of the short axis follows the corrections, or stays as in the
 metadata. A change of this length has only cos(V, Z) = 1e-3 of the effect of a change of
-direction. But it is the only effect of a velocity along the radius: if V is unknown, it
+direction. But a velocity along the radius has no other effect. If V is an unknown, the length therefore
 determines ranks and solutions.
 """
 

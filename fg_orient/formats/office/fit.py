@@ -161,7 +161,8 @@ class Fit:
     row : mapping of str to int
         Row of each ground point.
     lift_m : float
-        Height that makes the heights of the table ellipsoidal, if the user states it, m.
+        Height to be added to the heights of the table to make them ellipsoidal, m, if the user states
+        it.
     """
 
     def __init__(self, sensors: Mapping[str, Any], marks: Marks, row: Mapping[str, int], lift_m: float = 0.0) -> None:

@@ -139,10 +139,7 @@ def _alike(one: Reading, other: Reading) -> bool:
 
 
 def _champion(believable: list[Reading]) -> Reading:
-    """Return the reading that no other reading beats.
-
-    If there are several, the one with the smallest image shift.
-    """
+    """Return the reading that no other reading beats. If there are several, the smallest image shift decides."""
     unbeaten = [one for one in believable if not any(other.evidence.beats(one.evidence) for other in believable)]
     if not believable[0].evidence.fewest:
         return (unbeaten or believable)[0]

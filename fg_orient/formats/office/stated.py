@@ -100,7 +100,7 @@ def label_images(labels: Sequence[str], images: Sequence[str], given: Mapping[st
 def titled(table: Table, found: list[Reading], decisions: Decisions) -> list[Reading]:
     """Select the readings whose datum and zone agree with titles and headers.
 
-    All readings if these name neither.
+    If these name neither, all readings are returned.
     """
     text = " ".join((table.titles, *table.headers)).replace("_", " ")
     for pattern, names in _DATUMS:

@@ -325,7 +325,7 @@ def coordinates_in(control: Control, crs: str, file: Path) -> Array:
     Raises
     ------
     InputError
-        The CRS is neither that of the points nor EPSG:4979.
+        The CRS is neither the CRS of the points nor EPSG:4979.
     """
     if crs == control.survey.crs:
         return control.survey.coordinates

@@ -107,7 +107,7 @@ class Pair:
     def height_m(self, t: Array) -> Array:
         """Return the heights (n,) at parameters t of the curves.
 
-        T is -1 at the lowest and 1 at the highest height.
+        The parameter is -1 at the lowest and 1 at the highest height.
         """
         return np.asarray(0.5 * (self.low_m + self.high_m) + 0.5 * (self.high_m - self.low_m) * t)
 

@@ -287,7 +287,7 @@ class Comparison:
     eop_sets, solvers, backends, types, regularisations : tuples
         Selections that the caller has made.
     as_run : bool
-        The published procedure as the authors' program works.
+        Whether the published procedure was run as the authors' program does.
     seconds : float
         Wall-clock time of the comparison.
     labels : dict
