@@ -110,9 +110,9 @@ def study(results: dict[str, Any]) -> str:
     whole = {m for m in METHODS if all(len(e["seed"]) == seeds for e in entries if e["method"] == m)}
     keep = [m for m in METHODS if m in whole and all(found.get((c, 0.2, m), np.inf) <= LIMIT for c in CASES)]
     parts = [
-        f"The tables show the mean RMSE of the check points over {seeds} seeds, divided by that of least squares "
-        f"without gross errors. At 20 % least squares has {plain['twin']:.1f} and {plain['block']:.1f} times the clean "
-        "RMSE. Of the methods that ran on all seeds, these have at most "
+        f"The tables show the mean RMSE of the check points over {seeds} seeds, divided by the mean RMSE of least "
+        f"squares without gross errors. At 20 % least squares has {plain['twin']:.1f} and {plain['block']:.1f} times "
+        "the clean RMSE. Of the methods that ran on all seeds, these have at most "
         f"{LIMIT} times the clean RMSE in both cases: {'; '.join(keep)}.",
         "![Check points under gross errors](robust.svg)",
     ]

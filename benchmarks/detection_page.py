@@ -225,10 +225,10 @@ def page(detection: Record, alarms: Record) -> str:
         *badly_named(records),
         "## False alarms",
         f"Perfect blocks of ten kinds were adjusted, {total} runs in all. The runs took {clean / 60.0:.0f} minutes on "
-        f"a machine with other work. `python -m benchmarks.false_alarms` makes only those of the {ALL_ALARMS} runs of "
-        "each kind that are missing. Exit code 4 is allowed in 2 % of the runs of each kind; the shares of all doubts "
-        'add up to 0.65 %. "At most" is the upper limit of the share: with a larger share only 5 % of such studies '
-        "would find so few alarms.",
+        f"a machine with other work. `python -m benchmarks.false_alarms` completes the {ALL_ALARMS} runs of each "
+        "kind: it makes only the missing runs. Exit code 4 is allowed in 2 % of the runs of each kind; the shares of "
+        'all doubts add up to 0.65 %. "At most" is the upper limit of the share: with a larger share only 5 % of such '
+        "studies would find so few alarms.",
         markdown([["kind", "runs", "exit 4", "share", "at most", "doubts"], *alarm_rows(kinds)]),
         "The next table compares the runs with each doubt, over all kinds, with the share of the doubt. The last "
         "column is the probability of at least this number of runs if the share is correct. `check_far` and "

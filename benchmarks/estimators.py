@@ -59,25 +59,26 @@ HEAD: Final = """\
 
 <!-- Made by `python -m benchmarks.estimators --page`. Do not edit. -->
 
-Least squares, regularised, minimum-norm and prior-based estimates on simulated blocks with known true parameters: the
-SPOT-5 pair of the published experiments, point set H-20 (27 control and 20 check points), image noise 0.5 px, {runs}
-runs of each cell. The true deviation of each EOP coefficient from the metadata is normal with 0.1, 1 or 3 prior
-sigmas. The model is right, and only the estimator is judged.
+This page compares least squares with regularised, minimum-norm and prior-based estimates on simulated blocks with
+known true parameters. The blocks are the SPOT-5 pair of the published experiments with point set H-20 (27 control and
+20 check points) and an image noise of 0.5 px; each cell has {runs} runs. The true deviation of each EOP coefficient
+from the metadata is normal with 0.1, 1 or 3 prior sigmas. The model is right, and only the estimator is judged.
 
 - **Priors** (the default) have a result in every run and nearly the smallest error at the check points. Their
   intervals cover the check points, also where the true deviations are three times the prior sigmas. For the
   orientation itself the stated sigmas are then too small: they cover 58 % instead of 95 %.
-- **Least squares** exists for the sets {full} only. It is unbiased, and the check points lose a few per cent. The
-  orientation has errors of tens of prior sigmas: it is strongly correlated, and the check points do not depend on it.
+- **Least squares** exists for the sets {full} only. It is unbiased, and the errors at the check points are a few per
+  cent larger. The orientation has errors of tens of prior sigmas: it is strongly correlated, and the check points do
+  not depend on it.
 - **Tikhonov with GCV** needs only the ratios of the prior sigmas. It reaches the accuracy of the priors for all kinds
-  of sets, with a result in 94 to 100 % of the runs, and covers the orientation in about 90 %. Choose it where the
-  size of the prior sigmas is not trusted.
-- **Tikhonov with the L-curve** has nearly the same check points. Its kappa is sometimes too large, and the
-  orientation is covered less often (57 to 74 % for deviations of 1 and 3 prior sigmas).
+  of sets, with a result in 94 to 100 % of the runs, and covers the orientation in about 90 %. Choose it if you do not
+  trust the size of the prior sigmas.
+- **Tikhonov with the L-curve** has nearly the same errors at the check points. Its kappa is sometimes too large, and
+  the orientation is covered less often (57 to 74 % for deviations of 1 and 3 prior sigmas).
 - **HKB**, and **ridge with Stein's factor**, start from the minimum norm at the rank of the data. They fail for most
   sets that need a regularisation.
-- **Truncation with GCV** is as accurate at the check points. Its sigmas do not include the held directions: they
-  cover the orientation in 21 to 64 % of the cases.
+- **Truncation with GCV** is as accurate at the check points. Its sigmas do not include the held directions: they cover
+  the orientation in 21 to 64 % of the cases.
 - **Minimum norm** needs a suitable cut: at 1e-9 nearly all runs of the sets with velocity fail, at 1e-5 more than
   half.
 
@@ -90,8 +91,8 @@ Columns:
 - *share of x*: part of the true deviation from the metadata that the estimate contains; it is 1 if there is no bias;
 - *95 % covers x*: the same share for the orientation.
 
-All are medians over the sets of a kind, of the runs with a result. Small numbers of runs: differences of a
-few per cent are not significant.
+All numbers are medians over the sets of a kind, of the runs with a result. The numbers of runs are small, so
+differences of a few per cent are not significant.
 """
 MEASURES: Final = ("sets", "deviations", "method", "without result", "check RMSE, m", "bias, m", "95 % covers",
                    "x RMSE", "share of x", "95 % covers x")  # fmt: skip

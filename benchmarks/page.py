@@ -52,7 +52,7 @@ Structure: sorting and indexing. The times do not include the first call of the 
 cache.""",
     "Memory": """\
 Bytes per image point, measured in a separate process. Working set: the peak of the resident memory in the solution
-minus the memory before the block was made minus the arrays of the problem. With records: the same including the
+minus the memory before the block was made minus the arrays of the problem. With records: the working set plus the
 records of the equations. Solve only: the peak minus the resident memory immediately before the solution.""",
 }
 
@@ -106,8 +106,9 @@ def graph_run() -> list[str]:
     m, s = results["machine"], Summary(results)
     text = (
         f"Run of {m['date']}: {m['processor']}, vectors of {m['vector_bits']} bits, load {m['load']:.1f}, up to "
-        f"{m['repeats']} repeats. Structure and solution, over our own loop with the same rule for the end: "
-        "Levenberg-Marquardt over our Levenberg-Marquardt, Gauss-Newton and Dogleg over our Gauss-Newton."
+        f"{m['repeats']} repeats. A ratio is the time of structure and solution divided by the time of our own loop "
+        "with the same rule for the end. Levenberg-Marquardt is compared with our Levenberg-Marquardt, Gauss-Newton "
+        "and Dogleg with our Gauss-Newton."
     )
     return ["## GTSAM's optimisers", text, markdown(goal_rows(s, GRAPH, must=True)), markdown(solver_rows(s))]
 
@@ -125,14 +126,15 @@ def wide_run() -> list[str]:
     """Return the section on wide networks, from a separate run."""
     results = json.loads(wide.RESULTS.read_text("utf-8"))
     text = (
-        "Pinhole cameras that see points at random, four rays each, nine unknowns per camera, no priors: 340 cameras "
-        "with 50 000 points, 1000 with 100 000, 3000 with 200 000. A solver is timed until its chi2 exceeds the lowest "
-        "of all by 1e-9 at most, with what it prepares once per problem. Ceres has the costs of COLMAP; 0.01 is the "
-        "accuracy of its conjugate gradients, 0.1 if none is stated. It factorises up to 1000 cameras: at 3000 a "
+        "Pinhole cameras see random points. Each point has four rays, each camera has nine unknowns, and there are no "
+        "priors. The sizes are 340 cameras with 50 000 points, 1000 with 100 000, and 3000 with 200 000. The time of a "
+        "solver includes its preparation and ends when its chi2 exceeds the lowest chi2 of all solvers by at most "
+        "1e-9. Ceres uses the cost functions of COLMAP. Its conjugate gradients have the accuracy 0.01 if the name "
+        "contains it, otherwise 0.1. Ceres factorises the matrix of up to 1000 cameras only: for 3000 cameras, a "
         "factor takes 6e12 operations and 6 GB in each iteration. Memory is the peak minus the memory before the "
-        "solver's objects. Ratios are those of processor seconds: other programs ran on the machine. Solutions that "
-        "did not reach the common chi2 were ended after 120 s or more. Grids and strips "
-        f"have the default backend. {measured_by('wide', results)}; each solution is a process of its own."
+        "solver's objects. Ratios compare processor seconds, because other programs ran on the machine. Solutions that "
+        "did not reach the common chi2 were ended after 120 s or more. Grids and strips use the default backend. "
+        f"Command and machine: {measured_by('wide', results)}. Each solution was a separate process."
     )
     return ["## Wide networks", text, markdown(wide.goals(results)), markdown(wide.rows(results))]
 
@@ -141,11 +143,11 @@ def whole_runs() -> list[str]:
     """Return the section on whole commands, from a separate run."""
     results = json.loads(whole_run.RESULTS.read_text("utf-8"))
     text = (
-        "From the command `adjust` to its last file, with report: processor seconds and peak of the resident memory of "
-        "the process, medians; all statistics means redundancy numbers, reliability and tests of all observations. "
-        f"{measured_by('whole_run', results)}."
+        "The table gives medians of the processor seconds and of the peak of the resident memory, from the start of "
+        "the command `adjust` to its last file, with report. *All statistics* means redundancy numbers, reliability "
+        f"and tests of all observations. Command and machine: {measured_by('whole_run', results)}."
     )
-    stages = "Shares of the stages in the wall-clock time, per cent:"
+    stages = "The next table gives the shares of the stages in the wall-clock time, per cent:"
     tables = [markdown(table(results)) for table in (whole_run.rows, whole_run.stage_rows, whole_run.figures)]
     return ["## Whole runs", text, tables[0], stages, *tables[1:]]
 
@@ -154,16 +156,16 @@ def snooping_runs() -> list[str]:
     """Return the section on the search for gross errors, from a separate run."""
     results = json.loads(snooping.RESULTS.read_text("utf-8"))
     text = (
-        "The command `adjust --snoop` with report on the blocks of the last section, with gross errors of 5 to 50 px "
-        "in random image points: processor seconds and peak of the resident memory, medians. One by one is the same "
-        "search with one gross error in each round. "
-        f"{measured_by('snooping', results)}."
+        "The command `adjust --snoop` was run with report on the blocks of the last section, with gross errors of 5 to "
+        "50 px in random image points. The table gives medians of the processor seconds and of the peak of the "
+        "resident memory. *One by one* is the same search with one gross error in each round. "
+        f"Command and machine: {measured_by('snooping', results)}."
     )
     truth = (
-        "Against the planted errors. Missed errors pass the test, mostly because they lie in the plane of the rays of "
-        "a point with two. The prediction follows from the non-centrality of each error in the adjustment without "
-        "errors, with a 99 % interval. Right image points beside an error are left out because the data cannot show "
-        "which of them is wrong, or because a single ray remains of their point."
+        "The next table compares the search with the planted errors. Missed errors pass the test, mostly because they "
+        "lie in the plane of the two rays of their point. The prediction follows from the non-centrality of each error "
+        "in the adjustment without errors, with a 99 % interval. Correct image points of a point with an error are "
+        "left out for two reasons: the data cannot show which image point is wrong, or only a single ray remains."
     )
     return ["## Snooping", text, markdown(snooping.rows(results)), truth, markdown(snooping.truth_rows(results))]
 

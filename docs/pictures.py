@@ -3,8 +3,8 @@
     python docs/pictures.py [FOLDER]
 
 FOLDER is docs/_static unless another one is given. Pictures of tutorials are drawn after all blocks of their page have
-been run, in a folder that is thrown away; those of concepts from the simulated pair that the tutorials use, those of
-examples with the functions of the script.
+been run, in a folder that is thrown away; pictures of concepts from the simulated pair that the
+tutorials use, pictures of examples with the functions of the script.
 """
 
 from __future__ import annotations

@@ -38,9 +38,9 @@ iteration of Gauss-Newton:
 {table}
 
 *share*: of the copies in an iteration, {last[share]:.0%} at {last[image_points]} image points. The exponent
-is {small:.2f} in the three smallest of these blocks and {large:.2f} in the four largest; that of the table above is a
-mean of both. The copies are made outside this program. Factors that eliminate the ground points have few calls and
-few variables: with the same optimisers the default graph grows linearly.
+is {small:.2f} in the three smallest of these blocks and {large:.2f} in the four largest. The exponent in
+the table above is a mean of both. The copies are made outside this program. Factors that eliminate the ground points
+have few calls and few variables: with the same optimisers the default graph grows linearly.
 """
 
 

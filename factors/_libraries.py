@@ -90,7 +90,7 @@ _CONSTANTS: Final = "_ZN08NumbaEnv"
 class Result(compiler.CompileResult):  # type: ignore[misc]
     """Compiled kernel.
 
-    Its file contains only its own code and constants, not those of its parts.
+    Its file contains only its own code and constants, not code or constants of its parts.
     """
 
     __slots__ = ()

@@ -83,7 +83,7 @@ def locate(c: Array, scales: Array, image: Array, z: Array, start: Array) -> Arr
     ----------
     c : (4, 20) array
     scales : (5,) array
-        Scales of the model; those of line and sample convert misclosures to pixels.
+        Scales of the model; the scales of line and sample convert misclosures to pixels.
     image : (N, 2) array
         Normalised line and sample, without compensation.
     z : (N,) array

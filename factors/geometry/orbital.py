@@ -96,7 +96,7 @@ def row_derivatives(c: Vector, w: Vector, frame: Matrix, scales: Vector, follows
     )
 
 
-#: Axes of convention B from those of convention A: X_B = -Y_A, Y_B = X_A.
+#: Axes of convention B from axes of convention A: X_B = -Y_A, Y_B = X_A.
 B_FROM_A: Final = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 

@@ -131,5 +131,5 @@ def jitter_quadratic(n_intervals: int) -> Array:
 
 @cache
 def curves_from_jitter(n_intervals: int) -> Array:
-    """Return the matrix (k, k) that converts unknowns of jitter to those of :func:`curves` for the same curve."""
+    """Return the matrix (k, k) that converts unknowns of jitter to unknowns of :func:`curves` for the same curve."""
     return np.asarray(np.linalg.lstsq(_from_unknowns(n_intervals), _jitter(n_intervals)[0], rcond=None)[0])

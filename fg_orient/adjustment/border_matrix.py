@@ -33,7 +33,7 @@ class Followed:
     ground : (N, 3, d) array
         Movements of the ground points, m.
     effect : (q, d) array
-        Whitened effect on all observations, compressed by QR. Its singular values are those of all rows.
+        Whitened effect on all observations, compressed by QR. It has the singular values of all rows.
     gradient : (b, d) array
         ``S`` times the movements, computed from the rows without squaring them.
     """

@@ -338,8 +338,8 @@ class FittedFigure:
     names : tuple of str
     values : (k,) array
         Parameters of the figure. Centres are in the local system of the block, without
-        its origin. The axes are those of the figure: of the local system, or East, North,
-        Up at the points.
+        its origin. The axes belong to the figure: axes of the local system, or East, North, Up at the
+        points.
     points : tuple of int
         Numbers of its points.
     own : (k, k) array

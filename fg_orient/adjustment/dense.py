@@ -262,7 +262,7 @@ class RowsBackend:
 
 
 class DenseBackend:
-    """The problem as full matrices, driven by ``fg_orient.adjustment.loop``.
+    """The problem as full matrices; ``fg_orient.adjustment.loop`` iterates on it.
 
     Parameters
     ----------

@@ -272,7 +272,7 @@ class ExplicitSystem:
 
 
 class ExplicitBackend:
-    """The problem as a GTSAM graph, driven by ``fg_orient.adjustment.loop``.
+    """The problem as a GTSAM graph; ``fg_orient.adjustment.loop`` iterates on it.
 
     Parameters
     ----------
@@ -294,7 +294,8 @@ class ExplicitBackend:
         }
         self.figure_keys = list(map(figure_key, self.figures))
         self.graph = self._built(problem)
-        # without priors the normal equations may be too ill-conditioned for Cholesky; their rank is known
+        # without priors the normal equations may be too ill-conditioned for Cholesky; their rank was
+        # tested before
         self.use_qr = not problem.block.options.priors or needs_rows(problem)
         self._points = [int(j) for j in np.flatnonzero(problem.active)]
         self.ordering = gtsam.Ordering()
@@ -367,7 +368,7 @@ class ExplicitBackend:
         return state.retract(step.data)
 
     def damping_factors(self, damping: float, diagonal: dict[int, Array]) -> gtsam.GaussianFactorGraph:
-        """Return rows that add ``damping`` to the diagonal of the images, and a part of it to that of the points."""
+        """Return rows that add ``damping`` to the diagonal of the images, and a part of it to the points."""
         graph = gtsam.GaussianFactorGraph()
         root, point = np.sqrt(damping), gtsam.noiseModel.Unit.Create(3)
         share = self.problem.point_damping(damping)

@@ -75,7 +75,7 @@ class System(Protocol):
 
 
 class Backend(Protocol[S]):
-    """Solver driven by the loop."""
+    """Solver that the loop calls."""
 
     def linearise(self, state: S) -> System:
         """Linearise at a state."""

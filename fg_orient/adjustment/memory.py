@@ -1,13 +1,12 @@
 """Estimate the memory of an adjustment before it is allocated, and compare it with the available memory.
 
 The estimate includes the arrays of the problem. It also includes the larger of two parts:
-the arrays of the backend, and those of statistics and results, which are made after the
-backend is released. If the backend exceeds the limit, ground points are adjusted in
-parts: their arrays are in files, and some of them are open at the same time. If only the
-statistics of every observation exceed it, they are left out. Otherwise the run is refused
-with both values. Constants per image point are measured at 1e6 image points. The arrays
-of the dense backend and the reduced matrix are counted. The estimate does not include the
-block, which is in memory already.
+the arrays of the backend, and the arrays of statistics and results, which are made after the backend is
+released. If the backend exceeds the limit, ground points are adjusted in parts: their arrays are in
+files, and some of them are open at the same time. If only the statistics of every observation exceed
+it, they are left out. Otherwise the run is refused with both values. Constants per image point are
+measured at 1e6 image points. The arrays of the dense backend and the reduced matrix are counted. The
+estimate does not include the block, which is in memory already.
 """
 
 from __future__ import annotations
@@ -141,7 +140,7 @@ def need_of(block: Block, *, elsewhere: bool = False, open_share: float = 1.0) -
     Parameters
     ----------
     block : Block
-        Block whose options are those of the run.
+        Block with the options of the run.
     elsewhere : bool
         True if other machines eliminate the ground points; their arrays are then not in this memory.
     open_share : float

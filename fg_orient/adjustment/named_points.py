@@ -90,7 +90,7 @@ class NamedSystem(Blended):
 
 
 class NamedBackend:
-    """Problem driven by ``fg_orient.adjustment.loop``, with images and named points; other points are eliminated.
+    """Problem with images and named points for ``fg_orient.adjustment.loop``; other points are eliminated.
 
     Parameters
     ----------

@@ -249,7 +249,7 @@ def _end(
     return course.end(backend.state(run.values, complete=True), run.error, converged, end)
 
 
-#: GTSAM's optimisers by name, with the arguments of those of ``loop.OPTIMIZERS``.
+#: GTSAM's optimisers by name, with the same arguments as in ``loop.OPTIMIZERS``.
 GTSAM_OPTIMIZERS: Final = {
     kind: functools.partial(_optimise, kind) for kind in ("gauss-newton", "levenberg-marquardt", "dogleg")
 }
@@ -270,7 +270,7 @@ class LocalGroup:
     Parameters
     ----------
     problem : Problem
-        Problem whose images are those that see the points.
+        Problem whose images see the points.
     points : tuple of int
         Numbers of the points in the whole block.
     """

@@ -63,7 +63,7 @@ class PointGroup:
     images : (m,) int array
         Images that see its points, ascending.
     wide : (w,) int array
-        Unknowns of these images, numbered among those of all images.
+        Unknowns of these images, numbered among the unknowns of all images.
     vectors : tuple of int
         Vectors of unknowns, see :func:`vector_parts`.
     free : (n,) int array

@@ -127,7 +127,7 @@ class Problem:
 
     @cached_property
     def first(self) -> npt.NDArray[np.intp]:
-        """First unknown of each image among those of all images, and their number (M + 1,)."""
+        """First unknown of each image among the unknowns of all images; the last entry is their number (M + 1,)."""
         return np.concatenate([[0], np.cumsum([len(p) for p in self.parameters])]).astype(np.intp)
 
     @cached_property

@@ -1,4 +1,4 @@
-"""Fit any function by least squares with full statistics; the iteration loop is that of the bundle adjustment.
+"""Fit any function by least squares with full statistics; the bundle adjustment has the same iteration loop.
 
 Unknowns have no priors here, so only the columns of the Jacobian define their scales. A
 scale is the larger of the present length of the column (Marquardt 1963) and half the

@@ -332,7 +332,7 @@ class SchurSystem(Blended):
 
 
 class SchurBackend:
-    """The problem compiled to arrays, driven by ``fg_orient.adjustment.loop``.
+    """The problem compiled to arrays; ``fg_orient.adjustment.loop`` iterates on it.
 
     Parameters
     ----------

@@ -1,9 +1,8 @@
 """Convert a problem to the arrays of the Schur backend: sorted observations, columns, pieces, chunks, tiles.
 
 Image points are sorted by ground point. Ground points are sorted by the images that see
-them. Therefore data that are used together are adjacent in memory. The layout is that of
-``fg_orient.kernels.batch``, ``fg_orient.kernels.batch_points`` and
-``fg_orient.kernels.batch_pairs``.
+them. Therefore data that are used together are adjacent in memory. The layout is described in
+``fg_orient.kernels.batch``, ``fg_orient.kernels.batch_points`` and ``fg_orient.kernels.batch_pairs``.
 """
 
 from __future__ import annotations

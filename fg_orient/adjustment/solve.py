@@ -86,7 +86,7 @@ class Estimate:
     resumed_at : int
         Number of iterations of an interrupted run that this run continued.
     widest : int
-        Maximum number of image unknowns that are linked to those of one image.
+        Maximum number of image unknowns that are linked to the unknowns of one image.
     """
 
     state: State

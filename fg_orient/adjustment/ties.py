@@ -1,9 +1,10 @@
 """Unknowns shared by several images, such as the interior orientation of a camera or the drift of a strip.
 
 Each image has a complete vector (the *wide* unknowns x, one image after the other), so that equations, rows and
-cofactors do not depend on ties. The *free* unknowns z are the unknowns of the equations: first those of single images,
-then those of each shared id. ``x = T z`` with a 0-1 matrix T. Hence J becomes J T, the reduced camera system S becomes
-T^T S T, and cofactors of x are ``T Q T^T``: block-invariant self-calibration without further equations.
+cofactors do not depend on ties. The *free* unknowns z are the unknowns of the equations: first the
+unknowns of single images, then the unknowns of each shared id. ``x = T z`` with a 0-1 matrix T. Hence J
+becomes J T, the reduced camera system S becomes T^T S T, and cofactors of x are ``T Q T^T``:
+block-invariant self-calibration without further equations.
 """
 
 from __future__ import annotations

@@ -60,7 +60,9 @@ def convert(
     accept_unverified: Annotated[
         bool, option("Read a format that was never tested with a file of its program.", flag="--accept-unverified")
     ] = False,
-    bands: Annotated[int, option("With --to csm-state: bands of columns, each a state in a file.", "N")] = 1,
+    bands: Annotated[
+        int, option("With --to csm-state: number of bands of columns; each band becomes a state file.", "N")
+    ] = 1,
     formats: Annotated[bool, option("List the formats and end.", flag="--formats")] = False,
     overwrite: Overwrite = False,
     office: Any = None,

@@ -67,8 +67,8 @@ class BundleResult:
     image_sigma : (m, 2) array
         Standard deviations of the image coordinates: as given, or estimated by variance components.
     weights : (m,) array
-        Weights of the image points: those of the loss, 1 without a loss, 0 for
-        observations that the search rejected.
+        Weights of the image points: weights of the loss, 1 without a loss, 0 for observations that the
+        search rejected.
     state : (u,) array
     labels : tuple of str
         Names of the unknowns.
@@ -91,7 +91,7 @@ class BundleResult:
     point_cofactors, angle_cofactors : (n, 3, 3), (p, 3, 3) arrays
         Cofactors of the points, m^2, and of omega, phi, kappa of the photos, deg^2; 0 for fixed ones.
     orientation, orientation_labels : (o, o) array, tuple of str
-        Cofactors and names of all unknowns except those of points.
+        Cofactors and names of all unknowns except coordinates of points.
     orientation_units : (o,) array
         Accuracy of these unknowns from one image point; an unknown that is 1000 times
         less accurate is not determined.

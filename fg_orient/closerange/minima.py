@@ -62,7 +62,7 @@ class Rival:
     place : (3,) array
         Projection centre, m, or the direction of the base of a relative orientation.
     ratio : float
-        Weighted squares divided by those of the result.
+        Weighted squares divided by the weighted squares of the result.
     limit : float
         Ratio at which the test distinguishes them (:func:`rival_of`).
     """
@@ -159,7 +159,7 @@ def reach(sigma: float, squares: float, redundancy: int, *, known: bool) -> tupl
         Least weighted squares.
     redundancy : int
     known : bool
-        True if sigmas are given; otherwise m0 replaces them, and the limit is that of F.
+        True if sigmas are given. Otherwise m0 replaces them, and the limit is a quantile of F.
 
     Returns
     -------

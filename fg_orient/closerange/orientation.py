@@ -42,7 +42,8 @@ class RelativeOrientation(fitting.Fit):
     Parameters
     ----------
     rotation : (3, 3) array
-        Camera axes of the second photo from those of the first (X right, Y down, Z along the view).
+        Rotates camera axes of the first photo to camera axes of the second (X right, Y down, Z along
+        the view).
     base : (3,) array
         Direction to the second projection centre in axes of the first camera, length 1.
     base_axes : (2, 3) array

@@ -238,7 +238,7 @@ def is_closerange(folder: Path) -> bool:
 
 
 def read_record(folder: Path) -> dict[str, Any]:
-    """Return the record of a folder whose files are those of its run (:mod:`fg_orient.result.manifest`).
+    """Return the record of a folder, and check that all its files belong to its run (:mod:`fg_orient.result.manifest`).
 
     InputError if it is missing or damaged, or of a version that has no report.
     """

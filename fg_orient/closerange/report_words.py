@@ -228,10 +228,11 @@ def _groups(record: dict[str, Any]) -> list[tuple[int, list[Residual]]]:
 def outlying(redundancy: int, residuals: list[Residual], level: float, *, absolute: bool) -> list[tuple[float, str]]:
     """Return the ratios and words of residuals too large for the largest of one adjustment by chance, worst first.
 
-    A residual is divided by its given standard deviation, or by that of the other residuals if this is larger or none
-    is given: externally studentised (Cook and Weisberg 1982, section 2.2.1). The redundancy number is taken as 1, which
-    makes the ratio too small, never too large. Points of an intersection are independent: each is tested as a whole.
-    The tests of ``fg_orient.quality.hypotheses`` need cofactors, which a record does not contain. No observation is
+    A residual is divided by its given standard deviation, or by the standard deviation of the other
+    residuals if this is larger or none is given: externally studentised (Cook and Weisberg 1982,
+    section 2.2.1). The redundancy number is taken as 1, which makes the ratio too small, never too
+    large. Points of an intersection are independent: each is tested as a whole. The tests of
+    ``fg_orient.quality.hypotheses`` need cofactors, which a record does not contain. No observation is
     excluded.
 
     Parameters

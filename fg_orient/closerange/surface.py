@@ -43,7 +43,7 @@ class Surface:
         Semi-axes, m, along the rows of ``rotation``; for a quadric the unit of length of
         its coefficients, three times.
     rotation : (3, 3) array
-        Axes of the surface from those of the coordinates.
+        Rotates axes of the coordinates to axes of the surface.
     coefficients : (10,) array
         Coefficients A to J of a quadric, as in ``factors.conditions.surfaces``, in ``(p -
         centre)/semi_axes``; otherwise empty.
@@ -137,7 +137,7 @@ def map_points(points_m: npt.ArrayLike, target: Surface, radius_m: npt.ArrayLike
         Points of another surface.
     target : Surface
     radius_m : (n,) array, optional
-        Distance from the axis that defines the angle; default: of the points. Ayhan uses
+        Distance from the axis that defines the angle; default: the distance of each point. Ayhan uses
         half the distance between the extreme targets of a ring.
 
     Returns

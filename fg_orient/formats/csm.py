@@ -27,7 +27,7 @@ UNIT: Final = 1e-3
 
 
 def line_directions(x: Array, y: Array) -> tuple[DirectionTable, Array]:
-    """Directions of the samples of a detector line, and the rotation (3, 3) from our camera axes to those of the file.
+    """Directions of the samples of a detector line, and the rotation (3, 3) from our camera axes to the file's.
 
     ``x``, ``y`` (n,): lines of sight ``(x, y, 1)`` in the file's camera axes, z to the ground. Our axes are forward,
     left of flight and away from the ground. A detector line along y is also converted to a line across track.

@@ -1,9 +1,9 @@
 """Read the points and image points of a project from files of other programs.
 
-The readers are those of the command ``convert``. A table of the project file names the
-``format`` of the other file. It also gives the values that the other file does not
-contain. The data pass the same checks as data from our own tables. The coordinates of
-check points stay sealed: the file is read again to open them.
+The command ``convert`` has the same readers. A table of the project file names the ``format`` of the
+other file. It also gives the values that the other file does not contain. The data pass the same checks
+as data from our own tables. The coordinates of check points stay sealed: the file is read again to open
+them.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Bodies other than the Earth: coordinates, local axes, and rays that meet a sphere or triaxial ellipsoid.
 
 Ground points are body-fixed metres. Latitude and longitude are planetocentric and positive to the north and east;
-heights are radii minus the radius of the ellipsoid in the same direction. The axes East, North, Up of a point are those
-of longitude, latitude and radius, for any shape of the body.
+heights are radii minus the radius of the ellipsoid in the same direction. The axes East, North, Up of a
+point have the directions in which longitude, latitude and radius increase, for any shape of the body.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from fg_orient.geodesy import (
 from fg_orient.geodesy.crs import crs_names
 from fg_orient.model.errors import InputError
 
-#: A body is the Earth if its semi-axes differ from those of the Earth's ellipsoid by at most this, m.
+#: A body is the Earth if its semi-axes differ from the Earth's ellipsoid by at most this, m.
 SAME_AXIS_M: Final = 1.0
 #: Radii that differ by this share are equal.
 EQUAL: Final = 1e-9

@@ -142,7 +142,7 @@ def _without_null_shift(crs: CRS) -> CRS:
 
 
 def _code_of(crs: CRS) -> int | None:
-    """Return the EPSG number of a horizontal CRS: the stated number, otherwise that of a CRS that PROJ finds equal."""
+    """Return the EPSG number of a horizontal CRS: the stated number, otherwise the number of an equal CRS in PROJ."""
     stated = crs.to_json_dict().get("id", {})
     if stated.get("authority") == "EPSG":
         return int(stated["code"])

@@ -332,7 +332,7 @@ class Columns:
 
     @cached_property
     def is_plain(self) -> bool:
-        """True if the unknowns, and therefore their Jacobian, are those of the components."""
+        """True if the unknowns are the components themselves, so that both have the same Jacobian."""
         same = np.array_equal(self.component, np.arange(self.n_components))
         return same and not self.basis.any() and bool((self.scale == 1.0).all()) and self.values is _ones
 

@@ -43,7 +43,7 @@ def with_direction(solution: Solution, block: Block, run: Callable[[Block], Solu
     ----------
     solution : Solution
     block : Block
-        Block before the adjustment; observations and sigmas are those of the solution.
+        Block before the adjustment, with the observations and sigmas of the solution.
     run : callable
         Function that adjusts a block once.
     """

@@ -110,7 +110,8 @@ def folds_of(block: Block, count: int = 0) -> Parts:
 def cross_validate(block: Block, folds: Parts, **options: Any) -> CrossValidation:
     """Exclude each part (:func:`folds_of`) once and predict it from the others.
 
-    ``options`` are those of :func:`fg_orient.adjust`, which raises its errors if a part cannot be excluded.
+    ``options`` are options of :func:`fg_orient.adjust`, which raises its errors if a part cannot be
+    excluded.
     """
     image, ground, ids = [np.zeros((0, 2))], [np.zeros((0, 3))], list[str]()
     check_points = options.pop("check_points", None) or block.options.check_points

@@ -314,7 +314,7 @@ class Solution(AdjustmentResult):
     def in_datum(self, *names: str) -> FreeNetwork:
         """Transform a free network to the datum of images ("image:3") and points ("point:12").
 
-        Without names the datum is that of the adjustment, inner constraints on all ground points.
+        Without names, the datum of the adjustment is used: inner constraints on all ground points.
 
         NoSolutionError: this is not a free network (``datum = "inner"``), or there is no covariance. InputError: an
         image or point is unknown, or they do not fix all motions.

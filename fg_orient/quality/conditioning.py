@@ -3,7 +3,8 @@
 The condition number is defined in the same way for all backends. A Tikhonov solver of the dense backend
 shortens each step and chooses kappa for each step. The L-curve is computed from the equations at the
 approximate values, where the step is longest; at the solution all steps are zero. Sigmas and (under a loss)
-weights are those of the result. Without a loss these are the equations of the first Gauss-Newton step.
+weights are taken from the result. Without a loss these are the equations of the first Gauss-Newton
+step.
 """
 
 from __future__ import annotations

@@ -83,7 +83,7 @@ def cofactors_of(problem: Problem, estimate: Estimate) -> Cofactors:
     except RuntimeError as error:
         reduced = isinstance(linear, SchurSystem | SummedSystem | BorderMatrix)
         if not reduced and has_constraints(problem.block) and small_enough(problem):
-            # for some systems only the Cholesky factor of scaled columns exists, and not that of GTSAM
+            # for some systems only the Cholesky factor of scaled columns exists, but not GTSAM's factor
             with one_blas_thread(), contextlib.suppress(Singular):
                 return BorderCofactors(problem, Border(problem, estimate.state))
         raise Indeterminate(str(error) if reduced else "GTSAM finds the normal equations indeterminate") from error

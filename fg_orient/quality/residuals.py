@@ -145,7 +145,7 @@ class ResidualCofactors:
 
     @property
     def redundancy_sum(self) -> float:
-        """Sum of all redundancy numbers: ``problem.redundancy``, and with a penalty those of its rows too."""
+        """Sum of all redundancy numbers: ``problem.redundancy``, plus the redundancy numbers of a penalty's rows."""
         blocks = sum(float(np.einsum("nii->", block)) for block in (self.image, self.control))
         return blocks + sum(float(np.sum(numbers)) for numbers in (self.prior, *self.extra))
 

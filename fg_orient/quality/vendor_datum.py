@@ -79,7 +79,7 @@ class HeldDatum(ExtraObservation):
 
 @dataclass(frozen=True)
 class WithDatum(CommonCofactors):
-    """Cofactors of a solution (``covariance.PointCofactors``) plus those of its held directions by the prior sigmas."""
+    """Cofactors of a solution (``covariance.PointCofactors``) plus cofactors of its held directions (from priors)."""
 
     problem: Problem
     shape: PointCofactors

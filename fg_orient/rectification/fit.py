@@ -225,7 +225,7 @@ class TransformationFit:
 
     @property
     def m0(self) -> float:
-        """Standard deviation of unit weight; with unit sigmas that of a target coordinate (İpbüker 1994, EK 2)."""
+        """Standard deviation of unit weight; with unit sigmas, of a target coordinate (İpbüker 1994, EK 2)."""
         return float(np.sqrt(self.weighted_squares / self.redundancy))
 
     @property
@@ -271,7 +271,7 @@ class TransformationFit:
         return np.asarray(np.einsum("nii->ni", self.residual_cofactors))
 
     def prediction_sigma(self, source: npt.ArrayLike) -> Array:
-        """Return standard deviations (n, 2) of transformed points from those of the coefficients, in the target's unit.
+        """Return standard deviations (n, 2) of transformed points, caused by the coefficients, in the target's unit.
 
         Parameters
         ----------
@@ -282,7 +282,7 @@ class TransformationFit:
         return np.asarray(self.m0 * np.sqrt(np.maximum(variance, 0.0)))
 
     def prediction_cofactors(self, source: npt.ArrayLike) -> Array:
-        """Return cofactors (n, 2, 2) of transformed points from those of the coefficients, in the target's unit.
+        """Return cofactors (n, 2, 2) of transformed points, caused by the coefficients, in the target's unit.
 
         Parameters
         ----------

@@ -140,7 +140,9 @@ def _cell(control: Observations, test: Observations, chosen: Sequence[Index], de
 
 
 def growing_degrees(m0_by_degree: Mapping[int, float], n_points: int) -> tuple[int, ...]:
-    """Return degrees whose sum of squares exceeds that of a lower degree over the same points: impossible values.
+    """Return degrees with an impossible m0.
+
+    Their sum of squares exceeds the sum of a lower degree over the same points.
 
     Parameters
     ----------

@@ -35,7 +35,7 @@ def write_report(folder: str | Path, truth: str | Path | None = None) -> tuple[P
     Raises
     ------
     InputError
-        The folder contains no result, or the truth is that of another project.
+        The folder contains no result, or the truth belongs to another project.
     """
     from fg_orient.formats.load import foreign_bytes
     from fg_orient.result.record import read_any_result, read_result

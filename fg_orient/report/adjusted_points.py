@@ -181,7 +181,7 @@ def _findings(result: Result, folder: str | Path) -> list[Finding]:
 def _system(
     result: Result, folder: Path, crs: str, geoid: str | Path | None, rows: npt.NDArray[np.intp]
 ) -> GroundSystem:
-    """Return CRS and zero level of the file: as given, or those of the project, or UTM and the ellipsoid."""
+    """Return CRS and zero level of the file: as given, or as in the project, or UTM and the ellipsoid."""
     place = result.points.numbers("lon_deg", "lat_deg", rows=rows)
     if crs or geoid:
         require_earth(result, folder, option="crs")

@@ -191,7 +191,7 @@ class Layer:
     kind : str
         Kind of geometry: Point, LineString, MultiPolygon.
     geometries : list of dict
-        GeoJSON objects; those of a MultiPolygon layer may be Polygons.
+        GeoJSON objects; a MultiPolygon layer may also contain Polygons.
     columns : dict
         Attribute to an array of its n values: text, whole numbers, or numbers with nan for none.
     """

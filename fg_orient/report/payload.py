@@ -1,9 +1,9 @@
 """Data of the live drawings of a page.
 
 Columns are numbers of 1 to 4 bytes in base64, little endian. A column with the same value everywhere contains
-this value once. Positions are whole steps in 3 bytes, as fine as Float32. Numbers of points are stored as
-differences. Residuals and standard deviations are Float32. If not all image points fit, they are Float16,
-with three digits. Texts are JSON.
+this value once. Positions are whole numbers of steps in 3 bytes; their resolution is as good as
+Float32. Numbers of points are stored as differences. Residuals and standard deviations are Float32. If
+not all image points fit, they are Float16, with three digits. Texts are JSON.
 """
 
 from __future__ import annotations

@@ -298,7 +298,7 @@ def placed(values: Mapping[str, float], names: tuple[str, ...]) -> Array:
 
 
 class OrientedSensor:
-    """Sensor that always uses one correction; its other attributes are those of the sensor.
+    """Sensor that always uses one correction; all its other attributes come from the original sensor.
 
     Parameters
     ----------

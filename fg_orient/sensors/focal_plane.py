@@ -3,8 +3,7 @@
 A detector is an affine map between pixels and millimetres on the focal plane: ``detector
 sample = centre + t0 + t1 x + t2 y``, as in the image support data (ISD) of ALE. A
 distortion converts measured to ideal coordinates, mm. Newton's method computes its
-inverse. Models and names are those of USGSCSM; the model "metric" is the one of metric
-cameras in ISIS.
+inverse. Models and names are taken from USGSCSM; the model "metric" is used for metric cameras in ISIS.
 """
 
 from __future__ import annotations

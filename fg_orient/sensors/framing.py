@@ -1,10 +1,10 @@
 """Sensor of a frame image whose position and angles are given in an inertial frame, on any body.
 
 Image support data (ISD) of ALE and states of the Community Sensor Model (CSM) describe
-such images. Ground points have body-fixed coordinates, m. The unknowns are those of ISIS
-jigsaw: position in inertial axes, right ascension, declination and twist
-(``factors.cameras.frame_angles``). Distortion and detector are constants. Residuals are
-differences on the ideal focal plane, in pixels of the image.
+such images. Ground points have body-fixed coordinates, m. The unknowns are defined as in ISIS jigsaw:
+position in inertial axes, right ascension, declination and twist (``factors.cameras.frame_angles``).
+Distortion and detector are constants. Residuals are differences on the ideal focal plane, in pixels of
+the image.
 """
 
 from __future__ import annotations

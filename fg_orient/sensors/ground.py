@@ -33,7 +33,9 @@ MAX_STEPS, STEP_M = 20, 1e-4
 
 
 def ground_records(ids: Sequence[str], line: Array, sample: Array, ecef_m: Array, body: Body | None = None) -> Records:
-    """Return a record for each point: id, line, sample, geodetic and ECEF coordinates, or those of another body.
+    """Return a record for each point: id, line, sample, geodetic and ECEF coordinates.
+
+    On another body, coordinates of this body replace geodetic and ECEF coordinates.
 
     Parameters
     ----------

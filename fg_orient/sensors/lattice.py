@@ -134,7 +134,7 @@ class Lattice:
         worst = float(apart.max() / pixel.mean())
         if not worst <= MOST_PX:
             raise InputError.of(
-                "lattice.camera (failure): the lines of sight are not those of one camera in rotation; the largest "
+                "lattice.camera (failure): the lines of sight do not belong to one rotating camera; the largest "
                 "difference must be below {most} px -> check order and axes of the lattice, or use an RPC",
                 file=self.file, place="directions", value=f"{worst:.3g} px", most=MOST_PX,
             )  # fmt: skip

@@ -168,7 +168,7 @@ def _with_unknowns(sensor: FrameSensor, fix: Fix, mounting: Mounting) -> FrameSe
 def _observations(fix: Fix, tau: float, axes: Array, camera: FrameCamera, mounting: Mounting) -> list[ExtraObservation]:
     """Return the observations of the position, and of the attitude if it was observed.
 
-    The records are those of ``factors.conditions.navigation``.
+    ``factors.conditions.navigation`` describes the records.
     """
     common = {"rotation": camera.rotation.ravel(), "mounting": mounting.camera_from_body.ravel(), "tau": tau}
     weight, image = axes / fix.position_sigma_m[:, None], (f"image:{fix.image}",)

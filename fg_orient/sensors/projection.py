@@ -1,12 +1,11 @@
 """Project ground points into a pushbroom image by solving the look-angle collinearity for line and sample.
 
 Newton's method solves for both pixel coordinates together (docs/equations.md 6). The
-conditions F_y, F_x are those of the observation equation. Therefore every correction
-(EOP, look angles) is included. Their derivatives are differences over half a pixel to
-both sides. Attitudes and look angles are piecewise linear, and a pixel may contain a
-knot. For this reason, up to 30 steps are needed. The iteration ends when steps are below
-1e-9 px, or below 1e-6 px if they no longer become smaller: a time of day has 11 digits
-after rounding, which is 1e-8 px.
+conditions F_y, F_x are the conditions of the observation equation. Therefore every correction (EOP,
+look angles) is included. Their derivatives are differences over half a pixel to both sides. Attitudes
+and look angles are piecewise linear, and a pixel may contain a knot. For this reason, up to 30 steps
+are needed. The iteration ends when steps are below 1e-9 px, or below 1e-6 px if they no longer become
+smaller: a time of day has 11 digits after rounding, which is 1e-8 px.
 
 Lines are evaluated only inside the image. For a point outside, line and sample are
 extrapolated linearly from the border. They are nan if the satellite cannot see the point,

@@ -4,9 +4,9 @@ The intersection is the first hit from above (docs/equations.md 5). An iteration
 height and DEM value could converge behind a ridge. Therefore every ray is followed
 downwards from the highest DEM value. It is tested at each line between cell centres,
 because a bilinear surface has its edges there, and at the peak of a cell. The interval of
-the first change of sign is bisected. The highest DEM value is that of the squares below
-the ray (:mod:`fg_orient.sensors.dem`). Therefore a large DEM is not read completely, and
-a ray does not depend on other rays.
+the first change of sign is bisected. The highest DEM value is taken from the squares below the ray
+(:mod:`fg_orient.sensors.dem`). Therefore a large DEM is not read completely, and a ray does not depend
+on other rays.
 """
 
 from __future__ import annotations

@@ -3,8 +3,9 @@
 The control points are public. Therefore numbers that are not rounding noise can agree in all digits. Rounding noise
 changes by powers of ten with the order of the rows. All numbers are computed with the points in the order of their file
 (run 0), and with seeded permutations of this order. The computation is always as run. Inverses are formed and
-multiplied with b. Negative radicands have complex roots. |N^-1| is that of the inverse as formed. Eigenvalues are those
-of the upper triangle of N, which MATLAB's eig reads. Table 4.45 uses Cramer's inverse. x is the sample, y the line.
+multiplied with b. Negative radicands have complex roots. |N^-1| is computed from the inverse as formed.
+Eigenvalues are computed from the upper triangle of N, which MATLAB's eig reads. Table 4.45 uses
+Cramer's inverse. x is the sample, y the line.
 """
 
 from __future__ import annotations

@@ -57,8 +57,8 @@ def _crossings(
     def at_log(t: float) -> float:
         return function(float(np.exp(t)))
 
-    # brentq evaluates at exp(log(x)), which differs from x; the signs must be those at the same
-    # values
+    # brentq evaluates at exp(log(x)), which differs from x; the signs are therefore computed at the
+    # same values
     signs = np.sign([at_log(t) for t in logs]) * (1.0 if upward else -1.0)
     starts = np.flatnonzero((signs[:-1] < 0.0) & (signs[1:] >= 0.0))
     if not len(starts):

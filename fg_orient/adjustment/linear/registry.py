@@ -31,8 +31,8 @@ class Solver:
     """Registered solver with a unique name; published methods have the names of the tables ("gauss_inverse").
 
     ``label`` is the text for tables and plots ("Gauss inverse"), ``source`` author, year
-    and equation. ``published`` methods are those of Terlemezoğlu 2019. ``function``: see
-    the module docstring.
+    and equation. ``published`` methods are taken from Terlemezoğlu 2019. ``function``: see the module
+    docstring.
     """
 
     name: str

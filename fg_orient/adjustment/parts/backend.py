@@ -34,7 +34,7 @@ from fg_orient.adjustment.schur_stages import ImageExtras, half_extras
 
 
 class PartedBackend:
-    """Problem in parts, driven by ``fg_orient.adjustment.loop``.
+    """Problem in parts; ``fg_orient.adjustment.loop`` iterates on it.
 
     Parameters
     ----------

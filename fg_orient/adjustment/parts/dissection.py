@@ -36,8 +36,8 @@ class Front:
     images : (m,) int array
         Images that the node eliminates.
     unknowns : (n,) int array
-        Unknowns of the front, numbered among those of all images; first the ``own`` ones
-        of these images, then the border.
+        Unknowns of the front, numbered among the unknowns of all images; first the ``own`` ones of
+        these images, then the border.
     own : int
     above : (n - own,) int array
         Places of the border in the front of the parent.

@@ -1,8 +1,8 @@
 """Tasks of a worker on a part of a block: functions of the part's file, the state and small arguments.
 
-A task that another worker repeats gives identical bits. Results that a process keeps are computed again if they are
-missing. Ground points are never sent: a step writes the points of its part to a file of the work folder, named by the
-state.
+A task that another worker repeats gives identical bits. A process keeps some results in memory; another
+process computes them again. Ground points are never sent: a step writes the points of its part to a
+file of the work folder, named by the state.
 """
 
 from __future__ import annotations

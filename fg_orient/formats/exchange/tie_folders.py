@@ -3,11 +3,11 @@
 Interest point matches of the Ames Stereo Pipeline are binary files ``PREFIX-LEFT__RIGHT.match`` of image pairs.
 
 A file begins with two numbers of points (uint64), which are equal. The interest points of
-the left image follow, then those of the right image; the k-th points of both images
-match. A record is packed, little-endian. It contains x, y (float32), ix, iy (int32),
-orientation, scale, interest (float32), polarity (one byte), octave, scale level (uint32),
-length of the descriptor (uint64), and the descriptor (float32 each). x is the column and
-y is the row; (0, 0) is the centre of the first pixel.
+the left image follow, then the points of the right image; the k-th points of both images match. A
+record is packed, little-endian. It contains x, y (float32), ix, iy (int32), orientation, scale,
+interest (float32), polarity (one byte), octave, scale level (uint32), length of the descriptor
+(uint64), and the descriptor (float32 each). x is the column and y is the row; (0, 0) is the centre of
+the first pixel.
 
 This layout comes from a description. No file of the program was available, so the format
 is unverified. The reader therefore checks conditions that a wrong layout would violate:

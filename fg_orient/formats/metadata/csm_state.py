@@ -48,7 +48,8 @@ from fg_orient.sensors.metadata import (
 #: Heights, m, at which a written file is compared with its image; below: numbers of compared lines and samples.
 HEIGHTS_M: Final = (0.0, 1000.0)
 SIDE: Final = 25
-#: Platform flag of satellites. Their polynomials use four samples on each side; those of aircraft use fewer.
+#: Platform flag of satellites. Their polynomials use four samples on each side; polynomials of aircraft
+#: use fewer.
 _SATELLITE: Final = 1
 
 
@@ -129,7 +130,7 @@ def _attitude(state: JsonFile) -> QuaternionList:
 
 
 def _directions(state: JsonFile, n_samples: int) -> tuple[DirectionTable, Array]:
-    """Return the directions of all samples, and the rotation from our camera axes to those of the state.
+    """Return the directions of all samples, and the rotation from our camera axes to the axes of the state.
 
     The detector has only one line. The line of the image determines the time.
     """

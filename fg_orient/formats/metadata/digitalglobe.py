@@ -7,8 +7,8 @@ The file has these parts:
 - ``TLC`` contains times of lines;
 - ``GEO`` contains the camera: principal distance, perspective centre, attitude in the spacecraft, and detector line.
 
-Camera axes are those of the file. The line of sight of a detector at (x, y) mm is (x, y,
-PD). Sample s lies at ``origin + pitch s (sin a, -cos a)`` with a = DETROTANGLE.
+Camera axes are defined as in the file. The line of sight of a detector at (x, y) mm is (x, y, PD).
+Sample s lies at ``origin + pitch s (sin a, -cos a)`` with a = DETROTANGLE.
 
 The attitudes already contain the effects on light. Without further effects, the mean
 difference between the model and the RPC of the same file is 0.3 px. With velocity

@@ -44,5 +44,5 @@ def rpc_points(path: str | Path, size: tuple[int, int]) -> tuple[tuple[FramePoin
         FramePoint(f"RPC {k}", *map(float, (line[k], sample[k], np.degrees(lon[k]), np.degrees(lat[k]), height[k])))
         for k in range(len(line))
     )
-    return points, finding("image.frame_of_rpc (note): the points to compare are those of the file's RPC, a fit to its "
+    return points, finding("image.frame_of_rpc (note): the points to compare come from the file's RPC, a fit to its "
                            "rigorous model")  # fmt: skip

@@ -111,7 +111,7 @@ class Spread:
 
 
 def _take(table: Table, triple: Triple, row: Mapping[str, int], coordinates: Array, decisions: Decisions) -> None:
-    """Add the coordinates of a table; they must agree with those of other tables."""
+    """Add the coordinates of a table; they must agree with the coordinates of other tables."""
     columns = [k for k in triple.columns if k >= 0]
     filled = np.any([table.filled(k) for k in columns], axis=0)
     at = np.array([row[name] for name in table.texts(id_column(table))], np.intp)

@@ -72,7 +72,7 @@ def write_rpc(path: str | os.PathLike[str], model: RpcModel) -> None:
 
     Formats are ``*.TXT`` (usually ``_RPC.TXT``), ``*.RPB``, ``*.XML`` and ``*.TIF`` (the
     tags of an existing GeoTIFF). The XML is DIMAP. It has the version and profile of the
-    file from which the model was read; for other models, it has those of Pléiades.
+    file from which the model was read; for other models, the version and profile of Pléiades.
 
     Raises
     ------

@@ -206,8 +206,8 @@ def format_rpc_dimap(model: RpcModel) -> bytes:
     """Return the text of a DIMAP file with the model, with all digits.
 
     The file has the version and profile of the file from which the model was read; for
-    other models, it has those of Pléiades. The model from image to ground is written if
-    it is known.
+    other models, it has the version and profile of Pléiades. The model from image to ground is written
+    if it is known.
     """
     words = model.format.split()
     version, profile = words[1:3] if words[:1] == ["DIMAP"] else USUAL

@@ -104,7 +104,7 @@ earlier.unknowns: only one of the two adjustments has these unknowns
     -> adjust with the same EOP set and the same options of unknowns as in the earlier run
 earlier.metadata: the metadata file of the image has changed since the earlier run
     -> restore the metadata file of the earlier run, because the corrections refer to it
-earlier.not_converged: the earlier adjustment did not converge, so its covariance is not a prior
+earlier.not_converged: the earlier adjustment did not converge, so its covariance cannot be a prior
     -> leave <start_prior> out
 earlier.no_covariance: the earlier result has no joint covariance ({name}). The joint covariance needs <statistics>
     "full", a datum other than "inner", and at most {limit} unknowns of images and control points

@@ -143,7 +143,7 @@ closerange.prior_text: this is not an observed parameter
     -> write it as name=value:sigma, for instance b=0.845:0.001
 closerange.no_redundancy (warning): there is no redundancy, so there are no standard deviations
 closerange.little_redundancy (warning): with redundancy 1, m0 and the standard deviations are ten times too small in 8
-    of 100 cases. One of 15 sets of points that are flat within the noise is not detected
+    of 100 cases. In one of 15 cases, points that are flat within the noise are not detected
     -> give <sigma>
 closerange.nearly_parallel (warning): the projection is {sigmas:.2g} sigmas from a parallel one: standard deviations of
     the centre and of the principal distances are too small; they are correct only above {honest:.3g} sigmas

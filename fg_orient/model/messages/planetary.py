@@ -17,7 +17,7 @@ body.mixed: the images lie on different bodies
     -> adjust the images of each body in a project of its own
 body.light: effects on light are for images of the Earth
     -> give none
-body.earth: longitude and latitude of this output are those of WGS 84, but the points lie on another body
+body.earth: longitude and latitude of this output refer to WGS 84, but the points lie on another body
     -> use the table points of the result folder, which has body-fixed x, y, z
 body.dem: elevation models of other bodies than the Earth are not read
     -> give heights above the radii of the body
@@ -68,7 +68,7 @@ isd.unit: the unit of the radii must be m or km
     -> correct the unit
 isd.detector: the detector has no pixels on the focal plane: its affine map cannot be inverted
     -> correct focal2pixel and the summing, which must be above zero
-isd.metric (note): the distortion is that of a metric camera in the keywords of NAIF: the file states a distortion of
+isd.metric (note): the distortion is read from the keywords of NAIF for a metric camera: the file states a distortion of
     zero
 csm.sensor: only the rigorous model of a pushbroom image becomes a line-scan state
     -> give its metadata with states and attitudes

@@ -1,8 +1,9 @@
 """Detection of features in a window of an image, and selection of candidate matches in another window.
 
-Features are those of SIFT (Lowe 2004), by OpenCV. Descriptors are upright: the sensor models give the rotation between
-the images. A candidate lies in the band of the epipolar curve and has about the same size. It is used if both features
-are each other's best match and clearly better than the second best.
+Features are SIFT features (Lowe 2004), computed by OpenCV. Descriptors are upright: the sensor models
+give the rotation between the images. A candidate lies in the band of the epipolar curve and has about
+the same size. It is used if both features are each other's best match and clearly better than the
+second best.
 """
 
 from __future__ import annotations

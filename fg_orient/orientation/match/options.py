@@ -41,9 +41,9 @@ class MatchOptions(Checked):
     )
     model: Literal["slope", "curved", "affine", "shift"] = option(
         "slope", POINTS,
-        "Geometric unknowns of a window. slope: position and slope of the ground along the epipolar line, the rest of "
-        "the affine map being that of the sensor models; curved: the curvature of the ground, too; affine: position "
-        "and whole map; shift: position.",
+        "Geometric unknowns of a window. slope: position, and slope of the ground along the epipolar line (the sensor "
+        "models give the rest of the affine map); curved: the curvature of the ground, too; affine: position and whole "
+        "map; shift: position.",
     )
     correlation: float = option(
         0.7, POINTS, "Smallest correlation of the grey values of a window after matching.", below=1.0,

@@ -190,7 +190,7 @@ class Spectrum:
 
     @property
     def condition(self) -> float:
-        """Condition number of ``N = A^T A``, the square of that of A.
+        """Condition number of ``N = A^T A``, the square of the condition number of A.
 
         At most :data:`LARGEST_CONDITION`.
         """

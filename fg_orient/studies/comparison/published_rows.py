@@ -47,7 +47,7 @@ def spectra_of(design: Array, eop_set: int, system: str) -> tuple[Spectrum, Spec
 def conditioning(raw: Spectrum, columns: Spectrum, n_rows: int) -> dict[str, Any]:
     """Return the columns of a row that describe its matrix.
 
-    The numerical rank of A is that of MATLAB.
+    The numerical rank of A is defined as in MATLAB.
     """
     order = len(raw.values)
     return {

@@ -77,7 +77,7 @@ def scale(
     time_limit_s, memory_limit_gb : float
         An adjustment is not tried if its predicted processor time or memory exceeds these limits.
     workers : int
-        Number of processes that share the sizes. The measured times are then those of a busy machine.
+        Number of processes that share the sizes. The measured times then show a busy machine.
     cluster : str or dask.distributed.Client, optional
         Scheduler of a running cluster; it replaces ``workers``.
     folder : path, optional

@@ -146,7 +146,7 @@ def page(record: dict[str, Any], figures: str = "") -> str:
         "# Dense and sparse from ten to a million image points", "",
         f"Run of {record['date']} on {record['processor']}, one thread of the linear algebra library: "
         f"`{record['command']}`. Other programs may have run on the machine: times are processor seconds of one "
-        "adjustment without statistics, medians of up to five for short ones. Blocks are those of `fg-orient simulate "
+        "adjustment without statistics, medians of up to five for short ones. Blocks are made by `fg-orient simulate "
         f"block`, from 2 to {max(one['images'] for one in record['sizes'])} images.", "",
         *_answers(record), "",
         f"![Processor time of all engines from 10 to {largest} image points]({figures}time.svg)", "",

@@ -179,7 +179,7 @@ def _number(value: float | None) -> float:
 
 
 def expected_at(solution: Solution, check: PointDifferences) -> tuple[Array | None, Array | None]:
-    """Return the expected products of the errors at selected check points (3k, 3k), and those of the bias.
+    """Return the expected products of the errors at selected check points (3k, 3k), and the products of the bias.
 
     The unit is m^2, and the axes are East, North, Up. The first matrix includes the
     variances of the measured coordinates. The solution is regularised. A matrix is None

@@ -57,7 +57,7 @@ Cost = Callable[[float, float], float]
 
 
 def _of_normal(cost: Callable[[float], float]) -> Cost:
-    """Return the operations of normal equations (n u^2) plus those of a method for u unknowns."""
+    """Return the operations of normal equations (n u^2) plus the operations of a method for u unknowns."""
     return lambda n, u: n * u**2 + cost(u)
 
 

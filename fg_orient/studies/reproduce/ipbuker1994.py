@@ -300,7 +300,7 @@ def area_ratio(island: str, area_m2: float, projection: str) -> float:
 
 
 def utm_areas(values: Values) -> Cells:
-    """Compare the RMS of areas in table 7.2 with that of one calibration of the sheet; areas need the outlines."""
+    """Compare the RMS of areas in table 7.2 with the RMS for one calibration of the sheet; areas need the outlines."""
     share = float(study.digitised_sheets(study.SHEET_EXTENT_KM, study.REPRODUCED_RUNS).determinant.std(ddof=1))
     areas = {island: values[row_key("7.2", island, "area_utm")] for island in PLACES}
     return {
