@@ -87,7 +87,7 @@ def _paths(patterns):
     """
     found = {pattern: set(_ROOT.glob(pattern)) for pattern in patterns}
     if missing := [pattern for pattern, paths in found.items() if not paths]:
-        raise ValueError(f"docs/conf.py names what does not exist: {missing}")
+        raise ValueError(f"docs/conf.py names files that do not exist: {missing}")
     return set().union(*found.values())
 
 

@@ -43,7 +43,7 @@ from tests.support.command import in_process  # noqa: E402
 
 Array = npt.NDArray[np.float64]
 
-#: Turn of the sensor in the picture of signs, rad: what a degree or two would do can be seen.
+#: Turn of the sensor in the picture of signs, rad: it shows the effect of one or two degrees.
 TURN = 0.012
 #: Image whose footprint is drawn, height of the ground, m.
 HEIGHT = 400.0

@@ -181,7 +181,7 @@ def show(
         print(f"set 10, first control point {first}: check coordinates beyond 3 sigma of the difference")
         for row in one["beyond_3_sigma"] or [{"id": "none", "axis": "", "difference_m": 0.0, "ratio": 0.0}]:
             print(f"  {row['id']:>5} {row['axis']:<7} {row['difference_m']:+.2f} m, ratio {row['ratio']:.1f}")
-        print("the five largest differences, metres (what they are: the weak Up direction)")
+        print("the five largest differences, metres (they lie in the weak Up direction)")
         for row in one["largest"]:
             print(f"  {row['id']:>5} E {row['east_m']:+.2f} N {row['north_m']:+.2f} U {row['up_m']:+.2f}")
 

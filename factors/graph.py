@@ -120,7 +120,7 @@ def image_point_factors(
 
     ``make(image_key, point_key, row)`` returns the factor; ``label(row)`` names it in messages. All factors
     share buffers (GTSAM copies what it receives), records, setup and noise model. Each factor has only three
-    numbers of its own, so that the data of thousands of callbacks stay in the processor's cache.
+    own numbers, so that the data of thousands of callbacks stay in the processor's cache.
     """
     fill, noise, m = equation.fill, _noise(n_residuals, loss), n_residuals
     assert fill is not None, f"equation {equation.name!r} has no fill function"

@@ -52,7 +52,7 @@ __version__: Final = "0.2.0"
 
 
 def _require_own_factors() -> None:
-    """Refuse a package ``factors`` that is not the one of this version; a file found in its place is not run."""
+    """Refuse a package ``factors`` that does not belong to this version; a file found in its place is not run."""
     spec = find_spec("factors")
     found = None if spec is None else spec.origin
     if found is None or dirname(found) != join(dirname(dirname(__file__)), "factors"):

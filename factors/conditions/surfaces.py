@@ -86,7 +86,7 @@ def jacobians_sphere(record: Array, setup: Array, value: Array, x: Array, point:
 
 
 def residual_quadric(record: Any, setup: Any, c: Any, p: Any) -> Any:
-    """Return the residual (1,) for the ten coefficients, of which only the ratios are determined."""
+    """Return the residual (1,) for the ten coefficients; only their ratios are determined."""
     square = c[0] * p[0] * p[0] + c[1] * p[1] * p[1] + c[2] * p[2] * p[2]
     mixed = c[3] * p[0] * p[1] + c[4] * p[0] * p[2] + c[5] * p[1] * p[2]
     linear = c[6] * p[0] + c[7] * p[1] + c[8] * p[2]

@@ -106,7 +106,7 @@ class GeneralAdjustment:
     @property
     def m0_missing(self) -> str:
         """Reason why there is no m0; "" if m0 exists."""
-        return "" if self.redundancy else "no redundancy: residuals are zero whatever the observations are"
+        return "" if self.redundancy else "no redundancy: residuals are zero for any observations"
 
     @property
     def correlations(self) -> Array:

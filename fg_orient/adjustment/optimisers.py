@@ -13,8 +13,8 @@ the remaining Gauss-Newton step in units of the standard deviation of the soluti
 with a longer remaining step than :data:`REMAINING` is not converged.
 
 Under a loss the weights are held during an iteration and then follow the residuals
-(iteratively reweighted least squares). The cost with held weights is not below the cost
-of the loss, so a decrease of the former is a decrease of the latter.
+(iteratively reweighted least squares). The cost with held weights is never below the cost of the loss,
+so if the first cost decreases, the second cost decreases, too.
 
 iSAM2 (:class:`IncrementalGraph`): groups of ground points are added, replaced and removed
 one by one. A :class:`LocalGroup` is a separate small adjustment problem: a few images,

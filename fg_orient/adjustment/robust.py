@@ -125,7 +125,7 @@ class FixedWeights:
 
 @dataclass(frozen=True)
 class Weights:
-    """Weights at a state, of image points (n,) and of ground points (N,); the latter are 1 except at control points.
+    """Weights at a state: of image points (n,), and of ground points (N,), which are 1 except at control points.
 
     ``scale``: units of the losses of image points and of control points, in sigmas.
     """

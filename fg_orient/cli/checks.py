@@ -135,7 +135,7 @@ def _checked_points(
 
 
 def _impossible(block: Block, project: Path) -> list[Finding]:
-    """Return the errors because of which ``adjust`` would refuse the options."""
+    """Return the errors that would make ``adjust`` refuse the options."""
     from fg_orient.orientation.run import require_possible_options
 
     try:

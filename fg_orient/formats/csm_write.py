@@ -58,7 +58,7 @@ def write_state(
         From an adjustment.
     columns : (2,) tuple of int, optional
         ``first`` and ``end``: the state describes columns ``first`` to ``end - 1`` of the
-        image as an image of its own.
+        image as a separate image.
 
     Returns
     -------

@@ -161,7 +161,7 @@ def _integrate(
     before, after = _held(speed_nodes[0], speed_time, angle_time, ends_s)
     head, tail = int(before > 0.0), int(after > 0.0)
     time_s = np.concatenate([[speed_time[0] - before] * head, speed_time, [speed_time[-1] + after] * tail])
-    # the speed of an interval is the one at its end; after the last tag, the last speed is used
+    # an interval has the speed given at its end; after the last tag, the last speed is used
     of_interval = np.concatenate([speeds[:head], speeds[1:], speeds[len(speeds) - tail :]])
     sums = np.concatenate([np.zeros((1, 3)), np.cumsum(of_interval * np.diff(time_s)[:, None], axis=0)])
     anchor, last = (np.array([np.interp(t, time_s, column) for column in sums.T]) for t in angle_time[[0, -1]])

@@ -194,7 +194,8 @@ def checked_project(path: str | Path, **overrides: object) -> tuple[Block | None
     block : Block or None
         None if there are errors.
     problems : list of Finding
-        Errors because of which ``adjust`` would refuse the project, or notes. Empty if there are neither.
+        Errors that would make ``adjust`` refuse the project, or notes. Empty if there are neither
+        errors nor notes.
     """
     try:
         block, remarks = read_project_with_remarks(path, **overrides)

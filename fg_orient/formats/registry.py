@@ -56,7 +56,7 @@ class Holds(StrEnum):
     ROLES = "roles"
     HEIGHTS = "heights"
     SIGMA_GROUND = "standard deviations of ground points"
-    SIGMA_UP = "a standard deviation of the height of its own"
+    SIGMA_UP = "a separate standard deviation of the height"
     SIGMA_EAST_NORTH = "different standard deviations to the east and north"
     SIGMA_IMAGE = "standard deviations of image points"
     FIXED = "points without uncertainty"

@@ -284,8 +284,8 @@ class Options(Checked):
         "Datum of the block. control: the control points define it, the block must have some. The other datums are "
         "relative. vendor: directions of the images that the rays hardly determine stay as in the metadata; auto: "
         "vendor for satellite images with priors and without control point, else control; priors: the priors define "
-        "what control points do not determine; inner: free network without priors, inner constraints on the ground "
-        "points define its covariance; free: all steps are damped, and there is no covariance.",
+        "directions that control points do not determine; inner: free network without priors, inner constraints on "
+        "the ground points define its covariance; free: all steps are damped, and there is no covariance.",
         recorded=True,
     )
     statistics: StatisticsChoice = option(
@@ -309,7 +309,7 @@ class Options(Checked):
 
     @property
     def holds_unknowns(self) -> bool:
-        """True if priors or a regularisation determine what the observations do not."""
+        """True if priors or a regularisation determine the directions that the observations do not determine."""
         return self.priors or self.regularisation != "none"
 
 

@@ -287,7 +287,7 @@ class GroundErrors:
     ) -> Iterator[Cause]:
         """Yield causes in which a known error (n, 3) affects some points of a group.
 
-        The points are found step by step. Each choice of points counts as a mistake of its own.
+        The points are found step by step. Each choice of points counts as a separate mistake.
         """
         rows = np.flatnonzero(members)
         m = len(rows)

@@ -128,7 +128,7 @@ def turned_down_images(problem: Problem, weights: Weights) -> list[tuple[str, in
 
 
 def points_with_rays(problem: Problem, weights: Weights, rays: int) -> list[int]:
-    """List unknown points without control of which exactly this number of rays (0 or 1) is not down-weighted.
+    """List unknown points without control that have exactly this number of rays (0 or 1) with full weight.
 
     A control observation counts only if it is not down-weighted. Without a ray no observation checks the
     position. With one ray the position along it is not determined.

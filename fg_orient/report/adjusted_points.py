@@ -50,7 +50,7 @@ class Selection:
     control : bool
         Write control points, too.
     rejected : bool
-        Also write points of which the search for gross errors left out an observation.
+        Also write points for which the search for gross errors left out an observation.
     min_rays : int
         Smallest number of image points of a written point.
     max_sigma_height_m : float, optional

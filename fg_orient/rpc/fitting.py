@@ -124,7 +124,7 @@ def _validation(control: ControlPoints, options: FitOptions, progress: Progress 
 
 
 def _doubts(fit: RfmFit, validation: CrossValidation | None) -> list[Finding]:
-    """Return the findings because of which a fit must not be used."""
+    """Return findings that forbid the use of a fit."""
     out, least = [], float(fit.least_denominators.min())
     if fit.has_pole:
         out.append(finding("rpc.sign_change", least=least))

@@ -369,9 +369,9 @@ def _without_insignificant(reduced: Reduced, chosen: Index, last: int = -1) -> I
 def nested(reduced: Reduced) -> Selection:
     """Add coefficients one by one to nested models until BIC increases.
 
-    The next column is the one whose part orthogonal to the previous columns explains most
-    of the residuals. (The minimum of BIC over all models has many more columns, because
-    the linear form prefers denominators near zero.)
+    The part of the next column that is orthogonal to the previous columns explains most of the
+    residuals. (The minimum of BIC over all models has many more columns, because the linear form
+    prefers denominators near zero.)
     """
     best = np.zeros(0, dtype=np.intp)
     while len(best) < reduced.design.shape[1] and reduced.freedom - len(best) > LEAST_FREEDOM:

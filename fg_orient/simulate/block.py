@@ -1,11 +1,11 @@
 """Synthetic block of SPOT-5-like scenes of any size, for cost and accuracy studies.
 
 Ground centres lie on a grid of rows x columns around the centre of the Zonguldak block.
-Each scene has its own pass. The scenes look to the left and to the right in turn, like
-the fields of a checkerboard. So the rays of neighbouring scenes (60 km wide, by default
-28 km apart) intersect at 24 degrees. Ground points are uniform over the block; a point is
-kept if it is in two scenes or more. A ground point has about 2.7 (2 x 2 scenes) to 4 (10
-x 10) image points. All computations use the ellipsoid, not a plane.
+Each scene has its own pass. Neighbouring scenes look to opposite sides, left or right, like the fields
+of a checkerboard. So the rays of neighbouring scenes (60 km wide, by default 28 km apart) intersect at
+24 degrees. Ground points are uniform over the block; a point is kept if it is in two scenes or more. A
+ground point has about 2.7 (2 x 2 scenes) to 4 (10 x 10) image points. All computations use the
+ellipsoid, not a plane.
 """
 
 from __future__ import annotations

@@ -184,7 +184,7 @@ def gradient(part: _Part, at: At) -> Sums:
 def bend(part: _Part, at: At, damping: float, slope: Array, newton: Array) -> Sums:
     """Return squares of the Jacobian times the gradient, and gradient times Newton step of the ground points.
 
-    ``slope`` and ``newton`` (u,) are gradient and Newton step of the images, the latter with this damping.
+    ``slope`` (u,) is the gradient of the images, ``newton`` (u,) their Newton step with this damping.
     """
     system = part.system(at)
     step = system.substitute(newton, damping).ground.copy()

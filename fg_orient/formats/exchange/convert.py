@@ -335,7 +335,7 @@ def _weighted(survey: Survey) -> Mask:
 
 
 def _unequal(survey: Survey, axis: int) -> int:
-    """Return the number of points whose standard deviation on this axis differs from the one East."""
+    """Return the number of points whose standard deviation on this axis differs from the standard deviation East."""
     rows = survey.sigma_enu_m[_weighted(survey)]
     return int((rows[:, 0] != rows[:, axis]).sum())
 

@@ -117,7 +117,7 @@ dem.no_rasterio: reading a DEM needs rasterio
     -> install the extra: pip install 'fg-orient[geo]'
 dem.no_crs: the DEM has no coordinate reference system
     -> assign one, for instance with gdal_edit -a_srs
-dem.vertical_crs: the DEM states another vertical CRS than the one given
+dem.vertical_crs: the DEM states another vertical CRS than the given vertical CRS
     -> leave the option out, or correct the file
 dem.geoid: the DEM's heights cannot be transformed to ellipsoidal heights: {reason}
     -> put the grid into PROJ's folder (projsync, PROJ_DATA), or convert the DEM to ellipsoidal heights

@@ -14,7 +14,7 @@ body.unknown: there is no such body
 body.differs: the image lies on a body with other radii than the body of the project
     -> correct the entry body of the project, or leave it out
 body.mixed: the images lie on different bodies
-    -> adjust the images of each body in a project of its own
+    -> adjust the images of each body in a separate project
 body.light: effects on light are for images of the Earth
     -> give none
 body.earth: longitude and latitude of this output refer to WGS 84, but the points lie on another body

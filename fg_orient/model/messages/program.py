@@ -17,9 +17,9 @@ installation.other_version: this package 'factors' belongs to fg_orient {other},
     -> pip install --force-reinstall --no-deps {source}
 installation.damaged_tree: this file of fg_orient's source tree is missing or changed
     -> restore it from the repository (git checkout factors), or install again from it
-installation.other_distribution: the package 'factors' of the distribution {owner} hides the one of fg_orient in
+installation.other_distribution: the package 'factors' of the distribution {owner} hides the package of fg_orient in
     {ours}
-    -> pip uninstall {name}, or install fg-orient into an environment of its own
+    -> pip uninstall {name}, or install fg-orient into a separate environment
 installation.on_pythonpath: this hides the package 'factors' of fg_orient in {ours}, because its folder is in
     PYTHONPATH
     -> remove {root} from PYTHONPATH, or rename it
@@ -103,7 +103,7 @@ manifest.incomplete: the folder is only a part of a result: {count} of {n} file(
     -> copy the whole folder again
 manifest.other_run: the record and the manifest of the folder belong to different runs
     -> copy the whole folder of one run
-manifest.changed: the file is not the one that the run wrote: it was edited, or belongs to another run
+manifest.changed: the run did not write this file: it was edited, or belongs to another run
     -> restore the file, or run the command again
 manifest.added: the run did not write this file
     -> move it to another folder

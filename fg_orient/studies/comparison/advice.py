@@ -3,20 +3,19 @@
 The set is chosen as follows. If there are check points, the set with the least mean
 square error at these points is the reference. Other sets are not distinguishable from it
 if their mean square error is larger by at most its standard error (one-standard-error
-rule: Breiman et al. 1984). Of these sets, the one with the least AICc is recommended
-(``fg_orient.orientation.reduction``). The standard error of a mean square s is ``s sqrt(2
-/ h)``, with h as in ``set_results``. Errors of the orientation are common to all check
-points, so that the number h of independent errors is smaller than the number of
-coordinates. Without check points, the least AICc decides. Sets with directions that only
-a prior determines are last. After the choice, the check points are no longer an
-independent test of the chosen set: its errors look slightly too small.
+rule: Breiman et al. 1984). Of these sets, the set with the least AICc is recommended
+(``fg_orient.orientation.reduction``). The standard error of a mean square s is ``s sqrt(2 / h)``, with
+h as in ``set_results``. Errors of the orientation are common to all check points, so that the number h
+of independent errors is smaller than the number of coordinates. Without check points, the least AICc
+decides. Sets with directions that only a prior determines are last. After the choice, the check points
+are no longer an independent test of the chosen set: its errors look slightly too small.
 
 The regularisation is chosen as follows. A regularised estimate is biased. Its standard
 deviations do not describe its accuracy, and its likelihood has no AICc. Therefore it is
 compared by the errors at check points, which contain the bias. If an estimate without
 regularisation is not distinguishable from the best one, it is recommended. Without check
 points, a regularised estimate is recommended only if no other estimate has a solution. If
-there are several, the one with the fewest effective unknowns (trace of the resolution) is
+there are several, the estimate with the fewest effective unknowns (trace of the resolution) is
 recommended.
 """
 

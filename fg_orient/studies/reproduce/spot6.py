@@ -194,8 +194,8 @@ def _hadamard(cell: PublishedCell, runs: Array) -> str:
     if cell.key.table != "4.53":
         return ""
     return (
-        f"T(3.14) gives {runs[0]:.2g} on these points whatever their order, while determinant and rank agree: what row "
-        "norms the printed number was divided by is not known"
+        f"T(3.14) gives {runs[0]:.2g} on these points in any order, while determinant and rank agree: it is not known "
+        "by which row norms the printed number was divided"
     )
 
 
