@@ -347,7 +347,8 @@ class Elimination:
         b, number, last_cost, last_ground = self.backend.buffers, s.number[places], None, np.zeros(0)
         near, kept = not self._far, all(tile.kept for tile in s.tiles)
         for _ in range(MAX_STEPS):
-            whole_rows = near or not kept  # a further step is expected, which needs only the derivatives by the points
+            # otherwise a further step follows, and this one needs only derivatives by the points
+            whole_rows = near or not kept
             self._eliminate(groups, state, near=near and not late, of_images=whole_rows)
             decrement, before = self._decrements(places), largest
             largest = float(decrement.max(initial=0.0))

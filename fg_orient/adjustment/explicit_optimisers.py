@@ -44,7 +44,7 @@ class ExplicitRun:
         options = problem.block.options
         if options.loss != "none":
             raise InputError.of("graph.loss", option="loss", value=options.loss)
-        # with Dogleg, the rows of figures are factors of the graph
+        # the backend makes factors from the rows of figures only for Dogleg, so this optimiser is set
         own = replace(problem, block=replace(problem.block, options=replace(options, optimizer="dogleg")))
         self.backend, self.kind = ExplicitBackend(own), kind
         self.graph, self.ordering = self.backend.graph, self.backend.ordering

@@ -43,7 +43,8 @@ PER_BYTE: Final = 4.5
 #: images are paired at random).
 ROW_BYTES: Final = 208
 PER_BLOCK: Final = 1e5
-#: Ratio of work up to which methods with a factor are preferred, because they give the covariance.
+#: A method with a factor gives the covariance. It is preferred if its work divided by the least work is
+#: below this.
 PREFERRED: Final = 2.0
 #: Number of unknowns above which conjugate gradients may be chosen; their number of steps
 #: depends on the condition number.

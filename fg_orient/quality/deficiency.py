@@ -152,7 +152,10 @@ def _thinned(compiled: Problem) -> Problem:
 def _structural(
     compiled: Problem, structure: Structure, observability: tuple[ImageObservability, ...]
 ) -> list[Finding]:
-    """List the errors of structure and of single images. Damped steps do not need determined points or images."""
+    """List the errors of structure and of single images.
+
+    If steps are damped, undetermined points and images are no errors.
+    """
     floating = compiled.least_damping > 0.0 and compiled.redundancy >= 0
     lacks = () if floating else structure.lacks
     out = [finding("statistics.too_few", place=lack.sentence, remedy=lack.remedy) for lack in lacks]

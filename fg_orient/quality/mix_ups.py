@@ -225,8 +225,8 @@ class IdMixUp:
 def id_mix_ups(block: Block) -> tuple[IdMixUp, ...]:
     """Find control points whose image points lie near the place of another control point, and far from their own.
 
-    With the metadata, most points are projected close to their image points. Points with more than ten times this
-    distance are tested.
+    Points are projected with the metadata. The usual distance from their image points is the median
+    over all points. A point with more than ten times the usual distance is tested.
     """
     o, control = block.observations, block.points.where(Role.CONTROL)
     if not LEAST_POINTS <= len(control) <= MOST_POINTS:

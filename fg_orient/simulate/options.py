@@ -112,7 +112,7 @@ class BlockOptions(Jittered):
         require_allowed(self)
         require(self.rows * self.columns >= 2, "rows, columns", (self.rows, self.columns), "two images or more")
         shares = (self.control_share, self.check_share)
-        require(sum(shares) <= 1.0, "control_share, check_share", shares, "shares of 1 together")
+        require(sum(shares) <= 1.0, "control_share, check_share", shares, "shares with a sum of at most 1")
 
 
 @documented

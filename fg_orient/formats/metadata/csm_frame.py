@@ -32,7 +32,7 @@ from fg_orient.sensors.framing import FramingCamera, FramingSensor, Taken, angle
 
 #: A distortion is fitted and compared at this number of pixels per side of the image.
 SIDE: Final = 41
-#: Largest height and depth above the radii that a state states, m.
+#: A state gives these limits for heights above the ellipsoid and depths below it, m.
 REACH_M: Final = 1_000.0
 #: Rotates camera axes that look along the negative third axis to axes that look along the positive third axis.
 _HALF_TURN: Final = np.diag([-1.0, 1.0, -1.0])

@@ -109,7 +109,8 @@ manifest.added: the run did not write this file
     -> move it to another folder
 manifest.outside: this is a link out of the result folder, or not a file
     -> copy the file itself into the folder
-manifest.later: the folder was written by a later version of fg_orient, whose manifest has schema {known} at most here
+manifest.later: the folder was written by a later version of fg_orient; this version reads manifests up to schema
+    {known}
     -> update fg_orient
 manifest.damaged: the manifest of the result cannot be read
     -> copy the whole folder again

@@ -202,7 +202,7 @@ def _one_set(plan: Comparison, report: Callable[[Row], None] | None, number: int
                     add(one.run(engine))
                 known = {(s.system, s.scaling) for s in parts["spectra"]}
                 parts["spectra"] += [s for s in one.spectra if (s.system, s.scaling) not in known]
-                parts["directions"] += [] if parts["sets"] else one.directions  # they depend on the observations only
+                parts["directions"] += [] if parts["sets"] else one.directions  # equal for all regularisations
                 parts["sets"].append(one.result)
     return {name: [asdict(one) for one in part] for name, part in parts.items()}
 
