@@ -17,8 +17,8 @@ Each case is simulated with the seeds 1 to 20:
 
 A random share of these observations is moved by 5 to 100 sigmas in a random direction (2 or 3
 dimensions). Check points have no gross errors. They are compared with their true coordinates,
-and the RMSE is that of the 3-D distance. With ``--missing`` only the runs that the file of
-results does not contain are made, and they are added to the file after each seed.
+and the RMSE refers to the 3-D distance. With ``--missing`` only the runs that the file of results does
+not contain are made, and they are added to the file after each seed.
 
 An error of s sigmas in the direction e is *checkable* if the trace that it leaves in the
 residuals, ``s sqrt(e^T R e)`` with the redundancy R of the clean block, exceeds 4.13: a test

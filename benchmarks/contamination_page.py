@@ -20,8 +20,8 @@ PAGE: Final = Path(__file__).parents[1] / "docs" / "robust.md"
 FIGURE: Final = PAGE.parent / "robust.svg"
 BEGIN: Final = "<!-- study: made by benchmarks.contamination_page -->"
 END: Final = "<!-- end of the study -->"
-#: A method withstands gross errors if its mean RMSE exceeds that of least squares without
-#: gross errors by at most this share.
+#: A method withstands gross errors if its mean RMSE is at most this number times the mean RMSE of least
+#: squares without gross errors.
 LIMIT: Final = 1.2
 CASES: Final = {
     "twin": "Image points of control points, SPOT-5 pair",
@@ -36,7 +36,7 @@ def _of(entries: list[Entry]) -> dict[Key, Entry]:
 
 
 def ratios(entries: list[Entry]) -> dict[Key, float]:
-    """Return the mean RMSE divided by that of least squares on the clean blocks of the same seeds."""
+    """Return the mean RMSE divided by the mean RMSE of least squares on the clean blocks of the same seeds."""
     known = _of(entries)
     out = {}
     for (case, share, method), entry in known.items():

@@ -113,8 +113,8 @@ def iteration_bound(
     image_points, pairs, unknowns : int
         Numbers of image points, of pairs of rays, and of unknowns of all images.
     half_bandwidth : int, optional
-        Half bandwidth of the reduced system; the factorisation of the band is counted if it
-        takes less than that of the full matrix.
+        Half bandwidth of the reduced system; the factorisation of the band is counted if it takes less
+        time than for the full matrix.
     """
     memory, arithmetic = machine.triad[threads], machine.product[threads]
     per_point = max(LINEARISE_BYTES / memory, LINEARISE_FLOP / arithmetic) + POINT_BYTES / memory

@@ -122,7 +122,7 @@ def measure(way: str, folder: Path, size: int) -> dict[str, Any]:
 
 
 def _peak_kb() -> int:
-    """Return the largest resident memory of this process so far; getrusage includes that of the parent process."""
+    """Return the largest resident memory of this process so far; getrusage would include the parent process."""
     found = re.search(r"VmHWM:\s+(\d+)", Path("/proc/self/status").read_text(encoding="ascii"))
     return int(found[1]) if found else 0
 
@@ -137,7 +137,7 @@ def raster_of(way: str, folder: Path) -> Path:
 
 
 def differences(folder: Path, way: str) -> float:
-    """Return the share of pixels whose grey values differ from those of fg_orient by more than 3."""
+    """Return the share of pixels whose grey values differ from the values of fg_orient by more than 3."""
     import rasterio
 
     different = pixels = 0

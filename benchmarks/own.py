@@ -106,7 +106,7 @@ def _kernels(backend: SchurBackend) -> None:
 def schur(
     problem: Problem, threads: int | None, *, reduced: str = "auto", optimizer: str = "gauss-newton"
 ) -> Callable[[], Outcome]:
-    """Return the loop of fg_orient on the Schur backend. The stages and kernels are those of one more iteration."""
+    """Return the loop of fg_orient on the Schur backend. The stages and kernels are measured in one more iteration."""
 
     def once() -> Outcome:
         outcome, backend = _loop(lambda: SchurBackend(problem, threads=threads, reduced=reduced), optimizer, 50)

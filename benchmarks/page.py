@@ -171,7 +171,7 @@ def snooping_runs() -> list[str]:
 
 
 def second_run(rows: Rows) -> list[str]:
-    """Return the section that compares the figures of another processor with those of this run."""
+    """Return the section that compares the figures of another processor with this run."""
     other = json.loads(OTHER.read_text("utf-8"))
     measured = {row[0]: row[1] for row in rows}
     limits = {row[0]: row[2] for row in reversed(rows)}

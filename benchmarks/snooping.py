@@ -3,11 +3,10 @@
     python -m benchmarks.snooping [--cases C ...] [--repeats N] [--folder F]
 
 writes results/snooping.json, and ``python -m benchmarks.page`` makes a section of
-docs/performance.md from it. The blocks are those of ``benchmarks.whole_run``. Gross errors of
-5 to 50 px with random directions are planted in random image points of the table. Processor
-seconds are those of the whole command ``adjust --snoop``; the first run is not counted. The
-search is also made one by one, with one gross error and one restored observation in each
-round, and must reject the same observations.
+docs/performance.md from it. The blocks come from ``benchmarks.whole_run``. Gross errors of 5 to 50 px
+with random directions are planted in random image points of the table. Processor seconds refer to the
+whole command ``adjust --snoop``; the first run is not counted. The search is also made one by one, with
+one gross error and one restored observation in each round, and must reject the same observations.
 
 The power to find an error is predicted in the adjustment without errors: with the error e in
 sigmas and the cofactors Q of the residuals of its image point, T has the non-centrality
@@ -91,7 +90,7 @@ def missed_probabilities(
 ) -> dict[Key, float]:
     """Return the predicted probability that each error passes its test.
 
-    ``solution`` is that of the block without errors.
+    ``solution`` belongs to the block without errors.
     """
     o, block = solution.problem.observations, solution.block
     q = solution.residual_cofactors.image

@@ -30,8 +30,8 @@ iteration grows with their product. If Python calls `graph.linearize(values)`, i
 nothing is copied. Therefore the time of our loop over the same graph grows linearly. Ordering, linearisation
 and elimination are not the cause: the column *parts* gives their time.
 
-Measured by `python -m benchmarks.optimiser_copies` on {date}, {processor}, GTSAM {gtsam}; processor seconds of one
-iteration of Gauss-Newton:
+The table gives processor seconds of one iteration of Gauss-Newton, measured by
+`python -m benchmarks.optimiser_copies` on {date}, {processor}, GTSAM {gtsam}:
 
 | image points | factors | variables | parts, s | one copy, µs | iteration, s | copies for each factor | share |
 |---|---|---|---|---|---|---|---|

@@ -72,8 +72,8 @@ def main() -> None:
 def effects(seed: int, chosen: tuple[str, ...]) -> dict[str, dict[str, float]]:
     """Measure the equations, the program, and both with each switch changed, on the synthetic block of a seed.
 
-    The keys are "text", "program", "text + NAME" and "program - NAME"; the values are those of MEASURES. The block has
-    radial velocity and attitude.
+    The keys are "text", "program", "text + NAME" and "program - NAME"; the values are the numbers that
+    MEASURES names. The block has radial velocity and attitude.
     """
     procedures = {"text": TEXT, "program": PROGRAM}
     procedures |= {f"text + {name}": TEXT.with_(name) for name in chosen}

@@ -82,7 +82,7 @@ def _bound(function: FunctionType) -> Iterator[tuple[str, Any]]:
 
 
 def names_of(code: CodeType) -> list[str]:
-    """Return the global names and attributes of a code in their order, including those of inner functions."""
+    """Return the global names and attributes of a code and its inner functions, in their order."""
     names = dict.fromkeys(code.co_names)
     for constant in code.co_consts:
         if isinstance(constant, CodeType):

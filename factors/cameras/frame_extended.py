@@ -32,8 +32,9 @@ from factors.records import Record
 #: Record: fields of ``frame``, then coefficients and constants of ``frame_corrections``; a_line and a_sample are the
 #: diagonal of W.
 RECORD: Final = Record(**frame.RECORD.fields, **FURTHER.fields, **CONSTANTS.fields, w12=1, power=1)
-#: Setup: codes and prior sigmas of the unknowns. First the unknowns of ``frame``, then those of a receiver on board, on
-#: which no pixel depends (``factors.conditions.navigation``), then the further coefficients.
+#: Setup: codes and prior sigmas of the unknowns. First the unknowns of ``frame``, then the unknowns of
+#: a receiver on board, on which no pixel depends (``factors.conditions.navigation``), then the further
+#: coefficients.
 UNKNOWN: Final = Record(**frame.UNKNOWN.fields, navigation=18, **FURTHER.fields)
 N_UNKNOWNS: Final = UNKNOWN.size
 COLUMN: Final = Record(**UNKNOWN.fields, ground="g1 g2 g3")

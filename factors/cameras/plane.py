@@ -9,10 +9,10 @@
 
 The source x, y, z is a plane, or the ground in a plane coordinate system; the target U, V is another plane,
 or line and sample. A line scanner is a central projection only along its lines: the line is affine in the
-ground coordinates. The residual is ``W (computed - given)`` with the upper triangle w11, w12, w22; its sign
-is that of İpbüker 1994. Coordinates should be centred and scaled to about 1: with unreduced map coordinates
-in metres, the normal equations of degrees 2 and 3 have no correct digit left. Such a scaling does not change
-the form of these transformations, except for the polynomial.
+ground coordinates. The residual is ``W (computed - given)`` with the upper triangle w11, w12, w22; it
+has the sign of İpbüker 1994. Coordinates should be centred and scaled to about 1: with unreduced map
+coordinates in metres, the normal equations of degrees 2 and 3 have no correct digit left. Such a
+scaling does not change the form of these transformations, except for the polynomial.
 
 The functions are plain numpy and accept one record (8,) or many (N, 8); nothing is compiled.
 """

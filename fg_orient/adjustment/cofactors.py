@@ -387,7 +387,7 @@ class SpreadUnknowns:
     Parameters
     ----------
     own : (M, k, k) array
-        Blocks of D, including those of unknowns that are not requested.
+        Blocks of D, including blocks of unknowns that are not requested.
     image, place : (d,) int arrays
         Image of each unknown, ascending, and its place in the block.
     factor : (d, c) array

@@ -388,7 +388,7 @@ def compile_problem(block: Block, like: Problem | None = None) -> Problem:
         block, models, observations, records, origin, start, active, observed,
         _control_records(block, start_ecef, origin, observed),
     )  # fmt: skip
-    if like is None:  # the largest array: it is computed at its first use, or only those of its rows that are used
+    if like is None:  # the largest array: all its rows are computed at the first use, or only the rows that are used
         computed_by(out, "records", partial(_new_records, models, observations, start_ecef, origin))
         release(out, "records")
     return out

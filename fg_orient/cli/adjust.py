@@ -266,7 +266,7 @@ def graph(
 ) -> None:
     """Draw the factor graph of a project, its elimination tree and normal matrix; count variables, factors and fill.
 
-    Nothing is adjusted. Large blocks are drawn in part, but counted whole. Options
+    Nothing is adjusted. Of a large block only a part is drawn, but all factors are counted. Options
     replace those of the project file.
     """
     require_project(project)

@@ -258,7 +258,7 @@ def examine_cache(folders: Sequence[Path]) -> dict[str, Any]:
 def _rights(folder: Path) -> dict[str, Any]:
     """Return the owner and the rights of a folder.
 
-    If the folder does not exist, return those of the nearest parent.
+    If the folder does not exist, its nearest parent is used.
     """
     there = next(p for p in (folder, *folder.parents) if os.path.exists(p))  # also False if a path is not readable
     status = there.stat()

@@ -177,10 +177,10 @@ def adjust_bundle(
     ------
     InputError
         Sizes or values are invalid; points have less than two rays; motions of the whole
-        block are undetermined; other unknowns are undetermined (without a prior their
-        standard deviation exceeds 1000 times that of their observations), named with
-        their direction; hard constraints depend on or contradict each other; full
-        matrices would have more than 2000 unknowns.
+        block are undetermined; other unknowns are undetermined (without a prior, their standard
+        deviation exceeds 1000 standard deviations of their observations), named with their direction;
+        hard constraints depend on or contradict each other; full matrices would have more than 2000
+        unknowns.
     NoSolutionError
         The iteration does not converge, or a point lies behind a photo.
     TypeError

@@ -112,7 +112,7 @@ class Built:
         return [*(f"{owner} {name}" for owner, name in self.owners), *points]
 
     def place(self, k: int, j: int) -> int:
-        """Return the number of unknown j of a photo among those of all photos."""
+        """Return the number of unknown j of a photo among the unknowns of all photos."""
         column = int(self.problem.first[k]) + j
         return column if self.problem.ties is None else int(self.problem.ties.of[column])
 

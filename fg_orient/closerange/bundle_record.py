@@ -146,7 +146,7 @@ def _photos(result: BundleResult, which: Index, seen: Mapping[str, files.Station
 
 
 def _distortion(result: BundleResult, table: files.Observed, which: Index) -> list[job.Record]:
-    """Return the radial corrections of each camera: common ones, those of each photo, or fixed ones other than 0."""
+    """Return radial corrections: common ones of each camera, own ones of each photo, or fixed ones other than 0."""
     labels, out = result.orientation_labels, list[job.Record]()
     m0 = result.m0 or 0.0
     groups: dict[tuple[object, ...], list[int]] = {}

@@ -75,9 +75,8 @@ class BundleResult:
     cofactors : (u,) array
         Diagonal of the cofactor matrix.
     m0 : float or None
-        None without redundancy. Under a loss it is the scale of the loss: standard
-        deviations are based on the given sigmas, or with ``robust_scale="mad"`` on those
-        of the residuals.
+        None without redundancy. Under a loss it is the scale of the loss: standard deviations are based
+        on the given sigmas, or with ``robust_scale="mad"`` on the scatter of the residuals.
     redundancy, iterations : int
         Redundancy; number of iterations with all constraints (iterations without spheres
         and spheroids are not counted).

@@ -1,8 +1,8 @@
 """Read the tables and photo files of the commands: points in photos and in space, stations, photos.
 
 Stations are observed projection centres with standard deviations; attitudes are optional.
-They come from a receiver, a total station or an inertial unit. Their coordinate system is
-that of the control points.
+They come from a receiver, a total station or an inertial unit. They have the coordinate system of the
+control points.
 """
 
 from __future__ import annotations

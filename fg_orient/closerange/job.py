@@ -268,7 +268,7 @@ def _each_photo(
 
 
 def of_name(known: Mapping[str, T], name: str, path: Path) -> T:
-    """Return the photo of a file; its only photo if the table has no names."""
+    """Return the photo of this name; without a name, return the only photo of the file."""
     if not name and len(known) == 1:
         return next(iter(known.values()))
     if name not in known:

@@ -266,7 +266,7 @@ def problems(record: dict[str, Any]) -> list[str]:
     out = _look_at(record)
     for one in record.get("directions", {}).get("weakest", []):
         if one["value"] < 1.0 / WEAK:
-            times = f"standard deviation {significant(1.0 / one['value'], 2)} times that from one image point"
+            times = f"standard deviation {significant(1.0 / one['value'], 2)} times as large as from one image point"
             out.append(f"hardly determined: {one['words']} ({times})")
     photos = record.get("photos", [])
     own = [f"photo {photo['photo'] or '-'}: {text}" for photo in photos for text in sentences(photo)]

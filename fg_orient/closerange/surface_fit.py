@@ -91,7 +91,7 @@ class _Task:
 
     @property
     def shift(self) -> Array:
-        """Change (u,) of the unknowns from normalised to original coordinates: the offset for the centre."""
+        """Numbers (u,) that are added to unknowns of normalised coordinates: the offset for the centre, else 0."""
         centre = dict(zip(("x0", "y0", "z0"), self.offset.tolist(), strict=True))
         return np.array([centre.get(name, 0.0) for name in self.model.names])
 

@@ -179,7 +179,7 @@ def _polynomial(node: XmlNode) -> Array:
 def _look_angles(model: XmlNode, n_samples: int) -> tuple[LookAnglePolynomial, tuple[Finding, ...]]:
     """Read the look polynomials of the panchromatic band.
 
-    If there is no such band, those of the first band are used.
+    If there is no such band, the first band is used.
     """
     calibration = model.one("Geometric_Calibration/Instrument_Calibration")
     if calibration.maybe("Band_Calibration_List") is None:

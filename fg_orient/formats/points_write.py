@@ -122,7 +122,7 @@ def write_project(
     crs : str
         EPSG code of the points.
     options : Options, optional
-        All options are written, also those with default values.
+        All options are written, also options with default values.
     points_seen_once : str
         "error" or "drop".
     comments : sequence of str

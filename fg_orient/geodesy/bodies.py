@@ -121,7 +121,7 @@ class Body:
 
 
 def is_earth(major_m: float, minor_m: float) -> bool:
-    """Return whether two semi-axes are those of the Earth's ellipsoid."""
+    """Return whether two semi-axes belong to the Earth's ellipsoid."""
     return max(abs(major_m - ellipsoid.A_M), abs(minor_m - ellipsoid.B_M)) <= SAME_AXIS_M
 
 

@@ -102,7 +102,8 @@ def _require_bounded(rasterio: Any, source: Any, path: str | os.PathLike[str]) -
     ----------
     rasterio : module
     source : dataset of rasterio
-        Opened to be read. The rasters of a virtual raster are opened, too: it does not state their blocks.
+        Raster that is open for reading. The rasters of a virtual raster are opened, too, because it
+        does not state their blocks.
     path : path
         Its file.
     """

@@ -27,7 +27,7 @@ from fg_orient.sensors.surface import RasterDem
 
 #: Half the distance over which slopes are computed.
 SLOPE_M: Final = 15.0
-#: Limit in NMAD from the median; differences beyond it are excluded from the shift.
+#: Differences farther from the median than this multiple of the NMAD are not used for the shift.
 REACH: Final = 3.0
 MAX_STEPS, STEP_M = 30, 1e-3
 #: After this number of steps the selection of points is kept. Otherwise points near the limit would change in

@@ -11,11 +11,12 @@ With all unknowns in D this is the solution of the pseudo-inverse, with the leas
 unknowns, the trace of their part of Q is least (Koch 1999, 3.3).
 
 The adjustment uses a minimal datum: d image unknowns, one per motion, are each observed once. Pivoting
-selects them so that the datum is well conditioned. These observations get no residual, so shape and residuals
-equal those of the free network. Every backend then solves regular equations, and no factor connects more
-variables. (Inner constraints as factors would connect all points.) A motion is not linear, so the state is
-moved to the requested datum in several steps, with an adjustment after each. The cofactors come from the
-border of the normal equations (``fg_orient.adjustment.border``). Only requested elements are transformed.
+selects them so that the datum is well conditioned. These observations get no residual, so shape and
+residuals are the same as in the free network. Every backend then solves regular equations, and no
+factor connects more variables. (Inner constraints as factors would connect all points.) A motion is not
+linear, so the state is moved to the requested datum in several steps, with an adjustment after each.
+The cofactors come from the border of the normal equations (``fg_orient.adjustment.border``). Only
+requested elements are transformed.
 """
 
 from __future__ import annotations
@@ -62,7 +63,8 @@ from fg_orient.quality.elimination import UNOBSERVABLE, followed_by_ground, redu
 from fg_orient.quality.structure import analyse_structure
 from fg_orient.quality.weakest import weakest
 
-#: Maximum number of unknowns for which all cofactors of a free network are formed from those of GTSAM.
+#: Maximum number of unknowns for which all cofactors of a free network are formed from GTSAM's
+#: cofactors.
 MAX_UNKNOWNS: Final = 3000
 #: A datum is reached if the step is below this, in prior sigmas and metres.
 REACHED: Final = 1e-9

@@ -89,8 +89,9 @@ def reject(
     most : int
         Maximum number of excluded observations.
     returning : callable, optional
-        Function that returns observations to include again together, given a fit, the excluded observations, and those
-        of them that may return. Without this function no observation returns.
+        Function that returns observations to include again together, given a fit, the excluded
+        observations, and the excluded observations that may return. Without this function no
+        observation returns.
     impossible : tuple of exception classes
         Errors of a fit whose observations do not determine it. If several observations were excluded at once,
         the second half of them is then included again, and so on. If the fit is still impossible without the

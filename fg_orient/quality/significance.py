@@ -185,7 +185,7 @@ def significance(
 def group_test(
     known: ResidualCofactors, sigma0: float, freedom: UnknownFreedom | None, name: str, index: Index
 ) -> GroupTest:
-    """Test unknowns together by F: those at the places (d,) in ``problem.image_columns``."""
+    """Test the unknowns at the places (d,) in ``problem.image_columns`` together by F."""
     problem, q = known.problem, known.cofactors.unknowns(index)
     _require_unbiased(problem)
     m0, f = (sigma0, float(problem.redundancy)) if freedom is None else (1.0, freedom.together(index))
@@ -206,7 +206,7 @@ def under_priors(x: Array, q: Array, m0: float, f: float, estimated: bool) -> tu
     """Return F of unknowns x (d,) with priors, the number of tested directions, and f without these priors.
 
     x and the cofactors q (d, d) are in prior sigmas. If ``estimated`` is True, m0 is computed from all
-    residuals except those of the priors of x.
+    residuals except residuals of the priors of x.
     """
     share, axes = np.linalg.eigh(q)  # eigenvalues: share of the priors in each direction
     tested = 1.0 - share > CHECKED

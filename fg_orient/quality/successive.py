@@ -1,7 +1,7 @@
 """Suspects that a search would exclude one after the other, computed from one adjustment.
 
-Let e be the columns of the error of a suspect. In the linear model, residuals and cofactors of an adjustment
-without this suspect follow from those with it (Kok 1984)::
+Let e be the columns of the error of a suspect. In the linear model, residuals and cofactors of an
+adjustment without this suspect follow from the adjustment with it (Kok 1984)::
 
     v' = v - Q e (e^T Q e)^+ e^T v,     Q' = Q - Q e (e^T Q e)^+ e^T Q,     v^T v' = v^T v - T,     f' = f - d
 

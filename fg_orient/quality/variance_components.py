@@ -117,9 +117,9 @@ def _hold(s: Array, r: Array, held: list[str], keep: Sequence[bool], judge: bool
         if not (kept & free).any() and (sd[worst] < 1.0 or not judge):
             return free, inverse
         held[worst] = f"a redundancy of {r[worst]:.1f} leaves its variance uncertain by {100.0 * sd[worst]:.0f} %"
-        if kept[worst]:  # here redundancy and uncertainty refer to the given sigma
+        if kept[worst]:  # the redundancy of this component was computed with its given sigma
             held[worst] = (
-                f"estimated it would leave itself too little redundancy; at the given sigma it is {r[worst]:.1f}"
+                f"its redundancy would be too small with an estimated sigma; at the given sigma it is {r[worst]:.1f}"
             )
 
 

@@ -48,8 +48,8 @@ CAPTIONS: Final = {
     "reduced": "The same block with eliminated points, as the graph backend solves it. Squares: vectors of image "
                "unknowns; large dots: factors that hold a group of ground points with all their rays; small dots: "
                "priors and other factors. Circles, if any: ground points that an extra observation names.",
-    "tree": "Elimination (Bayes) tree. Each node is a clique: variables that are eliminated together, given those of "
-            "the nodes above. Squares contain image unknowns, circles only ground points.",
+    "tree": "Elimination (Bayes) tree. Each node is a clique: variables that are eliminated together, given the "
+            "variables of the nodes above. Squares contain image unknowns, circles only ground points.",
     "matrix": "Blocks of the factor R of the normal matrix in three elimination orders, and of the matrix of the graph "
               "of images. Blue: blocks of the normal matrix; orange: fill, blocks that only the factor has.",
 }  # fmt: skip

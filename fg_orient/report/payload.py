@@ -25,8 +25,8 @@ from fg_orient.result.record import Result
 LIMIT: Final = 200_000
 #: Maximum number of bytes of all points in the page, so that the whole page stays below 8 MB.
 BUDGET: Final = 6_500_000
-#: Maximum number of control and check points in the page. If there are more, it contains those with the
-#: largest differences and a sample.
+#: Maximum number of control and check points in the page. If there are more, the page contains the
+#: points with the largest differences and a sample.
 MOST_KNOWN: Final = 12_000
 #: Number of steps from the smallest to the largest coordinate.
 STEPS: Final = 2**24 - 1

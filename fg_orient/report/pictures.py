@@ -99,7 +99,7 @@ class Pictures:
     images : dict
         Pictures by image.
     chips : list of Chip
-        Chips of removed image points, then those of the largest residuals.
+        Chips of removed image points, then chips of the largest residuals.
     missing : dict
         Images without a picture, by reason.
     used : int
@@ -163,7 +163,7 @@ def _shown(result: Result) -> Iterator[str]:
 
 
 def worst_points(result: Result) -> list[Measured]:
-    """Return the image points of the chips: removed ones, then those with the largest residuals."""
+    """Return the image points of the chips: removed ones, then the points with the largest residuals."""
     removed = list[Measured]()
     gone = result.tables.get("outliers")
     if gone is not None:

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 
 
 SCHEMA_VERSION: Final = 1
-#: Maximum number of image points listed in the record; those with the smallest weights are listed.
+#: Maximum number of image points listed in the record; the points with the smallest weights are listed.
 MAX_NAMED: Final = 50
 #: Maximum number of singular values in the record; the smallest ones are kept.
 KEPT: Final = 1000

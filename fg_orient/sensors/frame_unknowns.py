@@ -56,7 +56,7 @@ _WORDS: Final = (
 
 
 def camera_parameters(camera: FrameCamera, only: tuple[str, ...] = ()) -> ImageParameters:
-    """Return the unknowns of a frame image by code: those with a prior sigma that are also in ``only``."""
+    """Return the unknowns of a frame image by code: all with a prior sigma that are also in ``only``."""
     codes = tuple(k for k, name in enumerate(NAMES) if name in camera.sigma and (not only or name in only))
     sigma = np.array([camera.sigma[NAMES[k]] for k in codes])
     names = tuple(NAMES[k] for k in codes)

@@ -73,7 +73,7 @@ class FramingCamera:
     angles_rad : (3,) array
         Right ascension, declination, twist, rad.
     mounting : (3, 3) array
-        Rotates the axes that the three angles give to camera axes.
+        Rotates the axes defined by the three angles to camera axes.
     inertial : (3, 3) array
         Rotates body-fixed axes to inertial axes.
     focal_mm : float

@@ -16,8 +16,8 @@ from fg_orient.sensors.initial import local_origin
 def with_angles(block: Block) -> Block:
     """Return the block with control points that are observed by longitude, latitude and radius.
 
-    These observations replace those of the coordinates. The standard deviations are
-    lengths along the three directions, m. Fixed points remain fixed.
+    These observations replace the observed coordinates. The standard deviations are lengths along the
+    three directions, m. Fixed points remain fixed.
     """
     known, origin, extra = block.points.known, local_origin(block.images), []
     rows = [j for j in block.points.where(Role.CONTROL).tolist() if not known.fixed[j]]

@@ -103,7 +103,7 @@ def test_mistaken_ids_are_named(block: Block) -> None:
     assert f"one control point under two ids: the image points of {b} show the place of {a}" in text
     assert "no doubt remains" in text
     text = named_mistake(fg.adjust(mended.with_coordinates_of(block, {a: b})))
-    assert f"point {a}: its coordinates are those of control point {b}" in text
+    assert f"point {a}: it has the coordinates of control point {b}" in text
     assert "no doubt remains" in text
 
 

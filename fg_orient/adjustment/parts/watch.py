@@ -61,7 +61,7 @@ class Watch:
 
     def _look(self) -> None:
         """Count the processes that have run, and start again those that dask does not restart any more."""
-        with suppress(RuntimeError):  # the dictionary changes at this moment
+        with suppress(RuntimeError):  # raised if the dictionary changes at this moment
             own = dict(self._cluster.workers)
             self._processes |= {one.pid for one in own.values() if one.pid}
             self.ended = max(len(self._processes) - self._workers, 0)

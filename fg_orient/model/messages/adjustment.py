@@ -362,8 +362,8 @@ solution.id_mix_up (doubt): {what}; their median misclosure is then {best_px:.3g
     {given_px:.3g} px
     + ; with this, sigma0 {before} -> {after}, and {left}
     -> give the right ids in the tables of points and image points
-solution.id_copied (doubt): its coordinates are those of control point {other}, and its image points lie {given_px:.3g}
-    px from there (median): the table contains one control point under two ids
+solution.id_copied (doubt): it has the coordinates of control point {other}, and its image points lie {given_px:.3g} px
+    from there (median): the table contains one control point under two ids
     + ; without its coordinates, sigma0 {before} -> {after}, and {left}
     -> give the coordinates of this point
 solution.no_inner_datum (warning): the control points define the datum, so inner constraints have no effect

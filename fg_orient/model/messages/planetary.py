@@ -76,7 +76,7 @@ csm.bands: only the model of a pushbroom image is divided into bands of columns
     -> write one file: omit <bands>
 csm.parameters: a state with parameters that are not zero is not read
     -> give a state in which the adjustment is applied to positions and quaternions
-csm.aircraft: the interpolation of aircraft is not read
+csm.aircraft: states of aircraft are interpolated in a way that this program does not support
     -> give the state of a satellite, m_platformFlag = 1
 csm.list: two or more records of {width} numbers in steps above zero are needed
     -> write the file again: it may be cut

@@ -56,8 +56,8 @@ rectify.positive: this must be a finite number above 0
     -> give it in {unit}
 rectify.numbers: give lists of the same length with at least one finite number
     -> check for missing values, nan and lists of different length
-rectify.sigma_absurd: the sigma is too small: coordinates of this size are stored to {least:.1g}, and the largest
-    sigma, {largest:.1g}, may be {span:.0e} times the smallest at most
+rectify.sigma_absurd: the sigma is too small: coordinates of this size have a resolution of {least:.1g}, and the largest
+    sigma, {largest:.1g}, may be at most {span:.0e} times the smallest sigma
     -> give sigmas of the size of the coordinates' errors, or none
 rectify.differences: differences must be finite numbers (n, 2)
     -> give one row per tested point: measured minus true, east and north

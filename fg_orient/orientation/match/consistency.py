@@ -1,8 +1,8 @@
 """Tests of matches: agreement with the heights of neighbours and with the y-parallax of the orientation.
 
-The y-parallaxes of wrong matches are uniformly distributed in the band, and their heights differ from those
-of neighbours. The shift and the slow change of the y-parallax over an image (the error of the orientation)
-form a polynomial, which is estimated robustly.
+The y-parallaxes of wrong matches are uniformly distributed in the band, and their heights differ from
+the heights of neighbours. The shift and the slow change of the y-parallax over an image (the error of
+the orientation) form a polynomial, which is estimated robustly.
 """
 
 from __future__ import annotations
