@@ -176,7 +176,7 @@ def page(rows: list[dict[str, Any]]) -> str:
         "",
         "## RMSE at check points by set, m",
         "",
-        "\\*: some runs without a result; –: more than half of them.",
+        "\\*: some runs have no result; –: more than half of the runs have no result.",
         "",
     ]
     for spread in SPREADS:

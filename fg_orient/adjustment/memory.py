@@ -288,7 +288,7 @@ def _may_be_parted(block: Block) -> bool:
 
 
 def reduced(block: Block, parts: Parts | None = None) -> tuple[Need, Block]:
-    """Estimate the memory of a block, and find what can be adjusted: in parts, then without statistics, then both.
+    """Estimate the memory of a block. If it is too large, try parts, then no statistics, then both.
 
     Statistics of every observation are left out only if the options allow it.
     """

@@ -69,7 +69,7 @@ class PointGroup:
     free : (n,) int array
         Their unknowns among the free ones.
     fold : (w,) int array or None
-        Column of each of ``wide`` among these n; None if both are the same.
+        Column among these n for each of the ``wide`` unknowns; None if both are the same.
     """
 
     number: int

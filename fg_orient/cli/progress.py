@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 #: Note when the first kernels are compiled and can be saved; below: note if they cannot be saved.
 COMPILING: Final = "compiling kernels, once per machine: up to about 15 s"
 COMPILING_IN_VAIN: Final = (
-    "compiling kernels, in this run and in each one, up to about 15 s: no folder for compiled code can be written; "
-    "set NUMBA_CACHE_DIR to a folder of yours"
+    "compiling kernels, up to about 15 s in this run and every later run: no folder for compiled code can be written; "
+    "set NUMBA_CACHE_DIR to a folder that you can write"
 )
 #: Function that receives a text, the number of finished steps, and the number of all steps (None: unknown).
 Show = Callable[[str, int, int | None], None]

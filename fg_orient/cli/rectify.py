@@ -207,7 +207,7 @@ def area(
         argument("OUTLINES", "CSV of vertices in order: easting_m,northing_m or lon_deg,lat_deg; optional: outline."),
     ],
     projection: Annotated[str, option("Projection of lon_deg, lat_deg: " + PROJECTIONS, "NAME|PROJ")] = "",
-    ellipsoid: Annotated[str, option("Ellipsoid of lon_deg, lat_deg, in PROJ.", "NAME")] = "WGS84",
+    ellipsoid: Annotated[str, option("PROJ's name of the ellipsoid of lon_deg, lat_deg.", "NAME")] = "WGS84",
     pixel_size: Annotated[float | None, option("Pixel size, to compute the area by counting pixels.", "M")] = None,
 ) -> None:
     """Compute area and perimeter of outlines, in the plane, on the ellipsoid and by count of pixels."""

@@ -298,7 +298,7 @@ def _show_check(record: dict[str, Any]) -> None:
     say(f"heights {record['heights_m'][0]:g} .. {record['heights_m'][1]:g} m: smallest denominators "
         f"{number(below['least_line'], 5)} (line), {number(below['least_sample'], 5)} (sample)")  # fmt: skip
     used = ", ".join(f"{name} {value:.3f}" for name, value in record["extrapolation"].items())
-    say(f"used of the model's range: {used}")
+    say(f"used part of the model's range: {used}")
     points, other = record["points"], record["against"]
     rows = [("image to ground to image", record["image_to_ground"])]
     if points is not None:

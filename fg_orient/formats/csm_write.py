@@ -41,7 +41,7 @@ MARGIN: Final = MAX_SAMPLES // 2
 #: Rotation from the body axes to axes with x right, y backward, z down.
 TURNED: Final = np.diag([1.0, -1.0, -1.0])
 _PARAMETERS: Final = 16
-#: Largest height and depth above the ellipsoid that a state states, m.
+#: A state gives these limits for heights above the ellipsoid and depths below it, m.
 REACH_M: Final = 10_000.0
 
 

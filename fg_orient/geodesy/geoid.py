@@ -128,7 +128,7 @@ class GeoidFile:
             raise InputError.of("geoid.unreadable", file=self.path, value=error) from error
 
     def undulation_m(self, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> Array:
-        """Return the undulations of N points (N,), degrees.
+        """Return the undulations (N,), m, at N points given in degrees.
 
         Raises
         ------

@@ -1,8 +1,9 @@
 """Differences between the authors' program and the published equations, as switches, and the program's own equations.
 
 The program (public, 2013) differs from the equations of Topan & Maktav (2010) and Terlemezoğlu (2019) in the points
-below. D8 is inferred from its numbers. Each difference has its own switch, so that its effect can be shown separately;
-docs/program-as-run.md uses the same labels D1 to D8. ``TEXT`` has no differences, ``PROGRAM`` has all.
+below. D8 is inferred from the numbers of the program. Each difference has its own switch, so that its
+effect can be shown separately; docs/program-as-run.md uses the same labels D1 to D8. ``TEXT`` has no
+differences, ``PROGRAM`` has all.
 
 Some equations differ from the kernel. The program computes ``X = V/|V| x Z`` without normalisation, and ``Y = Z x X``,
 so both have the length ``s = sin(V, Z)``. With the orthonormal frame R, ``D = diag(s, s, 1)``, attitude U and mounting

@@ -219,7 +219,7 @@ parallel.version: the worker has another version of fg_orient than {written}
 parallel.killed: several workers ended while they computed the same part
     -> check the memory of the workers: use fewer workers, or more parts (a checkpoint needs the same parts)
 parallel.replaced: worker processes ended again and again, so they are no longer replaced
-    -> check their memory and what ends them; use fewer workers; then continue with <resume>
+    -> check their memory, and find out why they end; use fewer workers; then continue with <resume>
 parallel.start: worker processes ended while they started, {count} times
     -> check memory and the limit of processes, or use fewer workers
 parallel.lost: the cluster has ended or no longer answers

@@ -63,7 +63,7 @@ dimap.other_format: this is not a DIMAP product file that can be read
        PHRDIMAP
 dimap.other_version: this version of DIMAP is not read
     -> needed: DIMAP 1.1 (SPOT 1-5) or DIMAP 2.x (Pléiades 1A/1B, SPOT 6/7); newer missions: use their RPC
-dimap.other_mission: the rigorous model of this mission is not read
+dimap.other_mission: this program cannot read the rigorous model of this mission
     -> needed: SPOT 1-7 or Pléiades 1A/1B; other missions: use their RPC
 dimap.other_level: the image is resampled, so the file does not contain its viewing model
     -> needed: level 1A (SPOT 1-5) or the sensor product (profile PHR_SENSOR, S6_SENSOR, S7_SENSOR; PHR_DIMAP of level

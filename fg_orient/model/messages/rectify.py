@@ -127,7 +127,7 @@ rectify.no_check (warning): there are no check points: residuals of control poin
     points
 rectify.hardly_checked (warning): the other points hardly check these points (redundancy below {limit}): {points:40}
 rectify.little_reach (warning): the control points have a small extent along {direction}: the scale in this direction
-    is {ratio:.0f} times less accurate, {percent:.2g} %
+    is {ratio:.0f} times less accurate; its standard deviation is {percent:.2g} %
 rectify.hardly_determined (warning): the points hardly determine the transformation: condition number {condition:.2g},
     usually {typical:g}. The points are close to {what} of this transformation
 rectify.sigma_size (warning): the residuals are {m0:.2g} times as large as the sigmas: check unit and size of the
