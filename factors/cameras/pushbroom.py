@@ -10,7 +10,7 @@ For an image point measured at (line, sample) of ground point G (docs/equations.
 
 P, V and the attitude a = (roll, pitch, yaw) are metadata plus ``c0 + c1 tau + c2 tau^2`` of each of
 the 9 components (27 EOP coefficients); R_OG(P, V) is the orbital frame of convention B, R_UY(a) the
-attitude, M a constant mounting of the line; psi_x, psi_y are look angles plus ``sum b_k s^k``.
+attitude, M a constant mounting of the line. psi_x, psi_y are look angles plus ``sum b_k s^k``.
 
 Angles (DIMAP v1): a = file + correction, M = I, R_OG follows the corrected P and V. Quaternions
 (DIMAP v2): a = correction, M = R_OG^T R_q with R_OG of the metadata: R_OG R_UY(a) R_OG^T R_q.

@@ -79,11 +79,11 @@ def with_best_rays(problem: Problem, state: State, limits: tuple[float, float]) 
 def sharing(problem: Problem, state: State, weights: Weights) -> Weights | None:
     """Give rivals the weight of the down-weighted ray; return None if there are no rivals.
 
-    A loss keeps the rays that fit best and down-weights the other rays. A kept ray and a
-    down-weighted ray are rivals under two conditions: the point fits nearly as well if
-    the two are exchanged, and it fits far worse with both. One of them is wrong, but the
-    data do not show which one. An example is a pair of nearly parallel rays with an error along their
-    plane. Both rays of the pair are then down-weighted, like the rays of a point with two rays.
+    A loss keeps the rays that fit best and down-weights the other rays. A kept ray and a down-weighted
+    ray are rivals under two conditions. The point fits nearly as well if the two are exchanged, and it
+    fits far worse with both. One of them is wrong, but the data do not show which one. An example is a
+    pair of nearly parallel rays with an error along their plane. Both rays of the pair are then
+    down-weighted, like the rays of a point with two rays.
 
     Parameters
     ----------

@@ -9,9 +9,9 @@ border. Then
     A^T A = L L^T,    W = L^-1 A^T C,    S = sum (C^T C - W^T W),    x_i = -L^-T (L^-1 g_i + W x_b)
 
 with the gradient g_i of the image and the step x_b of the border. S has the unknowns of
-the border only, for any number of images. If few points are seen in many images, this
-needs only a small part of the work of an elimination of points, which would leave the
-unknowns of all images (:mod:`fg_orient.adjustment.border`).
+the border only, for any number of images. An elimination of points would leave the unknowns of all
+images (:mod:`fg_orient.adjustment.border`). If few points are seen in many images, the elimination of
+images needs much less work.
 """
 
 from __future__ import annotations

@@ -1,11 +1,10 @@
 """Linear rows of the image unknowns as observations: penalties of a regularisation, or directions held fixed.
 
 A row r of the total deviation x of the image unknowns from the metadata is the
-observation ``r x = 0``. Every backend adds it like another observation of images: the
-dense backend as rows, the Schur backend as ``R^T R`` of the reduced matrix with the
-gradient ``R^T R x``, the graph as a factor. All backends therefore solve the same
-equations. Rows of one image are an observation of this image, so that the reduced system
-stays sparse.
+observation ``r x = 0``. Every backend adds it like another observation of images. The dense backend
+adds rows, the graph adds a factor, and the Schur backend adds ``R^T R`` to the reduced matrix, with the
+gradient ``R^T R x``. All backends therefore solve the same equations. Rows of one image are an
+observation of this image, so that the reduced system stays sparse.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Compute approximate relative orientations of two photos in closed form from tangents (n, 4) of common points.
 
-An orientation consists of the rotation R from the axes of the first camera to the axes of the second,
-and of the base b in axes of the first. The essential matrix ``G = R [b]x`` fulfils ``d2^T G d1 = 0``
-for the rays d1, d2 of a point.
+An orientation consists of a rotation R and a base b. R rotates the axes of the first camera to the axes
+of the second; b is given in axes of the first camera. The essential matrix ``G = R [b]x`` fulfils
+``d2^T G d1 = 0`` for the rays d1, d2 of a point.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Frame images with cameras, poses, points and image points, as bundle-adjustment programs exchange them.
 
 A :class:`FrameModel` contains the data of a COLMAP text model, or of a file of Bundler or
-BAL. A model has the conventions of ``fg_orient.sensors.frame``: a camera looks along +Z, and Y points down;
-(0, 0) is the centre of the first pixel; coordinates refer to a local Cartesian system in metres or
+BAL. A model has the conventions of ``fg_orient.sensors.frame``: a camera looks along +Z, Y points down,
+and (0, 0) is the centre of the first pixel. Coordinates refer to a local Cartesian system in metres or
 another unit. :func:`frame_block` converts the model to a block for an adjustment.
 """
 

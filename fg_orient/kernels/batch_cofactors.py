@@ -11,10 +11,10 @@ instead of all columns of its image. For the adjusted image point of ray a and i
     C_a = sum_b G_b^T T_ba,     R_a = Q_point G_a^T - H^-1 C_a
     F_a = T_aa + G_a R_a - (G_a H^-1 C_a)^T
 
-F_a is the cofactor matrix ``A_a N^-1 A_a^T`` of the adjusted observation (A_a = [J_a G_a]), I - F_a the cofactor
-matrix of the residual; R_a is the part of ``N^-1 A_a^T`` that belongs to the ground point. For the
-image i of the ray, this part is U_a: a whitened error e of the image point changes the unknowns of the
-image by U_a e::
+F_a is the cofactor matrix ``A_a N^-1 A_a^T`` of the adjusted observation (A_a = [J_a G_a]), I - F_a the
+cofactor matrix of the residual. R_a is the part of ``N^-1 A_a^T`` that belongs to the ground point. For
+the image i of the ray, this part is U_a: a whitened error e of the image point changes the unknowns of
+the image by U_a e::
 
     U_a = sum_b Q_i,i(b) J_b^T (delta_ab I - G_b H^-1 G_a^T)
 

@@ -6,13 +6,13 @@ At each pixel u of the window, counted from its centre::
     v(u) = r0 + r1 g(q + A u) - f(u)
 
 The unknowns are q (line, sample of the window's centre in the second image), the radiometric r0, r1, and
-parameters of A. Without a sensor model these are all elements of A. With a sensor model, A = A0 + e s^T: e is
-the direction of the epipolar line, and the unknown s is the change of the parallax along the window (the
-slope of the ground). For curved ground, terms of second order in u are added along e. Weights are Gaussian
-about the centre. The covariance of q is the least-squares covariance, s0^2 (J^T P J)^-1, with s0^2 = v^T P v
-/ (n - u). It includes the noise and the texture (Förstner 1982), but neither correlations of the noise nor
-errors of the model. Therefore callers multiply it by an estimated factor. Pixels are (line, sample) with
-(0, 0) = centre of the first pixel of the arrays.
+parameters of A. Without a sensor model these are all elements of A. With a sensor model, A = A0 + e
+s^T. Here e is the direction of the epipolar line, and the unknown s is the change of the parallax along
+the window (the slope of the ground). For curved ground, terms of second order in u are added along e.
+Weights are Gaussian about the centre. The covariance of q is the least-squares covariance, s0^2 (J^T P
+J)^-1, with s0^2 = v^T P v / (n - u). It includes the noise and the texture (Förstner 1982), but neither
+correlations of the noise nor errors of the model. Therefore callers multiply it by an estimated factor.
+Pixels are (line, sample) with (0, 0) = centre of the first pixel of the arrays.
 """
 
 from __future__ import annotations

@@ -4,10 +4,10 @@ Effort is measured as processor time and rise of the resident memory (:func:`mea
 
 Two properties of memory slow an adjustment. First, a graph of thousands of factors produces no garbage, but
 each garbage collection takes 7 us per factor. Second, each elimination of a graph frees megabytes of small
-blocks. By default glibc returns memory to the system as soon as 128 KiB at the end of its heap are free, and
-requests it again page by page in the next iteration. Without :func:`calm_memory` an elimination of 3 000
-image points takes twice as long, and the cost per image point differs between small and large blocks
-(measured with benchmarks/graph_cost.py).
+blocks. By default glibc returns memory to the system as soon as 128 KiB at the end of its heap are
+free. In the next iteration it requests this memory again, page by page. Without :func:`calm_memory` an
+elimination of 3 000 image points takes twice as long, and the cost per image point differs between
+small and large blocks (measured with benchmarks/graph_cost.py).
 """
 
 from __future__ import annotations
@@ -95,8 +95,9 @@ _BLAS_ROWS: Final = 160
 def reserve_blas() -> None:
     """Let numpy's and scipy's OpenBLAS take their work space now, in a process whose address space is limited.
 
-    OpenBLAS keeps this space. If it needs it and there is none, it asks the system again and again, without end
-    (``blas_memory_alloc``): a run with 600 MB hung in the Cholesky factorisation of the normal equations.
+    OpenBLAS keeps this space. If OpenBLAS needs the space later and none is available, it repeats its
+    request without end (``blas_memory_alloc``). For example, a run with 600 MB did not end its Cholesky
+    factorisation of the normal equations.
 
     Raises
     ------

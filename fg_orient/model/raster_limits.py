@@ -1,9 +1,8 @@
 """Check the limits of a raster after GDAL has opened its file and before it decodes a pixel.
 
-To open a file, GDAL reads its directories. To read one pixel, GDAL allocates the table of
-all blocks and decodes a whole block: a file of 274 bytes that states 2^31 lines and
-samples took 8.6 GB and 29 s, a strip of 1.6 GB of zeros in 1.6 MB took 1.6 GB (GDAL
-3.10).
+To open a file, GDAL reads its directories. To read one pixel, GDAL allocates the table of all blocks
+and decodes a whole block. Two examples (GDAL 3.10): a file of 274 bytes that states 2^31 lines and
+samples took 8.6 GB and 29 s; a strip of 1.6 GB of zeros, compressed to 1.6 MB, took 1.6 GB.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """Earlier result as start values of an adjustment, and as prior with its full covariance.
 
-The prior is one linear observation of all common unknowns x, of images and ground points together. With the
-adjusted values x_1 and the joint cofactors Q = L L^T of the earlier result it has the information
-``Q^-1 - P`` and the same gradient as the earlier adjustment. P is the information of earlier observations
-that this block contains again: priors of the images (x = 0) and control coordinates. It is subtracted,
-because these observations would otherwise count twice. From the eigenvalues 1 - w and the eigenvectors V of
-``L^T P L`` follows the whitened residual ::
+The prior is one linear observation of all common unknowns x, of images and ground points together. Let
+x_1 be the adjusted values and Q = L L^T the joint cofactors of the earlier result. The observation has
+the information ``Q^-1 - P`` and the same gradient as the earlier adjustment. P is the information of
+earlier observations that this block contains again: priors of the images (x = 0) and control
+coordinates. It is subtracted, because these observations would otherwise count twice. From the
+eigenvalues 1 - w and the eigenvectors V of ``L^T P L`` follows the whitened residual ::
 
     W^T L^-1 (x - x_1) - c,    W = V sqrt(w),    c = V^T L^T P (x_1 - x_0) / sqrt(w)
 

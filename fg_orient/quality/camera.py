@@ -2,11 +2,11 @@
 
 A shift of the principal point together with a rotation has nearly the same effect as decentring distortion.
 On parallel photos of a flat object, a change of the principal distance together with the distance from the
-object has nearly no effect. The sums of these effects are determined, but not the single values: the standard
-deviation of each is ``1 / sqrt(1 - rho^2)`` times as large as with the other parameters held fixed. Two
-correlations are computed for each camera. The first is the multiple correlation rho of x0 or y0 with p1 and
-p2 together. The second is the correlation of c with the projection centre along the view, as the median over
-the photos.
+object has nearly no effect. The sums of these effects are determined, but not the single values. The
+standard deviation of each is ``1 / sqrt(1 - rho^2)`` times as large as with the other parameters held
+fixed. Two correlations are computed for each camera. The first is the multiple correlation rho of x0 or
+y0 with p1 and p2 together. The second is the correlation of c with the projection centre along the
+view, as the median over the photos.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
 """Tests of differences at check points with their joint covariance C: trend, and number of large differences.
 
-The errors of the orientation are common to all check points, so their differences are correlated. Therefore
-two usual tests give false alarms in too many blocks: Student's test of the mean against the scatter, and the
-test of the number of large differences by the binomial distribution. Bias, drift and tilt are estimated by
-generalised least squares instead, and the number is compared with numbers simulated from C.
+The errors of the orientation are common to all check points, so their differences are correlated.
+Therefore two usual tests give false alarms in too many blocks. They are Student's test of the mean
+against the scatter, and the test of the number of large differences by the binomial distribution. Bias,
+drift and tilt are estimated by generalised least squares instead, and the number is compared with
+numbers simulated from C.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
 """Find jitter: test against no jitter, choose resolution and strength by restricted likelihood, compute bands.
 
 1. The statistic of an angle that has no curve yet is the largest gain of log likelihood over all numbers of intervals
-   and strengths. The statistic of a step is the largest of all angles. Its distribution
-   without further jitter is simulated in the linear model, with the same choices
-   (parametric bootstrap), so that a step finds jitter that does not exist with
-   probability :data:`LEVEL` only.
+   and strengths. The statistic of a step is the largest of all angles. Its distribution without further
+   jitter is simulated in the linear model, with the same choices (parametric bootstrap). A step
+   therefore finds jitter that does not exist only with the probability :data:`LEVEL`.
 2. The best curve is added if the test rejects, and all strengths and resolutions are optimised in turn. Images have one
    resolution for roll and pitch. Steps are repeated until the test does not reject.
 3. A band contains the uncertainty of strength and resolution: models with other values are weighted by their likelihood

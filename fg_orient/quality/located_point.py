@@ -1,8 +1,8 @@
 """Location of points with the adjusted orientation, with covariance from measurement, orientation and height.
 
-The whitened rows of the image points at the located point, ``e + J dx + G dX = 0``, are solved for dX; a point of one
-image has a third row, the height (or the slope of the DEM). With B the inverse or, for several images, the
-pseudo-inverse ``(G^T G)^-1 G^T``::
+The whitened rows of the image points at the located point, ``e + J dx + G dX = 0``, are solved for dX.
+A point of one image has a third row for the height (or the slope of the DEM). With B the inverse or,
+for several images, the pseudo-inverse ``(G^T G)^-1 G^T``::
 
     C = B (I + J C_x J^T) B^T
 

@@ -1,8 +1,9 @@
 """Mistakes that move points by thousands of pixels, found from the start values.
 
-An adjustment with one of these mistakes ends far from the solution, where a linearised test has no meaning. The control
-points are therefore projected with the orientation of the metadata, and another reading of the tables, or the
-coordinates of another control point, must fit ten times better (median distance).
+An adjustment with one of these mistakes ends far from the solution, where a linearised test has no
+meaning. The control points are therefore projected with the orientation of the metadata. Another
+reading of the tables, or the coordinates of another control point, must fit ten times better (median
+distance).
 """
 
 from __future__ import annotations

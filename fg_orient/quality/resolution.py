@@ -4,9 +4,10 @@ With the reduced normal matrix N of the image unknowns, P of their priors and th
 
     Q = (N + P + R^T R)^-1,   x = Q A^T l,   resolution Q N,   bias -Q R^T R x,   variance Q (N + P) Q
 
-all in prior sigmas. The resolution of an unknown is the change of its estimate if its true value changes by one unit: 1
-if the observations alone determine it, 0 if priors or penalty do. Its matrix has eigenvalues in [0, 1]; their sum is
-the number of unknowns that the observations determine.
+all in prior sigmas. The resolution of an unknown is the change of its estimate if its true value
+changes by one unit. It is 1 if the observations alone determine the unknown, and 0 if priors or penalty
+determine it. Its matrix has eigenvalues in [0, 1]; their sum is the number of unknowns that the
+observations determine.
 
 The bias needs the true x. The *plug-in* bias uses the estimate instead, and is too small. In directions that
 no observation determines the bias cannot be estimated. Its bound for a true deviation of one prior sigma is

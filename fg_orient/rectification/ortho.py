@@ -84,8 +84,9 @@ def orthorectify(
     bounds : left, bottom, right, top, optional
         Default: common ground of image and surface.
     nodata : float, optional
-        Value of empty pixels, which the type of the image must be able to store; default the nodata value of the image
-        if it can be stored, else 0 (whole numbers; grey values equal to it become the next value) or nan.
+        Value of empty pixels, which the type of the image must be able to store; default: the nodata
+        value of the image if it can be stored. Otherwise nan, or for whole numbers 0; grey values equal
+        to 0 then become the next value.
     options : OrthoOptions, optional
     overwrite : bool
         Replace an existing file once the new one is complete.

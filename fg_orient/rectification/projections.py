@@ -5,10 +5,9 @@ refer to the ellipsoid or sphere of the projection. Several definitions of İpb�
 have no EPSG code. For example, a geodetic latitude is used as a spherical latitude.
 
 Areas are also counted in pixels (İpbüker 1994, section 7.2). A pixel belongs to an
-outline if its centre lies inside. Over random positions and orientations of the grid the
-mean of the count is the area; its standard deviation is about ``sqrt(0.0728 L h^3)`` for
-a perimeter L and pixels of size h (Kendall's problem of lattice points, for outlines
-without preferred direction).
+outline if its centre lies inside. Over random positions and orientations of the grid, the mean of the
+count is the area. The standard deviation of the count is about ``sqrt(0.0728 L h^3)`` for a perimeter L
+and pixels of size h (Kendall's problem of lattice points, for outlines without preferred direction).
 """
 
 from __future__ import annotations

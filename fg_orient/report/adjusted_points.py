@@ -2,8 +2,9 @@
 
 These are the tie and check points of an adjustment. They check the orientation; they are not a dense surface
 model. Coordinates are in the CRS and above the zero level of the project's point table; without one, in UTM
-(WGS 84) with ellipsoidal heights. Standard deviations and covariances are the same as in the tables of the
-result: East, North, Up in the tangent plane of the point, in the scale that the column ``sigma_scale`` names.
+(WGS 84) with ellipsoidal heights. Standard deviations and covariances are the same as in the tables of
+the result. They refer to East, North, Up in the tangent plane of the point, in the scale that the
+column ``sigma_scale`` names.
 """
 
 from __future__ import annotations

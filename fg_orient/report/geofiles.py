@@ -226,9 +226,9 @@ def points(table: Table) -> Layer:
 def error_vectors(table: Table, scale: float | None) -> Layer:
     """Return the layer of horizontal differences adjusted minus measured, enlarged, starting at the adjusted point.
 
-    The end of a vector is in the tangent plane of the point, projected onto the ellipsoid: the azimuth is the azimuth
-    of the difference, and the relative error of the length is 1e-5 up to 30 km. Default scale: a large error is well
-    visible.
+    The end of a vector is in the tangent plane of the point, projected onto the ellipsoid. The azimuth
+    is the azimuth of the difference, and the relative error of the length is 1e-5 up to 30 km. Default
+    scale: a large error is well visible.
     """
     place, enu = table.numbers("lon_deg", "lat_deg"), table.numbers(*(f"difference_{a}" for a in ENU))
     rows = np.flatnonzero(np.isfinite(np.hstack([place, enu[:, :2]])).all(axis=1))

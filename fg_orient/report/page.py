@@ -1,8 +1,8 @@
 """Common parts of all HTML reports: environment of the templates, and the only script with its hash.
 
-A page is one file that needs no other file: the content security policy of
-``templates/base.html.j2`` forbids every source but inline styles, pictures inside the page, and the script whose hash
-it names. A report is readable without that script.
+A page is one file that needs no other file. The content security policy of ``templates/base.html.j2``
+allows only inline styles, pictures inside the page, and the script whose hash it names. A report is
+readable without that script.
 """
 
 from __future__ import annotations

@@ -6,9 +6,9 @@ equations with them. The publications describe their methods in words only; each
 states the implemented method. A file that calls :func:`register_selection` adds a method.
 
 Selections use the linear form without its affine part. The affine unknowns (constant and
-linear terms of the numerators) are always kept; they are eliminated by QR. The result is
-an ordinary regression A x = l in the coefficients beyond the affine part, with columns
-orthogonal to the affine columns, so that a penalty |x| is in standard form (Eldén 1977).
+linear terms of the numerators) are always kept; they are eliminated by QR. The result is an ordinary
+regression A x = l in the coefficients beyond the affine part. Its columns are orthogonal to the affine
+columns, so a penalty |x| is in standard form (Eldén 1977).
 """
 
 from __future__ import annotations

@@ -91,9 +91,8 @@ class FrameCamera:
     further : mapping
         Values of further coefficients by name (:data:`FURTHER`): shear, fisheye lens,
         affinity, Brown's additional parameters, alternative terms. The equation is
-        ``factors.cameras.frame_extended`` if one of these is a value or an unknown, if
-        one of the next five arguments is given, or if there is an aspect from ideal to
-        measured coordinates.
+        ``factors.cameras.frame_extended`` in three cases: one of these is a value or an unknown, one of
+        the next five arguments is given, or there is an aspect from ideal to measured coordinates.
     is_fisheye : bool
         Fisheye projection (Kannala, Brandt 2006; OpenCV).
     lines_up : bool

@@ -5,7 +5,7 @@ conditions F_y, F_x are the conditions of the observation equation. Therefore ev
 look angles) is included. Their derivatives are differences over half a pixel to both sides. Attitudes
 and look angles are piecewise linear, and a pixel may contain a knot. For this reason, up to 30 steps
 are needed. The iteration ends when steps are below 1e-9 px, or below 1e-6 px if they no longer become
-smaller: a time of day has 11 digits after rounding, which is 1e-8 px.
+smaller. The reason is rounding: a time of day has 11 digits, which is 1e-8 px.
 
 Lines are evaluated only inside the image. For a point outside, line and sample are
 extrapolated linearly from the border. They are nan if the satellite cannot see the point,

@@ -1,7 +1,7 @@
 """Synthetic blocks in the real file formats, with their truth.
 
-``simulate_zonguldak`` writes the SPOT-5 stereo twin of the published experiments,
-``simulate_block`` a block of any size, ``simulate_mixed`` one of three kinds of sensors; ``zonguldak_block``,
+``simulate_zonguldak`` writes the SPOT-5 stereo twin of the published experiments. ``simulate_block``
+writes a block of any size, ``simulate_mixed`` a block of three kinds of sensors. ``zonguldak_block``,
 ``grid_block`` and ``mixed_block`` give the same blocks in memory.
 """
 

@@ -1,9 +1,9 @@
 """Writer of a simulated block in the real file formats, with its truth.
 
-Metadata of each image (DIMAP 1.1, RPC, frame files), tables ``points`` and
-``observations``, ``project.toml``; in ``truth/`` the error-free ``points``, ``eop`` (true
-minus metadata), ``jitter`` if simulated, and ``options.json``, which the adjustment never
-reads. The folder is written completely or not at all.
+The folder contains metadata of each image (DIMAP 1.1, RPC, frame files), tables ``points`` and
+``observations``, and ``project.toml``. ``truth/`` contains the error-free ``points``, ``eop`` (true
+minus metadata), ``jitter`` if simulated, and ``options.json``; the adjustment never reads it. The
+folder is written completely or not at all.
 """
 
 from __future__ import annotations

@@ -16,8 +16,9 @@ degrees, pixel 5 m). The mirror turns the line of sight across track::
 
     psi_y(sample) = mirror + arctan((sample - 5999.5) 6.5e-6 / 1.082),   psi_x = 0
 
-With u1 = (-tan psi_y, tan psi_x, -1) and X to the right of the flight direction, a negative mirror angle looks to the
-right (west on a descending pass), and samples increase from right to left (west to east), as in the real SPOT-5 file.
+With u1 = (-tan psi_y, tan psi_x, -1) and X to the right of the flight direction, a negative mirror
+angle looks to the right (west on a descending pass). Samples increase from right to left (west to
+east), as in the real SPOT-5 file.
 
 Errors are polynomials in tau = (line - c)/c, c = (NROWS - 1)/2. The metadata contain *true minus error* at all epochs
 of ephemeris and attitude, including those far from the image.

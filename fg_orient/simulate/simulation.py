@@ -1,8 +1,8 @@
 """Simulated images, ground points and image points with their truth; fast projection of many points.
 
-Truth is exact in the model of the adjustment: the sensor **as read from the metadata file**, with the correction *true
-minus metadata*, projects the true points, and noise is added afterwards. With true unknowns every noise-free condition
-is therefore zero.
+Truth is exact in the model of the adjustment. The sensor **as read from the metadata file**, with the
+correction *true minus metadata*, projects the true points. Noise is added afterwards. With true
+unknowns every noise-free condition is therefore zero.
 
 ``PushbroomSensor.project`` needs about 25 evaluations of the conditions per point: it starts at the image centre and
 computes derivatives by differences at each step. :class:`QuickProjection` starts from polynomials of the ground

@@ -10,9 +10,9 @@ interest (float32), polarity (one byte), octave, scale level (uint32), length of
 the first pixel.
 
 This layout comes from a description. No file of the program was available, so the format
-is unverified. The reader therefore checks conditions that a wrong layout would violate:
-the two numbers are equal, a polarity is 0 or 1, pixels are finite and near their rounded
-values, and no byte remains at the end.
+is unverified. The reader therefore checks conditions that a wrong layout would violate. The two numbers
+are equal, a polarity is 0 or 1, pixels are finite and near their rounded values, and no byte remains at
+the end.
 
 Multi-image tie points of MicMac are a folder with a table ``PMUL-IMAGE.csv`` for each
 image. Its columns are Pt.x, Pt.y, Id.

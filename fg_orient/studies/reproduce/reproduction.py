@@ -329,11 +329,11 @@ def shuffled(cells: Sequence[PublishedCell], seed: int) -> tuple[PublishedCell, 
 def baseline(cells: Sequence[PublishedCell], judges: Mapping[CellKey, Judge], n: int = SHUFFLES) -> Baseline:
     """Compare exchanged values: within a table, printed values are exchanged among cells of the same role.
 
-    If exchanged values get a verdict as often as the true values, the verdict only shows
-    that the quantity has this size in the table, not that the cell has this value
-    (docs/reproduce.md). The role consists of table, quantity, coefficient, axis, point
-    set and type. EOP sets, images and solvers are exchanged; in tables without these,
-    rows are exchanged. Computed values are not exchanged.
+    If exchanged values get a verdict as often as the true values, the verdict only shows that the
+    quantity has this size in the table. It does not show that the cell has this value
+    (docs/reproduce.md). The role consists of table, quantity, coefficient, axis, point set and type.
+    EOP sets, images and solvers are exchanged; in tables without these, rows are exchanged. Computed
+    values are not exchanged.
 
     Parameters
     ----------
