@@ -1,8 +1,8 @@
 """Kernels: functions that numba compiles as a whole at their first call, and stores with a digest of their sources.
 
-Plain numba makes separate machine code for each function that a kernel calls, again for each caller, and never
-uses it. This takes half the time of a first run. Here a function that kernels call is a *part*: it is translated
-once and linked into the kernels. A kernel and its parts become machine code once.
+Plain numba makes unused machine code for each function that a kernel calls, again for each caller. This
+takes half the time of a first run. Here a function that kernels call is a *part*: it is translated once
+and linked into the kernels. A kernel and its parts become machine code once.
 
 This module extends internal classes of numba, which may change; therefore pyproject.toml limits the version of numba.
 """

@@ -38,7 +38,8 @@ from fg_orient.result.manifest import MANIFEST_FILE, checked_record, is_made_by
 
 Charts = Sequence[Chart | None]
 
-#: Maximum number of photos and cameras on a page, and of photos on paper. Those with the most image points are shown.
+#: Maximum number of photos and cameras on a page, and of photos on paper. Photos with the most image
+#: points are shown.
 MAX_PHOTOS: Final = 16
 FEW_PHOTOS: Final = 6
 #: Maximum number of vectors of one photo.

@@ -287,7 +287,8 @@ def _wide(part: PointRows, p: int, residual: Array, moves: Array, tau: Array) ->
         turned = np.swapaxes(part.basis[begin : begin + step], 1, 2)
         out = np.zeros((len(rows), q, p + n_angles * _F + 1))
         place = np.arange(len(rows))[:, None, None], np.arange(q)[None, :, None], columns[:, None, :]
-        np.add.at(out, place, part.reduced[begin : begin + step])  # surplus columns repeat the first one, with zeros
+        # additional columns contain zeros and have the place of the first one
+        np.add.at(out, place, part.reduced[begin : begin + step])
         out[:, :, p:-1] = turned @ splines
         out[:, :, -1] = -(turned @ residual[rows][:, :, None])[:, :, 0]
         yield out.reshape(-1, out.shape[2]), splines

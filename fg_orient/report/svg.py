@@ -110,7 +110,7 @@ class _Drawing:
     def _dots(self, mark: Mark) -> None:
         ink, at = INKS[mark.kind], self._at(mark)
         sizes = [ink.radius] * len(at) if mark.sizes is None else mark.sizes.tolist()
-        # a point of a line with round ends needs a quarter of the text of a circle
+        # a line of length zero with round ends looks like a circle and needs a quarter of its text
         tiny = mark.sizes is None and mark.kind == TINY
         symbols = [f"M{x:.1f} {y:.1f}h0" if tiny else symbol(ink.marker, x, y, r)
                    for (x, y), r in zip(at, sizes, strict=True)]  # fmt: skip

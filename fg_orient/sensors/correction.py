@@ -49,7 +49,7 @@ class HeightSurface(Protocol):
 
 @dataclass(frozen=True)
 class Wave:
-    """Sine wave of one EOP over the lines of an image, as simulated jitter has it.
+    """Sine wave of one EOP over the lines of an image, used for simulated jitter.
 
     The value at tau is ``amplitude sin(pi cycles (tau + 1) + phase)``: ``phase`` is its
     phase at the first line.

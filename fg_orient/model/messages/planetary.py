@@ -28,7 +28,7 @@ pvl.missing: this value is missing
     -> add it
 pvl.numbers: {count} finite number(s) expected
     -> correct the value
-pvl.end: no object or group is open that this could end
+pvl.end: this statement ends an object or group that was not begun
     -> remove it, or add the beginning
 pvl.statement: this is neither a statement "name = value" nor the end of an object or group
     -> correct the line; a text with blanks needs quotes
