@@ -33,8 +33,9 @@ from fg_orient.adjustment.rows import linearised, residuals, summed
 #: which one is wrong. With more than twelve rays, most of them agree.
 FEWEST: Final = 3
 MOST: Final = 12
-#: Number of steps of an intersection; below: the largest step, m. Nearly parallel rays do not intersect.
+#: Number of steps of an intersection.
 STEPS: Final = 5
+#: Largest step of an intersection, m. Nearly parallel rays do not intersect.
 FARTHEST_M: Final = 1e5
 #: The steps after an intersection use the observations within these multiples of the limit.
 WIDTHS: Final = (2.0, 1.0, 1.0)

@@ -46,13 +46,13 @@ if TYPE_CHECKING:
 #: Unknowns of a frame image that a constraint between images depends on.
 CENTRE: Final = ("centre_x", "centre_y", "centre_z")
 ROTATION: Final = ("rotation_x", "rotation_y", "rotation_z")
-#: Minimum sigma of a constraint in the first adjustment; below: sigma of a hard
-#: constraint afterwards. The unit is the smallest sigma of its points with the images
-#: held fixed. With a smaller sigma at the start, the cost function would be a narrow
-#: curved valley. An observed constraint keeps its own sigma if it is not far below the
-#: sigma of the points.
+#: Minimum sigma of a constraint in the first adjustment. The unit is the smallest sigma of its points
+#: with the images held fixed. With a smaller sigma at the start, the cost function would be a narrow
+#: curved valley. An observed constraint keeps its own sigma if it is not far below the sigma of the
+#: points.
 FIRST: Final = 1.0
 FIRST_OBSERVED: Final = 0.1
+#: Sigma of a hard constraint after the first adjustment, in the same unit.
 HARD: Final = 1e-3
 #: The correlates are improved at most ROUNDS times. This ends earlier if the misclosure of each hard constraint is
 #: below HELD sigma, or if a round does not reduce the misclosure by the factor SLOW. The adjustment itself ends with a

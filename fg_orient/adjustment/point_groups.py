@@ -28,10 +28,10 @@ Index = npt.NDArray[np.int64]
 
 #: Work of a group that does not depend on its size (calls and small matrices), in multiplications.
 OVERHEAD: Final = 1_500_000
-#: Maximum number of sets of images that are compared with each other; below: maximum
-#: number of sets that are joined by their work. If there are more sets, neighbours are
-#: joined before.
+#: Maximum number of sets of images that are compared with each other.
 MOST_SETS: Final = 2000
+#: Maximum number of sets that are joined by their work. If there are more sets, neighbours are joined
+#: before.
 MOST_JOINED: Final = 400
 
 

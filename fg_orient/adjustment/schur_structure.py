@@ -28,9 +28,9 @@ from fg_orient.kernels.batch_rows import Flags
 Index = npt.NDArray[np.int64]
 Small = npt.NDArray[np.int32]
 
-#: Number of chunks; below: minimum and maximum number of their image points. Each chunk
-#: has its own sums (a few blocks of 6 kB). The threads share the chunks.
+#: Number of chunks. Each chunk has its own sums (a few blocks of 6 kB). The threads share the chunks.
 CHUNKS: Final = 12
+#: Minimum and maximum number of image points of a chunk.
 LEAST_CHUNK: Final = 768
 MOST_CHUNK: Final = 16384
 #: Time for the rows of an image point, in units of the time for a pair of rays (measured: 110 and 50 ns).

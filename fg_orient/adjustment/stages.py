@@ -45,19 +45,22 @@ from fg_orient.model.options import Options
 Scale = tuple[float, float]
 S = TypeVar("S")
 
-#: Value of mu for least squares; surrogates have values from 0; below: value for the loss itself.
+#: Value of mu for least squares. Surrogates have values from 0.
 PLAIN: Final = -1.0
+#: Value of mu for the loss itself.
 EXACT: Final = math.inf
 #: Value of mu for the first stage with Huber's loss; it decreases by one for each further stage.
 START: Final = -2.0
-#: Maximum number of these stages; below: they end when the relative change of the scale is below this.
+#: Maximum number of these stages.
 START_STAGES: Final = 8
+#: These stages end when the relative change of the scale is below this.
 SETTLED: Final = 0.01
 #: Values of mu after resections: at WIDE - k the width of the loss is multiplied by 2^k.
 WIDE: Final = -100.0
 FROM_RESECTIONS: Final = WIDE - 3.0
-#: A stage before the last one ends when the scaled step is below this; below: maximum number of its iterations.
+#: A stage before the last one ends when the scaled step is below this.
 STAGE_STEP: Final = 1e-3
+#: Maximum number of iterations of such stages.
 PLAIN_ITERATIONS: Final = 5
 START_ITERATIONS: Final = 30
 WIDE_ITERATIONS: Final = 10

@@ -23,8 +23,9 @@ from fg_orient.cli.log import session
 if TYPE_CHECKING:
     from fg_orient.adjustment.loop import IterationRecord
 
-#: Note when the first kernels are compiled and can be saved; below: note if they cannot be saved.
+#: Note when the first kernels are compiled and can be saved.
 COMPILING: Final = "compiling kernels, once per machine: up to about 15 s"
+#: The same note if the kernels cannot be saved.
 COMPILING_IN_VAIN: Final = (
     "compiling kernels, up to about 15 s in this run and every later run: no folder for compiled code can be written; "
     "set NUMBA_CACHE_DIR to a folder that you can write"

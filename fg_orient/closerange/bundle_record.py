@@ -26,11 +26,13 @@ from fg_orient.result.summary import robust_record
 
 Known = Mapping[str, tuple[Array, Array]]
 
-#: Correlations of at least this size are listed; below: maximum number of correlations and of weak directions.
+#: Correlations of at least this size are listed.
 HIGH: Final = 0.9
+#: Maximum number of listed correlations.
 LISTED: Final = 40
 #: Recorded fields of an iteration.
 HISTORY: Final = ("iteration", "chi2", "chi2_after", "ratio", "step", "accepted")
+#: Maximum number of listed weak directions.
 _WEAK: Final = 5
 #: Maximum number of unknowns that are named for a direction.
 _FEW: Final = 4

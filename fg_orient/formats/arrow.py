@@ -50,8 +50,9 @@ ROW_GROUP: Final = 250_000
 DICTIONARY: Final = 16_000_000
 #: Minimum number of bytes that a cell needs in memory.
 PER_CELL: Final = 16
-#: Maximum number of characters of a text; below: characters that a text must not contain.
+#: Maximum number of characters of a text.
 LONGEST: Final = 10_000
+#: Characters that a text must not contain.
 BREAKS: Final = "\n\r\0"
 #: Kinds of columns that are converted to arrays of numbers.
 NUMBERS: Final = ("whole", "number")

@@ -20,8 +20,9 @@ from factors.arrays import Array
 from fg_orient.formats.atomic import staged_file
 from fg_orient.model.errors import InputError
 
-#: Step of the coordinates in LAS, m or degrees; below: the largest whole number.
+#: Step of the coordinates in LAS, m or degrees.
 STEP: Final = {"metre": 1e-4, "degree": 1e-9}
+#: Largest whole number of a coordinate in LAS.
 LARGEST: Final = 2**31 - 1
 #: Number of the LAS record "text area description".
 TEXT_RECORD: Final = 3

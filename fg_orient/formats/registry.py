@@ -64,8 +64,9 @@ class Holds(StrEnum):
     VERTICAL_CRS = "the vertical CRS"
 
 
-#: Contents of files with tie points only; below: contents of tables with ground points and image points.
+#: Contents of files with tie points only.
 TIES_ONLY: Final = frozenset({Holds.IMAGE, Holds.IMAGES, Holds.TIES})
+#: Contents of tables with ground points and image points.
 POINTS_AND_MARKS: Final = TIES_ONLY | {
     Holds.GROUND, Holds.IDS, Holds.UNMEASURED, Holds.HEIGHTS, Holds.SIGMA_GROUND, Holds.SIGMA_UP
 }  # fmt: skip

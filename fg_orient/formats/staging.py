@@ -30,8 +30,9 @@ from typing import Any, Final
 
 _fcntl: Any = import_module("fcntl") if find_spec("fcntl") else None  # not on Windows
 
-#: Pattern of the names of lock files; below: maximum length of the output's name in it.
+#: Pattern of the names of lock files.
 _LOCK: Final = re.compile(r"\.(.+)\.([0-9a-f]{12})\.lock")
+#: Maximum length of the output's name in the name of a lock file.
 LONGEST: Final = 200
 #: Token of the lock that all writers of one output take. Other locks have random tokens.
 _CLAIM: Final = "0" * 12

@@ -25,8 +25,9 @@ from fg_orient.rectification.fit import plain_rmse
 from fg_orient.rectification.options import AccuracyOptions
 
 INCH_M: Final = 0.0254
-#: Limits of NMAS in the map, m: for scales of 1:20 000 and smaller; below: for larger scales.
+#: Limit of NMAS in the map, m, for scales of 1:20 000 and smaller.
 NMAS_SMALL_M: Final = INCH_M / 50.0
+#: Limit of NMAS in the map, m, for larger scales.
 NMAS_LARGE_M: Final = INCH_M / 30.0
 NMAS_LIMIT_SCALE: Final = 20_000.0
 #: Share of points that may lie beyond the limit of NMAS.

@@ -28,15 +28,19 @@ from fg_orient.rectification.transformation import find_model
 RUNS: Final = 400
 #: Number of runs of a reproduction.
 REPRODUCED_RUNS: Final = 60
-#: Size of the scene, m; below: number of points, noise of a coordinate, m. The ratio does not depend on size and noise.
+#: Size of the scene, m. The ratio does not depend on size and noise.
 SCENE_M: Final = 30_000.0
+#: Number of points of the scene.
 SCENE_POINTS: Final = 30
+#: Noise of a coordinate, m.
 SCENE_SIGMA_M: Final = 20.0
-#: Calibration of the sheets (section 7.2): number of points; below: noise, printed affine transformation.
+#: Number of points in the calibration of a sheet (section 7.2).
 SHEET_POINTS: Final = 24
+#: Noise of the digitised coordinates, m.
 SHEET_SIGMA_M: Final = 4.34
 #: Assumed extent of the nodes around the islands, east and north.
 SHEET_EXTENT_KM: Final = (9, 6)
+#: Printed affine transformation of the calibration.
 SHEET_MATRIX: Final = ((1.0010, 0.0007), (-0.0001, 1.0007))
 SHEET_ORIGIN_M: Final = (4_525_000.0, 678_000.0)
 

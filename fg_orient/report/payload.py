@@ -48,8 +48,9 @@ class Width(NamedTuple):
 
 #: Bytes of the differences of a control or check point.
 KNOWN: Final = 16
-#: Number formats if the page can contain all image points; below: if it cannot.
+#: Number formats if the page can contain all image points.
 FINE: Final = Width(31, 24, "f4")
+#: Number formats if the page cannot contain all image points.
 COARSE: Final = Width(21, 16, "f2")
 
 

@@ -31,9 +31,11 @@ UNDULATION_RANGE_M: Final = (-120.0, 100.0)
 #: The undulation is interpolated between knots: maximum distance of knots, cells, and maximum interpolation error, m.
 KNOT_STEP, UNDULATION_M = 32, 1e-3
 METRES: Final = ("", "m", "metre", "metres", "meter", "meters")
-#: Edge of a square, cells; below: number of squares that are read together, and bytes of squares that are kept.
+#: Edge of a square, cells.
 EDGE: Final = 256
+#: Number of squares that are read together.
 SPAN: Final = 16
+#: Bytes of squares that are kept.
 KEPT_BYTES: Final = 32_000_000
 #: Maximum number of cells of a part of the raster that is copied to one array.
 PART_CELLS: Final = 4_000_000

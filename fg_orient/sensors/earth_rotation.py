@@ -27,9 +27,9 @@ _MJD: Final = 2_400_000.5
 _UNIX_MJD: Final = 40_587
 #: Mean angular rate of the Earth, revolutions per day, from the definition of UT1 (IERS Conventions 2010, eq. 5.15).
 _TURNS_PER_DAY: Final = 1.00273781191135448
-#: Maximum neglected values if there is no C04 file: UT1 - UTC by its definition; below:
-#: polar motion observed since 1962.
+#: Maximum neglected UT1 - UTC if there is no C04 file, s; it follows from the definition of UTC.
 MOST_UT1_S: Final = 0.9
+#: Maximum neglected polar motion, observed since 1962, rad.
 MOST_POLE_RAD: Final = np.radians(0.6 / 3600.0)
 _EARTH_RADIUS_M: Final = 6_378_137.0
 

@@ -45,8 +45,9 @@ RAY_START_M = 5e5
 DEM_MARGINS_M = (50.0, 5.0)
 #: Values of the option ``rpc_compensation``, and the corresponding terms of the equation.
 _TERMS: Final = {"shift": "shift", "shift_drift": "drift", "affine": "affine"}
-#: Name of each code of the equation; below: its description.
+#: Name of each code of the equation.
 _NAMES: Final = ("line_0", "sample_0", "line_l1", "sample_l1", "line_s1", "sample_s1")
+#: Description of each code of the equation.
 _WORDS: Final = (
     "line shift (px)", "sample shift (px)", "line drift along the lines (px)", "sample drift along the lines (px)",
     "line change across the samples (px)", "sample change across the samples (px)",

@@ -21,9 +21,10 @@ from fg_orient.adjustment.linear.ridge import RidgeCurves
 #: Number of probes and their seed.
 PROBES: Final = 32
 SEED: Final = 0
-#: Number of kappas at which a rule searches first; below: their range relative to the
-#: largest eigenvalue. Smaller eigenvalues are lost in normal equations.
+#: Number of kappas at which a rule searches first.
 GRID_POINTS: Final = 33
+#: Range of these kappas relative to the largest eigenvalue. Smaller eigenvalues are lost in normal
+#: equations.
 LEAST, MOST = 1e-12, 1e3
 #: Number of resamples of the probes, and probability of the interval.
 RESAMPLES: Final = 400

@@ -27,8 +27,9 @@ from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.limits import within_memory
 
 Separator = Literal["comma", "blank", "either"]
-#: Number of bytes that are unpacked together; below: memory for each byte and the numbers that are read from it.
+#: Number of bytes that are unpacked together.
 _CHUNK: Final = 1 << 20
+#: Memory for each byte and the numbers that are read from it, bytes.
 _UNPACKED: Final = 5
 
 

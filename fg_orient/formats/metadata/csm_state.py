@@ -45,8 +45,9 @@ from fg_orient.sensors.metadata import (
     QuaternionList,
 )
 
-#: Heights, m, at which a written file is compared with its image; below: numbers of compared lines and samples.
+#: Heights, m, at which a written file is compared with its image.
 HEIGHTS_M: Final = (0.0, 1000.0)
+#: Number of lines, and of samples, at which they are compared.
 SIDE: Final = 25
 #: Platform flag of satellites. Their polynomials use four samples on each side; polynomials of aircraft
 #: use fewer.

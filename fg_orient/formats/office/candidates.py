@@ -23,9 +23,9 @@ from fg_orient.geodesy import (
 from fg_orient.geodesy.crs import WGS84
 from fg_orient.model.errors import InputError
 
-#: Margin of the area of use of a CRS, degrees; below: a CRS is left out if its points lie
-#: farther than this from the images, m.
+#: Margin of the area of use of a CRS, degrees.
 _MARGIN_DEG: Final = 1.0
+#: A CRS is left out if its points lie farther than this from the images, m.
 _MARGIN_M: Final = 20_000.0
 #: Maximum width of the area of a national datum, degrees.
 WIDEST_DEG: Final = 70.0

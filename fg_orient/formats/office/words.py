@@ -65,12 +65,13 @@ _FILLERS: Final = frozenset("""coordinate coordinates koordinat koordinati koord
     tm33
     ground arazi yer gelande terrain terreno the of de du des la le der die das sistem system jeodezik geodetic 32n 33n
     34n 35n 36n 37n 38n 30n 31n m deg dom""".split())  # fmt: skip
-#: Factors of units to metres; below: factors of angles to degrees, and forms with packed degrees, minutes and seconds.
+#: Factors of units to metres.
 LENGTHS: Final = {
     "m": 1.0, "metre": 1.0, "meter": 1.0, "metres": 1.0, "meters": 1.0, "mt": 1.0, "metros": 1.0, "km": 1000.0,
     "dm": 0.1, "cm": 0.01, "mm": 0.001, "ft": 0.3048, "feet": 0.3048, "foot": 0.3048, "us ft": 1200.0 / 3937.0,
     "usft": 1200.0 / 3937.0, "ftus": 1200.0 / 3937.0,
 }  # fmt: skip
+#: Factors of angles to degrees, and forms with packed degrees, minutes and seconds.
 ANGLES: Final = {
     "deg": "deg", "degree": "deg", "degrees": "deg", "derece": "deg", "grad dezimal": "deg", "degre": "deg",
     "degres": "deg", "grados": "deg", "decimal degrees": "deg", "dd": "deg", "gon": "gon", "gons": "gon",

@@ -20,8 +20,9 @@ from fg_orient.model.errors import InputError
 from fg_orient.model.limits import limit, within, within_memory
 
 _CHUNK: Final = 1 << 20
-#: Maximum memory for a cell, bytes; below: maximum memory for an unpacked byte.
+#: Maximum memory for a cell, bytes.
 _CELL: Final = 100
+#: Maximum memory for an unpacked byte, bytes.
 _BYTE: Final = 2
 _OFFICE: Final = "{urn:oasis:names:tc:opendocument:xmlns:office:1.0}"
 _TABLE: Final = "{urn:oasis:names:tc:opendocument:xmlns:table:1.0}"

@@ -63,8 +63,9 @@ LAYOUTS: Final = {
     "2": _Layout("Direct_Model", "Inverse_Model", ("SAMP_NUM", "SAMP_DEN", "LINE_NUM", "LINE_DEN")),
     "3": _Layout("ImagetoGround_Values", "GroundtoImage_Values", ("LON_NUM", "LON_DEN", "LAT_NUM", "LAT_DEN")),
 }
-#: Names of elements in PHR_DIMAP: of offsets and scales; below: of the pairs of polynomials.
+#: Names of the offsets and scales in PHR_DIMAP.
 V1_AXES: Final = {"LINE": "Row", "SAMP": "Col", "LONG": "Lon", "LAT": "Lat", "HEIGHT": "Alt"}
+#: Names of the pairs of polynomials in PHR_DIMAP.
 V1_PAIRS: Final = {"LINE": "F_ROW", "SAMP": "F_COL"}
 V1_DIRECT: Final = ("F_LON", "F_LAT")
 V1_NAME: Final = "DIMAP 1 PHR_DIMAP"

@@ -34,9 +34,9 @@ from fg_orient.studies.comparison.set_results import SetResult
 ENOUGH: Final = 3
 #: Two engines have the same solution if they differ by at most this: prior sigmas, m.
 SAME_SIGMAS, SAME_M = 1e-4, 1e-4
-#: The default engine is recommended if it needs at most this processor time, s; below: or
-#: at most this multiple of the time of the fastest engine.
+#: The default engine is recommended if it needs at most this processor time, s.
 NEGLIGIBLE_S: Final = 0.5
+#: It is also recommended if it needs at most this multiple of the time of the fastest engine.
 SLOWER: Final = 1.5
 
 

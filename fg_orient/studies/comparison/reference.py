@@ -20,8 +20,9 @@ from fg_orient.adjustment.linear.system import numerical_rank, singular_values, 
 
 #: Number of bits of the mantissa.
 BITS: Final = 256
-#: A reference is computed for a set up to this number of unknowns (0.7 s for 400); below: for each row (0.1 s for 150).
+#: A reference is computed for a set up to this number of unknowns (0.7 s for 400).
 LIMIT: Final = 400
+#: A reference is computed for each row up to this number of unknowns (0.1 s for 150).
 LIMIT_OF_ROW: Final = 150
 #: Maximum element of the residual, relative to the largest element of the right-hand side.
 RESIDUAL: Final = 1e-50

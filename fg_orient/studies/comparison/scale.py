@@ -43,17 +43,18 @@ SIZES: Final = (*(k * 10**e for e in range(1, 6) for k in (1, 2, 5)), 10**6)
 SMALLEST, LARGEST = 10, 2_000_000
 #: Solvers that are used for full matrices.
 SOLVERS: Final = ("qr", "lapack_cholesky")
-#: An adjustment is repeated if it takes less processor time than this, s; below: number of repetitions.
+#: An adjustment is repeated if it takes less processor time than this, s.
 SHORT_S: Final = 0.2
+#: Number of repetitions.
 REPEATS: Final = 5
 #: Elimination orders and the largest number of image points for each. The natural order
 #: (images first) links all points of an image, so that only small blocks are possible.
 ORDERED: Final = {**dict.fromkeys(ORDERINGS, 30_000), "natural": 1000}
 #: The time of an elimination is measured up to this number of operations.
 TIMED: Final = 2e10
-#: Values below this multiple of the least value are overhead and do not show the growth;
-#: below: minimum number of sizes for an exponent.
+#: Values below this multiple of the least value are overhead and do not show the growth.
 OVERHEAD: Final = 5.0
+#: Minimum number of sizes for an exponent.
 FEWEST: Final = 4
 LABELS: Final = {**GRAPH_LABELS, "qr": "QR", "lapack_cholesky": "LAPACK Cholesky"}
 

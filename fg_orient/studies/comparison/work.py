@@ -36,9 +36,9 @@ from fg_orient.model.machine import allowed_bytes, in_gb
 
 #: Up to this number of image points, the graph is eliminated symbolically. For larger blocks, formulas are used.
 COUNTED: Final = 20_000
-#: Up to this number of blocks, GTSAM eliminates the reduced matrix symbolically; below:
-#: up to this number of images, an elimination by least degree is used.
+#: Up to this number of blocks, GTSAM eliminates the reduced matrix symbolically.
 BLOCKS: Final = 100_000
+#: Up to this number of images, an elimination by least degree is used.
 SYMBOLIC: Final = 5000
 #: Number of iterations that is assumed for the time of an adjustment.
 ITERATIONS: Final = 6
