@@ -5,8 +5,9 @@ sufficient, because a kernel also contains code from other files. Here compiled 
 sources compiled into it are unchanged (``factors._sources``). If no folder is writable, kernels are compiled
 again in each run.
 
-Each function states whether products and sums may fuse and whether it is inlined into its caller. A function without
-these options would take them from the caller that is compiled first, and its last bits would depend on that caller.
+Each function states whether products and sums may fuse and whether it is inlined into its caller. A
+function without these options would take the options of the caller that is compiled first. The last
+bits of its result would then depend on that caller.
 """
 
 from __future__ import annotations

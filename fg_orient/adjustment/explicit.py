@@ -79,7 +79,7 @@ def image_unknown(problem: Problem, k: int) -> int | Split | Array:
 
 
 def figure_key(n: int) -> int:
-    """Return the GTSAM key of the change of the figure of the n-th extra observation."""
+    """Return the GTSAM key for the change of a figure; the figure belongs to the n-th extra observation."""
     return int(gtsam.symbol("f", n))
 
 
@@ -319,7 +319,10 @@ class ExplicitBackend:
         return build_graph(replace(problem, block=replace(problem.block, extra=extra)) if self.figures else problem)
 
     def weighted(self, values: gtsam.Values) -> tuple[gtsam.NonlinearFactorGraph, float]:
-        """Return the graph with the weights of losses at these values, and their cost minus half its sum of squares."""
+        """Return the graph with the weights of losses at these values, and an offset.
+
+        The offset is the cost of the losses minus half the sum of squares of the graph.
+        """
         if self.robust is None:
             return self.graph, 0.0
         weights, excess = weights_at(self.problem, self.state(values), self.robust)

@@ -82,7 +82,7 @@ RADIUS: Final = 100.0
 
 @dataclass(frozen=True)
 class _Step(Step):
-    """Step with the whitened gradient before it, if it is a Gauss-Newton step; for a refused step, its least size."""
+    """Step. A Gauss-Newton step has the whitened gradient before the step, a refused step its least size."""
 
     gradient: float = math.nan
 

@@ -51,7 +51,7 @@ def without_penalties(problem: Problem) -> Problem:
 
 
 def penalty_squares(problem: Problem, state: State) -> float:
-    """Return the sum of squares of the rows of a regularisation at a state; 0 without a regularisation.
+    """Return the sum of squares of a regularisation's rows at a state; 0 without a regularisation.
 
     These rows are not observations.
     """

@@ -88,7 +88,7 @@ class Pattern(NamedTuple):
 class Order:
     """Order of the images: first unknown (M,) of each image, and all unknowns (u,).
 
-    ``band`` is the number of elements of a column of the lower triangle below the diagonal.
+    ``band`` is the number of elements below the diagonal in a column of the lower triangle.
     """
 
     place: Index

@@ -77,7 +77,7 @@ def free_unknowns(values: gtsam.Values, vectors: Sequence[tuple[int, slice]]) ->
 
 
 class GroupSums:
-    """Factors of the sums of all groups of points: the vectors that they link, and the factor of their cost.
+    """Factors that contain the sums of all point groups: the vectors that they link, and the factor of their cost.
 
     Parameters
     ----------

@@ -74,9 +74,8 @@ class Regularisation:
 
         It is not a redundancy of the observations.
 
-        With Q of all rows it is the trace of ``I - R Q R^T``. Without it the redundancy
-        of a problem is the number of its observations minus the trace of their hat
-        matrix.
+        With Q of all rows it is the trace of ``I - R Q R^T``. Without the penalty, the redundancy of a
+        problem is the number of its observations minus the trace of their hat matrix.
         """
         return self.n_rows - self.determined if self.method not in ("truncated", "minimum_norm") else 0.0
 

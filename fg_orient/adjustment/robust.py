@@ -274,7 +274,7 @@ def _of_control(problem: Problem, state: State, ground: Array) -> Array:
 
 
 def _ratios(v: Array, q: Array) -> Array:
-    """Return the ratios of ``v^T Q^+ v`` to the median of chi-square of the rank of Q, where the rank is not zero."""
+    """Return the ratios of ``v^T Q^+ v`` to the median of chi-square(rank Q), where the rank is not zero."""
     size, axes = np.linalg.eigh(q)
     checked = size > CHECKED
     part = np.einsum("nij,ni->nj", axes, v)

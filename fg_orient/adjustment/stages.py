@@ -5,8 +5,8 @@ gradient. Therefore the first stage is least squares. A redescending loss has se
 minima. It starts at the only minimum of Huber's loss (Huber 1981, ch. 7.8), or at
 resections (:mod:`fg_orient.adjustment.resection`). Resections are accurate to a few
 sigmas. Therefore the width of the loss is first eight times its final value, then four
-times, twice and once. In this case, Huber's loss is not used, because it would move the
-solution away from the resections to its only minimum.
+times, twice and once. In this case, Huber's loss is not used, because it would move the solution away
+from the resections to the only minimum of Huber's loss.
 
 The scale of the residuals (``robust_scale = "mad"``) is measured at the end of each stage
 and fixed during the next, so that every stage has a cost. Huber's stage is repeated until

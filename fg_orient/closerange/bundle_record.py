@@ -295,7 +295,7 @@ def _significance(result: BundleResult) -> job.Record | None:
 
 
 def directions(result: BundleResult) -> job.Record:
-    """Return the singular values of the orientation in its units, and its weakest directions by their main unknowns.
+    """Return the singular values of the orientation in its units. Name its weakest directions by the main unknowns.
 
     A direction with the value s has a standard deviation of 1/s units; directions that
     hard conditions fix are counted.

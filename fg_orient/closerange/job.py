@@ -229,7 +229,7 @@ def _each_photo(
     one: Callable[[str, Array, Array, Array | None], tuple[Record, Photo, str]],
     beside: Sequence[Path] = (),
 ) -> Record:
-    """Return the record of photos of a table of control points, in its order, with residuals of all points of a photo.
+    """Return the record of the photos in a table of control points, in its order; each photo has its points' residuals.
 
     Residuals are computed minus measured. Errors name the photo.
 

@@ -152,9 +152,9 @@ def relative_orientation(
 def _chosen(minima: list[_Candidate], redundancy: int, *, known: bool) -> RelativeOrientation:
     """Return the smallest determined minimum with the points in front of both cameras.
 
-    An undetermined minimum is refused if its squares are smaller. If its points lie
-    behind a camera, which may be due to noise, it is refused only if an F test
-    distinguishes the determined minimum from it.
+    An undetermined minimum is refused if its squares are smaller. If the points of such a minimum lie
+    behind a camera, noise may be the reason. The orientation is then refused only if an F test
+    distinguishes the determined minimum from this minimum.
 
     Raises
     ------

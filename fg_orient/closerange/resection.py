@@ -154,7 +154,7 @@ def _require_off_line(ground: Array) -> None:
 def _mirrored(pose: Pose, ground: Array) -> Pose:
     """Return the mirrored pose of a plane of points, which has nearly the same image.
 
-    The points are reflected in their own plane, which does not change them, and then
+    The points are reflected in their own plane, which does not move them. Then they are reflected
     across the line of sight to their middle. Both reflections together are a rotation.
     """
     rotation, centre = pose

@@ -36,7 +36,7 @@ KINDS: Final = "biufcU"
 SQLITE_MARK: Final = b"SQLite format 3\0"
 #: Number of steps of SQLite's virtual machine between two checks of the limit.
 _STEPS: Final = 10_000
-#: SQLite marks columns with these numbers if they are computed when they are read.
+#: SQLite marks a column with one of these numbers if its values are computed when they are read.
 _GENERATED: Final = (2, 3)
 
 

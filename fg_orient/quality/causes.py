@@ -199,8 +199,9 @@ class UnseenMistake:
 
 
 def unseen_mistakes(known: ResidualCofactors, check: PointDifferences) -> tuple[UnseenMistake, ...]:
-    """List mistakes that this block cannot show because its unknowns absorb them, with the assumptions made instead.
+    """List mistakes that this block cannot show, and the assumptions made instead.
 
+    The unknowns of the block absorb these mistakes.
     The non-centrality of a mistake is the decrease of the weighted sum of squares that a mistake of this size causes
     without noise (M of this module). Below the limit a test at a level of 0.1 % finds it in fewer than 20 % of cases.
     Blocks too large for their cofactors have no list.

@@ -40,7 +40,8 @@ BUDGET: Final = {
 ALPHA: Final = 0.001
 #: Smallest factor by which the sigma of a group must be wrong: smaller factors change little.
 MATTERS: Final = 1.25
-#: Fewest suspicious image points that make their image suspicious, if they are half of its points.
+#: An image is suspicious if at least this number of its image points, and at least half of them, are
+#: suspicious.
 CROWD: Final = 3
 #: Number of points whose accuracy is computed together.
 _CHUNK: Final = 100_000

@@ -312,7 +312,7 @@ def undone(block: Block, found: Sequence[MixUp]) -> Block:
     check = np.array([place[one] for one in block.withheld.ids], np.intp)
 
     def read(ecef_m: Array) -> Array:
-        """Return check points in the other reading, if it moves them far nearer to their image points."""
+        """Return check points in the other reading, if this reading is far nearer to their image points."""
         moved = _read(name, ecef_m)
         given, other = (_of_points(block, check, xyz) for xyz in (ecef_m, moved))
         wrong = (given > FAR_PX) & (BETTER * other < given)

@@ -171,11 +171,11 @@ def reliability(cofactors: ResidualCofactors, *, alpha: float = ALPHA, power: fl
 def unseen_shifts(known: ResidualCofactors) -> Array:
     """Return the shift (N, 3) East, North, Up of points by an unseen error of one pixel; nan if there is none.
 
-    An error of a ray along its least checked direction is unseen if its minimal detectable bias shifts the
-    point by more than :data:`UNSEEN` of its own sigmas. Both coordinates are tested together. For a tie point
-    with two rays this direction is the epipolar line. The result belongs to the ray with the largest shift.
-    Under a loss the rays have their final weights. The error may have either sign; the largest component of
-    the shift is positive.
+    An error of a ray along its least checked direction is unseen if the minimal detectable bias shifts
+    the point by more than :data:`UNSEEN` sigmas of the point. Both coordinates are tested together. For
+    a tie point with two rays this direction is the epipolar line. The result belongs to the ray with
+    the largest shift. Under a loss the rays have their final weights. The error may have either sign;
+    the largest component of the shift is positive.
     """
     problem, o, rays = known.problem, known.problem.observations, known.rays
     some, limit = [], UNSEEN / np.sqrt(noncentrality(dimension=2))

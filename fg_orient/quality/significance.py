@@ -277,8 +277,8 @@ def camera_significance(
     redundancy : int
         Redundancy, above 0.
     freedom : callable, optional
-        Function of the numbers of some parameters: degrees of freedom of the variance of these parameters together;
-        default: the redundancy.
+        Function that returns the degrees of freedom of the joint variance of some parameters, given
+        their numbers; default: the redundancy.
     """
     freedom = freedom or (lambda _: float(redundancy))
     part = [next((words for words, form in DISTORTION.items() if form.fullmatch(name)), "") for _, name in labels]

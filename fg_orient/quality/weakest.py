@@ -2,7 +2,7 @@
 
 Inverse iteration with the border finds the space of the weakest directions. Singular values and directions
 within this space are computed from the rows themselves, without squares. Therefore values down to 1e-12 of
-the largest one are accurate. This takes a small part of the time of a decomposition of all rows
+the largest one are accurate. This takes much less time than a decomposition of all rows
 (``fg_orient.quality.elimination``).
 """
 

@@ -267,7 +267,7 @@ def digitised_sheets(extent_km: tuple[int, int] = SHEET_EXTENT_KM, runs: int = R
 
 
 class PairDistances(NamedTuple):
-    """Differences of the distances of all pairs of points, m.
+    """Differences of the distances between all pairs of points, m.
 
     ``differences`` (K,): first minus second list, pairs in the order 01, 02, ..., 12,
     ...; their standard deviation (K - 1 in the divisor) and mean; ``of_point`` (n,): root

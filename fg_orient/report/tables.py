@@ -43,7 +43,7 @@ def _degree(degree: float, parameter: str) -> str:
     """Return the power of an unknown as words; "" if it has none, as the unknowns of a frame camera."""
     if math.isnan(degree):
         return ""
-    # the name of a coefficient of a polynomial of samples ends with s and the degree
+    # if a polynomial depends on the sample, the names of its coefficients end with s and the degree
     ending, power = parameter.rpartition("_")[2], int(degree)
     return {"s": f"s^{power}", "c": f"curve {power}"}.get(ending[0]) or _DEGREES[power]
 

@@ -4,8 +4,8 @@ People and programs copy, edit and rename folders. Therefore commands that read 
 compare it with ``manifest.json``. They report if files are missing, if a file was
 changed, or if files belong to another run. Version 0.1 wrote no manifest; its folders are
 read without this check. The page and the figures are made from the other files and are
-not listed. The folders of ``adjust``, ``closerange`` and ``rectify fit`` have a manifest;
-they differ in their contents (:class:`fg_orient.formats.atomic.Contents`) and in the file of their record.
+not listed. The folders of ``adjust``, ``closerange`` and ``rectify fit`` have a manifest. These folders
+differ in their contents (:class:`fg_orient.formats.atomic.Contents`) and in the file of the record.
 """
 
 from __future__ import annotations

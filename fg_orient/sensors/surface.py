@@ -52,10 +52,9 @@ def _depth(p: Array, u: Array, level_m: Array, dem: HeightSurface) -> tuple[Arra
 def on_surface(position_m: Array, direction: Array, dem: HeightSurface, file: str) -> Array:
     """Return the first hits (N, 3), ECEF m, of N rays with a DEM.
 
-    A ray is refused if it meets nodata or comes from outside the DEM before its first
-    hit, at a height below the highest DEM value of the squares below it. Unknown ground
-    there could be the first hit. Two crossings within half a cell, between edges of the
-    surface, are not separated.
+    A ray is refused if it meets nodata before its first hit. It is also refused if it enters the DEM
+    from outside, below the highest DEM value of the squares under the ray. Unknown ground there could
+    be the first hit. Two crossings within half a cell, between edges of the surface, are not separated.
 
     Parameters
     ----------

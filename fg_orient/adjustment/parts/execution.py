@@ -141,7 +141,7 @@ def _local(workers: int) -> Iterator[Cluster]:
 
 
 def _started(distributed: Any, workers: int, scratch: Path) -> Any:
-    """Start the processes of a cluster. If one of them ends while it starts, start all of them again.
+    """Start the processes of a cluster. If a process ends while it starts, start all processes again.
 
     NoSolutionError is raised if the start failed ``STARTS`` times.
     """

@@ -1,6 +1,6 @@
 """Replace worker processes of this machine that end, up to a maximum number of times.
 
-If a process ends while it works, dask starts it again, without a limit. If it ends while
+If a process ends while it works, dask starts it again, without a limit. If a worker process ends while
 it starts, dask does not start it again. In both cases, tasks could wait for ever.
 """
 

@@ -127,7 +127,7 @@ class Pair:
 
 
 def height_range(sensors: tuple[Any, ...], low_m: float | None, high_m: float | None) -> tuple[float, float]:
-    """Return the range of heights of the ground of all images.
+    """Return the range of ground heights for all images.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
 """Recommend an EOP set, a regularisation and an engine from a comparison, with reasons.
 
 The set is chosen as follows. If there are check points, the set with the least mean
-square error at these points is the reference. Other sets are not distinguishable from it
-if their mean square error is larger by at most its standard error (one-standard-error
-rule: Breiman et al. 1984). Of these sets, the set with the least AICc is recommended
+square error at these points is the reference. Another set is not distinguishable from the reference if
+its mean square error is larger by at most the standard error of the reference (one-standard-error rule:
+Breiman et al. 1984). Of these sets, the set with the least AICc is recommended
 (``fg_orient.orientation.reduction``). The standard error of a mean square s is ``s sqrt(2 / h)``, with
 h as in ``set_results``. Errors of the orientation are common to all check points, so that the number h
 of independent errors is smaller than the number of coordinates. Without check points, the least AICc

@@ -156,7 +156,7 @@ def compare(
 
 
 def _key(plan: Comparison) -> str:
-    """Return a hash of all inputs of the rows of a set."""
+    """Return a hash of all inputs that determine the rows of a set."""
     block, selections = plan.block, (
         plan.solvers, plan.backends, plan.types, plan.regularisations, plan.as_run, plan.time_limit_s,
     )  # fmt: skip

@@ -164,7 +164,7 @@ class Sparsity:
 
     @cached_property
     def band(self) -> int:
-        """Return the number of elements of a column of the reduced matrix's band, below the diagonal."""
+        """Return the number of elements below the diagonal in a column of the reduced matrix's band."""
         return narrowest(self.pattern, self.problem.first).band
 
     @cached_property
