@@ -39,11 +39,11 @@ the solution divided by the number of iterations; *steady* is one iteration of f
 before. The cost excess is relative to the lowest cost of all solvers; above 1e-6 a ratio is a lower bound. pyceres
 calls the same compiled function as the factors of fg_orient.""",
     "Against the hardware": """\
-The bound is the time of these operations at the highest rates of a triad and of matrix products measured between
-the rounds: 450 B and 330 flop to linearise an image point, 192 B for its part of the point block, 1458 flop per
-pair of rays, and the factorisation of the full reduced matrix at the rate of a matrix product. The band bound uses
-the factorisation of the band if that is faster, with the images in the order of the block. It is stricter than the
-first bound.""",
+The bound is the time of the following operations at the highest rates of a triad and of matrix products, which
+were measured between the rounds. To linearise an image point takes 450 B and 330 flop, its part of the point block
+takes 192 B, and a pair of rays takes 1458 flop. The full reduced matrix is factorised at the rate of a matrix
+product. The band bound uses the factorisation of the band if that is faster, with the images in the order of the
+block. It is stricter than the first bound.""",
     "Stages of an iteration": """\
 An iteration consists of `linearise`, `solve` and `retract`; the kernels are parts of these stages.""",
     "Before the first iteration": """\

@@ -188,7 +188,7 @@ def dsm_points(
     control: Annotated[bool, option("Write control points, too.", flag="--control")] = False,
     rejected: Annotated[
         bool,
-        option("Write points with an observation that the search for gross errors left out, too.", flag="--rejected"),
+        option("Also write points for which the search for gross errors left out an observation.", flag="--rejected"),
     ] = False,
     overwrite: Overwrite = False,
 ) -> None:

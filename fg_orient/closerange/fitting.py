@@ -283,7 +283,8 @@ class Conditions:
     def central(self, least: float = 1e-9) -> tuple[Array, Array, Array] | None:
         """Return the centre (d,), squared semi-axes (d,), negative for imaginary ones, and their directions as columns.
 
-        None without a centre: a curvature is below ``least`` times the largest. Only for a single condition.
+        The result is None if there is no centre: a curvature is below ``least`` times the largest. The
+        method is valid for a single condition only.
         """
         curvatures, axes = np.linalg.eigh(self.square)
         if np.abs(curvatures).min() <= least * np.abs(curvatures).max():

@@ -264,7 +264,7 @@ SETS: Final[dict[str, tuple[str, ...]]] = {
     "film-turned": ("film_xx", "affinity_a", "affinity_b"),  # no fiducial marks: kappa contains the rotation, eq. 51
     "film": ("affinity_a", "affinity_b"),  # the principal distance contains one scale, eqs. 53, 54
     "film-scales": ("film_xx", "affinity_b"),  # two scales, eq. 55
-    "brown": brown.NAMES[:15],  # without those equivalent to k1 to k3 and the interior orientation, eq. 2
+    "brown": brown.NAMES[:15],  # without parameters that equal k1 to k3 or the interior orientation, eq. 2
     "brown-21": brown.NAMES,
 }
 

@@ -253,8 +253,9 @@ turn_in, turn_out = _turner(gathers=True), _turner(gathers=False)
 
 
 #: The usual case: position, velocity and angles of a pushbroom image with quadratic polynomials; nine components, each
-#: a sum of three basis values times unknowns. With plain loops the sums of an observation take 17 ns, and its row times
-#: a step 18; here they take 4 and 5 (measured).
+#: a sum of three basis values times unknowns. With plain loops, the sums of an observation take 17 ns,
+#: and the product of its row and a step takes 18 ns. With these instructions they take 4 and 5 ns
+#: (measured).
 N_BASIS: Final = 3
 N_COMPONENTS: Final = 9
 

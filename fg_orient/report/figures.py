@@ -24,7 +24,7 @@ __all__ = ["write_figures"]
 Charts = Sequence[Chart | None]
 FORMATS: Final = ("svg", "pdf")
 CAPTIONS_FILE: Final = "captions.md"
-#: Content of a folder of figures; the captions are its mark.
+#: Content of a folder of figures. The file of captions identifies such a folder.
 FIGURES: Final = Contents(CAPTIONS_FILE, (CAPTIONS_FILE, "*.svg", "*.pdf"))
 #: Folder of the figures inside a result folder.
 FOLDER: Final = "figures"

@@ -2,8 +2,8 @@
 
 Two descending circular passes (832 km, 98.7 degrees) see 41.3 N 31.85 E at mirror angles of -18 and +20 degrees from
 opposite sides; points lie in the overlap at 0 to 1800 m. Source of the geometry: the data set of Topan & Maktav (2010)
-and Terlemezoğlu (2019) as specified in docs/file-formats.md and in its options. Truth is a model truth, see
-:mod:`fg_orient.simulate.simulation`.
+and Terlemezoğlu (2019) as specified in docs/file-formats.md and in its options. The truth is exact in
+the model of the adjustment; see :mod:`fg_orient.simulate.simulation`.
 
 The point sets of the published experiments differ in their check points. H-n ("homogeneous"): n random check points,
 nested, so that the check points of H-10 are check points of H-20, too. G-A, G-B, G-C ("grouped"): a part of the image

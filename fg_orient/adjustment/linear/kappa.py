@@ -104,7 +104,7 @@ def register_kappa_rule(
     source : str
         Author, year and equation.
     published : bool
-        The rule is one of Terlemezoğlu 2019.
+        Whether the rule is described in Terlemezoğlu 2019.
     needs : tuple of str
         Fields of :class:`Given` that must be set.
 

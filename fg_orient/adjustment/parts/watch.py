@@ -31,7 +31,7 @@ class Watch:
     ended : int
         Processes that have ended.
     exhausted : bool
-        Whether more have ended than are replaced.
+        Whether more processes have ended than are replaced.
     """
 
     def __init__(self, cluster: Any, client: Any, workers: int) -> None:
