@@ -22,15 +22,15 @@ from fg_orient.formats.load import load_bytes
 from fg_orient.model.errors import InputError
 from fg_orient.model.limits import within_memory
 
+#: Possessive: comments and values that do not end would be divided in all possible ways.
 _STATEMENT: Final = re.compile(
-    r"""(?:\s|\#[^\n]*|/\*.*?\*/|;)*                       # blanks and comments
-        (?P<name>[^\s=;#]+)
-        (?:[^\S\n]*=\s*(?P<value>"[^"]*"|'[^']*'|\((?:[^()"]|"[^"]*"|\([^()]*\))*\)|\{[^{}]*\}
-            |[^\s;]+(?:(?<=-)\n[^\S\n]*[^\s;=]+(?![^\S\n]*=))*)        # long words go on after a hyphen
-        (?:[^\S\n]*<[^>\n]*>)?)?""",
+    r"""(?:\s|\#[^\n]*+|(?>/\*.*?\*/)|;)*+                 # blanks and comments
+        (?P<name>(?!/\*)[^\s=;#]+)
+        (?:[^\S\n]*=\s*(?P<value>"[^"]*+"|'[^']*+'|\((?:[^()"]|"[^"]*+"|\([^()]*+\))*+\)|\{[^{}]*+\}
+            |(?!["'({])[^\s;]+(?:(?<=-)\n[^\S\n]*[^\s;=]+(?![^\S\n]*=))*)        # long words go on after a hyphen
+        (?:[^\S\n]*<[^<>\n]*+>)?)?""",
     re.VERBOSE | re.DOTALL,
 )
-_ITEM: Final = re.compile(r'\s*("[^"]*"|[^,\s<>]+)\s*(?:<[^>]*>)?\s*(?:,|$)')
 #: Maximum number of bytes of Python objects for each statement.
 _OBJECTS: Final = 1500
 #: A long word continues in the next line after a hyphen.
@@ -89,9 +89,9 @@ class Pvl:
     def numbers(self, name: str, count: int) -> Array:
         """Return a list of ``count`` finite numbers; raise InputError for any other value."""
         text = self.text(name)
-        items = _ITEM.findall(text.strip("(){}")) if text.startswith(("(", "{")) else [text]
+        items = text.strip("(){}").split(",") if text.startswith(("(", "{")) else [text]
         try:
-            out = np.array([float(item) for item in items])
+            out = np.array([float(item.partition("<")[0]) for item in items])  # <unit>
         except ValueError:
             out = np.full(count, np.nan)
         if len(out) != count or not np.isfinite(out).all():

@@ -37,6 +37,8 @@ _PACKAGES: Final[dict[Contents, str]] = {
 }  # fmt: skip
 #: The format of a file is recognised from this number of bytes at its beginning.
 HEAD_BYTES: Final = 2**16
+#: Beginnings and ends of instructions and comments of XML.
+_ASIDES: Final = (("<?", "?>"), ("<!--", "-->"))
 _ROOT: Final = re.compile(r"<([A-Za-z_][\w.-]*)")
 
 
@@ -329,12 +331,21 @@ def xml_root(head: str) -> str:
     """Return the name of the root element of an XML file; "" if the file is not XML."""
     if not head.lstrip().startswith("<"):
         return ""
-    bare = re.sub(r"<\?.*?\?>|<!--.*?-->", "", head, flags=re.DOTALL)
-    match = _ROOT.search(bare)
-    return match[1] if match else ""
+    at = head.find("<")
+    while at >= 0:
+        for begin, end in _ASIDES:
+            if head.startswith(begin, at):
+                at = head.find(end, at + len(begin))
+                break
+        else:
+            match = _ROOT.match(head, at)
+            if match:
+                return match[1]
+        at = head.find("<", at + 1) if at >= 0 else -1
+    return ""
 
 
 def has_line(pattern: str) -> Callable[[Path, str], bool]:
     """Make the ``sniff`` function of a text format: it looks for a line that begins with the pattern after blanks."""
-    compiled = re.compile(rf"^\s*{pattern}", re.MULTILINE)
+    compiled = re.compile(rf"^[^\S\n]*+{pattern}", re.MULTILINE)
     return lambda _, head: "\0" not in head and compiled.search(head) is not None

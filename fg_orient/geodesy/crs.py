@@ -167,11 +167,14 @@ def north_first(crs: str) -> bool:
 def wkt(crs: str) -> str:
     """Return the definition of a CRS as one line of WKT 1, which most programs read.
 
-    Raise InputError if it is unknown.
+    Raise InputError if it is unknown, or if WKT 1 has no words for it.
     """
     own = known_crs(crs)
     flat = own if own.is_compound or len(own.axis_info) == 2 or own.is_geocentric else own.to_2d()
-    return str(flat.to_wkt("WKT1_GDAL"))
+    try:
+        return str(flat.to_wkt("WKT1_GDAL"))
+    except offline_pyproj().exceptions.CRSError:
+        raise InputError.of("geodesy.no_wkt", place="crs", value=crs) from None
 
 
 def from_ecef(crs: str, xyz_m: npt.ArrayLike, labels: Sequence[str] | None = None) -> tuple[Array, Operation]:

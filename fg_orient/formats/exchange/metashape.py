@@ -51,7 +51,7 @@ _NAMES: Final = {
 _COLUMN: Final = {name: column for column, names in _NAMES.items() for name in names}
 _NEEDED: Final = ("label", "x", "y", "z")
 _COLUMNS_SIGMA: Final = ("sx", "sy", "sz")
-_ASIDE: Final = re.compile(r"\([^)]*\)|[\s_]")
+_ASIDE: Final = re.compile(r"\([^()]*+\)|[\s_]")
 _CRS: Final = re.compile(r"^#\s*CoordinateSystem:\s*(.+)$", re.MULTILINE)
 _HEADER: Final = (
     "#Label", "Enable", "X", "Y", "Z", "Accuracy_X_(m)", "Accuracy_Y_(m)", "Accuracy_Z_(m)",

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 Three = tuple[Number, Number, Number]
 Count = Annotated[int, Field(strict=True, gt=0)]
-_KIND: Final = re.compile(r"""^\s*kind\s*=\s*["']frame["']""", re.MULTILINE)
+_KIND: Final = re.compile(r"""^[^\S\n]*+kind\s*=\s*["']frame["']""", re.MULTILINE)
 
 
 class CameraFile(Table):

@@ -35,7 +35,7 @@ ASTER_LINE_S: Final = 2.199e-3
 SAME_PX: Final = 1e-6
 #: Maximum difference of the length of a direction from 1.
 UNIT: Final = 1e-3
-_KIND: Final = re.compile(r"""^\s*kind\s*=\s*["']lattice["']""", re.MULTILINE)
+_KIND: Final = re.compile(r"""^[^\S\n]*+kind\s*=\s*["']lattice["']""", re.MULTILINE)
 _DIRECTIONS: Final = ("line", "sample", "x", "y", "z")
 _POSITIONS: Final = ("line", "x_m", "y_m", "z_m")
 

@@ -52,7 +52,7 @@ _STATE: Final = ("time_s", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s")
 _ANGLES: Final = ("time_s", "roll_deg", "pitch_deg", "yaw_deg")
 _QUATERNION: Final = ("time_s", "q0", "q1", "q2", "q3")
 _DIRECTIONS: Final = ("sample", "tan_forward", "tan_left")
-_KIND: Final = re.compile(r"""^\s*kind\s*=(?!\s*["']pushbroom["'])""", re.MULTILINE)
+_KIND: Final = re.compile(r"""^[^\S\n]*+kind\s*=(?!\s*["']pushbroom["'])""", re.MULTILINE)
 _ARC_SECOND: Final = np.pi / 180.0 / 3600.0
 _RECORD: Final = re.compile(r"^\s*\d{4}\s+\d{1,2}\s+\d{1,2}\s")
 #: Maximum pole coordinates x, y (arc seconds) and UT1 - UTC (s).

@@ -41,6 +41,8 @@ _ANGLE: Final = re.compile(
 _DEGREES: Final = re.compile(
     r"(?P<before>[NSEWKGDB])?\s*(?P<number>[+-]?[0-9]+(?:[.,][0-9]+)?)\s*[°º]?\s*(?P<after>[NSEWKGDB])?"
 )
+#: Longer cells are no angles, characters.
+_LONGEST: Final = 60
 #: Letters of the hemispheres in English, German, French and Spanish, and in Turkish (Kuzey, Güney, Doğu, Batı).
 _SOUTH_OR_WEST: Final = "SWGB"
 
@@ -74,6 +76,8 @@ def angle_of(cell: Cell) -> float:
     if not isinstance(cell, str):
         return math.nan
     text = bare(cell)
+    if len(text) > _LONGEST:
+        return math.nan
     found = _ANGLE.fullmatch(text)
     if found:
         minutes, seconds = int(found["m"]), float(found["s"].replace(",", "."))

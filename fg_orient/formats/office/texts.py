@@ -33,7 +33,9 @@ _SEPARATORS: Final = {
     "  ": "two blanks or more",
     " ": "blanks",
 }
-_CRS: Final = re.compile(r"^[#\s\"]*crs\s*[:=]\s*(EPSG:\S+?)[\s\";,]*$", re.IGNORECASE | re.MULTILINE)
+_CRS: Final = re.compile(
+    r"^[# \t\"]*+crs[ \t]*+[:=][ \t]*+(EPSG:[^\s\";,]++)[ \t\r\";,]*+$", re.IGNORECASE | re.MULTILINE
+)  # fmt: skip
 
 
 def decoded(path: Path) -> tuple[str, str]:

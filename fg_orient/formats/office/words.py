@@ -158,7 +158,7 @@ def heights_of(text: str) -> str:
 
 def _unit(header: str) -> tuple[str, str]:
     """Return the unit, which is in brackets or after a slash, and the header without it."""
-    for found in re.finditer(r"[\[({]([^\])}]*)[\])}]", header):
+    for found in re.finditer(r"[\[({]([^\[({\])}]*+)[\])}]", header):
         inner = found[1].strip()
         word = plain(inner)
         if inner in ("°", "º"):

@@ -42,8 +42,8 @@ _OSSIM_ERRORS = {"bias_error": "ERR_BIAS", "rand_error": "ERR_RAND"}
 
 _LINE = re.compile(r"\s*([A-Z][A-Z0-9_]*)\s*:\s*(\S+)(?:\s+[A-Za-z/]+)?\s*")
 _NUMBERS = re.compile(r"\s*(?:[-+.0-9eEdD]+\s+){20,}")
-_RPB_ENTRY = re.compile(r'^[ \t]*(\w+)[ \t]*=\s*(\([^)]*\)|"[^"\n]*"|[^;\n("]*);', re.MULTILINE)
-_GEOM_ENTRY = re.compile(r"^\s*([\w.]+):[ \t]*(.*)$", re.MULTILINE)
+_RPB_ENTRY = re.compile(r'^[ \t]*+(\w++)[ \t]*+=\s*+(\([^()=;]*+\)|"[^"\n]*+"|[^;\n("]*+);', re.MULTILINE)
+_GEOM_ENTRY = re.compile(r"^[^\S\n]*+([\w.]++):[ \t]*(.*)$", re.MULTILINE)
 _GEOM_COEFFICIENT = re.compile(r"(line|samp)_(num|den)_coeff_([0-9]{1,4})")
 _GEOM_PARAMETER = re.compile(r"adjustment_\d+\.adj_param_\d+\.parameter")
 

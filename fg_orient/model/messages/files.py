@@ -143,6 +143,8 @@ geodesy.not_epsg: the coordinate reference system is not an EPSG code
     -> write EPSG:n, or EPSG:n+m with a vertical CRS, for instance EPSG:4979 or EPSG:32636
 geodesy.unknown_crs: unknown EPSG code
     -> find the code at epsg.org; WGS84 longitude, latitude, height is EPSG:4979
+geodesy.no_wkt: WKT 1, which other programs read, cannot describe this CRS
+    -> give a CRS by its EPSG code
 geodesy.not_spatial: the CRS does not have horizontal coordinates and a height
     -> give a geographic, projected or geocentric CRS
 geodesy.axes: the axes of the CRS are not {unit}s to the east and north and metres up
