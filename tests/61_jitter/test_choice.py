@@ -175,7 +175,7 @@ def test_command_writes_table_section_and_record(tmp_path: Path) -> None:
     assert line[0] == 0.0 and line[-1] == 11999.0
     np.testing.assert_allclose([low, high], [value - QUANTILE * sd, value + QUANTILE * sd])
     page = (out / "report.html").read_text("utf-8")
-    assert "Evidence for jitter of roll and pitch" in page and "jitter of roll of image right over the lines" in page
+    assert "Test for jitter of roll and pitch" in page and "jitter of roll of image right over the lines" in page
     assert in_process("replay", out).code == 0
     located = in_process("locate", tmp_path / "twin" / "right.DIM", "--line", 6000, "--sample", 6000, "--height", 300,
                          "--result", out, "--json")  # fmt: skip

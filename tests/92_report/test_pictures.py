@@ -134,7 +134,7 @@ def test_a_removed_measurement_is_the_first_chip(copy: Path) -> None:
     assert (top, left) == (round(first.line) - 32, round(first.sample) - 32)
     assert [chip.point.removed for chip in chips[1:]] == [0] * 9
     text = (out / "report.html").read_text("utf-8")
-    assert text.count("<strong>removed</strong> in round 1") == 1 and "Those that the search" in text
+    assert text.count("<strong>removed</strong> in round 1") == 1 and "Image points that the search" in text
     assert "<strong>removed</strong>" not in (copy / "result" / "report.html").read_text("utf-8")
     (copy / "b.tif").unlink()
     assert [chip.point.image for chip in pictures_of(result, out).chips].count("b") == 0

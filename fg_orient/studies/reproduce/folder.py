@@ -203,7 +203,7 @@ def verdict(result: Reproduction) -> dict[str, str]:
         )
         + (f"Weaker verdicts: {', '.join(others)}. " if others else "")
         + f"{counts['differs']} differ; {counts['not_reproducible']} cannot be reproduced, each for the reason beside "
-        f"it. Beyond what exchanged values reach, {result.gained():.0f} cells agree in digits, spread or size."
+        f"it. {result.gained():.0f} more cells agree in digits, spread or size than with exchanged values."
     )
     return {"kind": "good" if met == len(result.claims) else "warn", "title": title, "text": text}
 
