@@ -16,7 +16,7 @@ from numba.core import codegen, compiler, typed_passes, types, untyped_passes
 class Flags(compiler.Flags):  # type: ignore[misc]
     """Compiler options that are equal only if they are the same object.
 
-    This is fast, and numba compares them thousands of times.
+    This comparison is fast, and numba compares options thousands of times.
     """
 
     __slots__ = ()

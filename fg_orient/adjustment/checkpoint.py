@@ -78,7 +78,7 @@ class Checkpoint:
     def write(self) -> int | None:
         """Write the last input and return its number of iterations; None if there is none.
 
-        InputError if the file cannot be written.
+        Raise InputError if the file cannot be written.
         """
         if self._pending is None:
             return None

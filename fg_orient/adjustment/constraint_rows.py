@@ -145,7 +145,7 @@ def relation_record(constraint: Constraint, start: Array) -> Array:
 def figure_of(constraint: Constraint, points: Array) -> Figure:
     """Return the start of a figure from its points (n, 3).
 
-    InputError if they do not determine it.
+    Raise InputError if they do not determine it.
     """
     try:
         with np.errstate(all="raise"):

@@ -107,7 +107,7 @@ def prepared(problem: Problem) -> Problem:
 def _placed(problem: Problem, extra: ConstraintObservation) -> ConstraintObservation:
     """Return the constraint with the places of its images.
 
-    InputError for an image without projection centre.
+    Raise InputError for an image without projection centre.
     """
     constraint = extra.constraint
     if constraint.kind not in OF_PHOTOS:

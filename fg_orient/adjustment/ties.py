@@ -87,7 +87,7 @@ class Ties:
 def ties_of(parameters: Sequence[ImageParameters], names: Sequence[str]) -> Ties | None:
     """Return the ties of images with these ids; None if images share no unknowns.
 
-    InputError if a shared unknown has different prior sigmas.
+    Raise InputError if a shared unknown has different prior sigmas.
     """
     own = [p.own for p in parameters]
     if all(mask.all() for mask in own):

@@ -58,7 +58,7 @@ def convert(
         list[Path] | None, option("Metadata of an image; points far from all these images are refused.")
     ] = None,
     accept_unverified: Annotated[
-        bool, option("Read a format that was never tested with a file of its program.", flag="--accept-unverified")
+        bool, option("Read a format that was never tested with a file from its program.", flag="--accept-unverified")
     ] = False,
     bands: Annotated[
         int, option("With --to csm-state: number of bands of columns; each band becomes a state file.", "N")

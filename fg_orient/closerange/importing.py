@@ -153,7 +153,7 @@ def _spread(values: Array) -> dict[str, Array]:
 def _photos(model: FrameModel, shift: Array, file: Path) -> list[str]:
     """Return the photo tables.
 
-    InputError for two photos of one name, or a camera that a photo file cannot contain.
+    Raise InputError for two photos of one name, or a camera that a photo file cannot contain.
     """
     names = [pose.name for pose in model.poses]
     if len(set(names)) < len(names):

@@ -279,7 +279,7 @@ def camera_of(interior: PhotoInterior) -> Array:
 def parameters_of(words: Sequence[str], place: str) -> tuple[str, ...]:
     """Return the camera parameters for words that name a parameter or a set, each once.
 
-    InputError for other words.
+    Raise InputError for other words.
     """
     out: list[str] = []
     for word in words:

@@ -241,7 +241,7 @@ def is_closerange(folder: Path) -> bool:
 def read_record(folder: Path) -> dict[str, Any]:
     """Return the record of a folder, and check that all its files belong to its run (:mod:`fg_orient.result.manifest`).
 
-    InputError if it is missing or damaged, or of a version that has no report.
+    Raise InputError if it is missing or damaged, or of a version that has no report.
     """
     record = checked_record(folder, RECORD_FILE, CONTENTS, "report.damaged")
     if "report" not in record:

@@ -104,7 +104,8 @@ def resect(
 
     Notes
     -----
-    Start: triples of points (Grunert 1841 in the form of Haralick et al. 1994), and the DLT with six points or more.
+    Start values come from triples of points (Grunert 1841 in the form of Haralick et al. 1994), and from the DLT if
+    there are six points or more.
     The adjustment uses ``factors.cameras.frame`` with observations corrected for the distortion. The result is
     the minimum with the smallest weighted squares. The mirrored pose of a plane (Schweighofer & Pinz 2006) is always
     tried, and reported if it fits as well.

@@ -64,7 +64,7 @@ class EarlierResult:
 
     @staticmethod
     def of(given: Solution | Result | str | Path, points: Collection[str]) -> EarlierResult:
-        """Read a result folder, or use a result from memory; errors as in :func:`read_result`.
+        """Read a result folder, or use a result from memory; it raises the same errors as :func:`read_result`.
 
         ``points``: ids of the points of a solution that its joint cofactors contain, if they are not too many.
         """

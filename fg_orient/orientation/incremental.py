@@ -153,7 +153,7 @@ class Incremental:
     def unknowns(self, image: str) -> Array:
         """Return the unknowns (k,) of an image in prior sigmas, in the order of ``solution().problem.parameters``.
 
-        InputError if the image is unknown, or if it waits.
+        Raise InputError if the image is unknown, or if it waits.
         """
         names = [i.id for i in self._block.images]
         self._require_known(image in names and self._used_image[names.index(image)], f"image {image}")

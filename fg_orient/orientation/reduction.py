@@ -95,7 +95,7 @@ def _rms_length(errors: Array) -> float | None:
 def folds_of(block: Block, count: int = 0) -> Parts:
     """Divide the measured control points into parts of one point, or into ``count`` random parts of similar size.
 
-    InputError if there is only one part, or if there are fewer control points than parts.
+    Raise InputError if there is only one part, or if there are fewer control points than parts.
     """
     control = block.points.where(Role.CONTROL)
     control = control[np.isin(control, block.observations.point)]

@@ -166,7 +166,7 @@ class Solution(AdjustmentResult):
         """Return the correction of an image in physical units, for ``project``, ``locate`` and ``rays`` of its sensor.
 
         ``Correction`` of a pushbroom image, compensation (6,) in pixels of an RPC image (``factors.cameras.rfm``).
-        InputError if the image is unknown.
+        Raise InputError if the image is unknown.
         """
         if image not in [i.id for i in self.block.images]:
             raise InputError.of("covariance.no_such", place="correction", value=image)

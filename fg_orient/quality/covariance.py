@@ -316,7 +316,7 @@ def _with_residuals(problem: Problem, q: Array, is_residual: Mask, coordinate: I
 
 
 def _find(problem: Problem, state: State, name: str) -> list[_Rows]:
-    """Find the rows of a name; errors as in :func:`joint_cofactors`."""
+    """Find the rows of a name; it raises the same errors as :func:`joint_cofactors`."""
     kind, _, rest = name.partition(":")
     if kind in ("observation", "residual"):
         rows = [_of_observation(problem, state, int(row), kind) for row in _image_points(problem, rest)]

@@ -66,9 +66,9 @@ class Evidence:
 def compiled_problem(block: Block, like: Problem | None = None, *, at_once: bool = True) -> Problem:
     """Compile a block; the error for a block without control points lists the free motions of each part.
 
-    If rays do not meet, the error names mix-ups of tables and metadata that explain this. Parameters and
-    errors as of ``compile_problem``. The records of the image points are computed now; if not ``at_once``,
-    some rows are computed when they are needed.
+    If rays do not meet, the error names mix-ups of tables and metadata that explain this.
+    ``compile_problem`` describes the parameters and the other errors. The records of the image points are
+    computed now; if not ``at_once``, some rows are computed when they are needed.
     """
     try:
         compiled = prepared(compile_problem(block, like))

@@ -421,7 +421,7 @@ FIXES: Final = 1e8
 
 
 def datum_step(difference: Array, null_space: Array, select: Mask) -> Array:
-    """Return the step ``(S - I) (x - x_0)`` along the motions to the datum; parameters as in :func:`s_transform`."""
+    """Return the step ``(S - I) (x - x_0)`` along the motions to the datum (parameters: :func:`s_transform`)."""
     return np.asarray(-null_space @ (_coordinates(null_space, select) @ difference))
 
 

@@ -41,7 +41,8 @@ REFINED: Final = (0.5, 0.7, 0.84, 1.19, 1.41, 2.0)
 MIXED: Final = (0.35, 0.5, 0.71, 1.0, 1.41, 2.0, 2.8)
 #: Number of neighbouring resolutions on both sides that are tried.
 NEIGHBOURS: Final = 2
-#: Gain of log likelihood below which an optimisation ends; loss against the best model above which a model is ignored.
+#: An optimisation ends if the log likelihood increases by less than the first number. A model is ignored if its log
+#: likelihood is below the best one by more than the second number.
 SETTLED, NEGLIGIBLE = 1e-2, 4.0
 #: Number of intervals that describe a cycle.
 PER_CYCLE: Final = 3.0

@@ -126,7 +126,7 @@ class JitterSystem:
 
     @cached_property
     def resolved(self) -> tuple[tuple[int, ...], ...]:
-        """For each angle, the numbers of intervals at which jitter of 1 px is determined by more than half."""
+        """For each angle, the numbers of intervals at which at least RESOLVED of jitter of 1 px is determined."""
         return tuple(
             tuple(k for k in RESOLUTIONS if np.mean((own := self.information(angle, k)[0]) / (1.0 + own)) >= RESOLVED)
             for angle in range(len(self.angles))

@@ -68,7 +68,7 @@ def require_groups(groups: tuple[str, ...]) -> None:
 
 
 def groups_of(problem: Problem, groups: tuple[str, ...] = USUAL_GROUPS) -> Groups:
-    """Group the observations of a problem; errors as of :func:`require_groups`."""
+    """Group the observations of a problem; it raises the same errors as :func:`require_groups`."""
     require_groups(groups)
     image, prior = _image_labels(problem.block, groups), list[list[str | None]]()
     axes: list[str | None] = [None] * 3

@@ -307,7 +307,7 @@ class UnknownFreedom:
     def of(cls, known: ResidualCofactors, components: VarianceComponents) -> UnknownFreedom:
         """Compute from a solution with these components.
 
-        NoSolutionError if there are too many image unknowns and groups.
+        Raise NoSolutionError if there are too many image unknowns and groups.
         """
         problem = known.problem
         groups = groups_of(problem, problem.block.options.variance_components)

@@ -412,7 +412,7 @@ def _require_sigmas(points: Observations) -> None:
 def _require_determined(points: Observations, model: TransformationModel, design: Array) -> float:
     """Return the condition number of the scaled design.
 
-    InputError if points do not determine the transformation.
+    Raise InputError if points do not determine the transformation.
     """
     length = np.linalg.norm(design, axis=0)
     values = np.linalg.svd(design / np.where(length > 0.0, length, 1.0), compute_uv=False)

@@ -74,7 +74,7 @@ def perimeter_m(vertices: npt.ArrayLike) -> float:
 def mean_spacing_m(length_m: float, n_vertices: float) -> float:
     """Return the mean distance of the vertices of a closed outline, m.
 
-    InputError if an argument is not above 0.
+    Raise InputError if an argument is not above 0.
     """
     return positive("length", length_m, "m") / positive("number of vertices", n_vertices, "vertices")
 
@@ -82,7 +82,7 @@ def mean_spacing_m(length_m: float, n_vertices: float) -> float:
 def pixel_area_m2(n_pixels: float, pixel_m: float) -> float:
     """Return the area of a number (0 or more) of square pixels of a size above 0.
 
-    InputError for other arguments.
+    Raise InputError for other arguments.
     """
     return number("number of pixels", n_pixels, "pixels", least=0.0) * positive("pixel size", pixel_m, "m") ** 2
 
@@ -90,7 +90,7 @@ def pixel_area_m2(n_pixels: float, pixel_m: float) -> float:
 def pixel_area_sigma_m2(perimeter: float, pixel_m: float) -> float:
     """Return the standard deviation of a pixel-count area over random positions and orientations of the grid, m2.
 
-    Raises InputError if an argument is not above 0.
+    Raise InputError if an argument is not above 0.
     """
     length, size = positive("perimeter", perimeter, "m"), positive("pixel size", pixel_m, "m")
     return float(np.sqrt(PIXEL_VARIANCE * length * size**3))
@@ -162,7 +162,7 @@ def lambert_cylindrical(radius_m: float) -> str:
 def lambert_polar(radius_m: float) -> str:
     """Return the definition of the polar equal-area azimuthal projection of a sphere: ``rho = 2R sin(45 deg - phi/2)``.
 
-    Raises InputError if the radius is not above 0.
+    Raise InputError if the radius is not above 0.
     """
     positive("radius", radius_m, "m")
     return f"+proj=laea +lat_0=90 +lon_0=0 +R={radius_m!r}"

@@ -112,7 +112,7 @@ class Scanner:
 def relief_shift_m(height_m: npt.ArrayLike, theta_rad: npt.ArrayLike) -> Array:
     """Return the outward displacement of a point above the datum: ``Z_j tan theta``, m.
 
-    InputError for invalid numbers.
+    Raise InputError for invalid numbers.
     """
     return np.asarray(finite("height", height_m) * np.tan(_angle(theta_rad)))
 
@@ -133,7 +133,7 @@ def _angle(theta_rad: npt.ArrayLike) -> Array:
 def total_angle_rad(swath_m: float, height_m: float) -> float:
     """Return the total scan angle over flat ground, ``2 arctan(W/(2H))``.
 
-    InputError if an argument is not above 0.
+    Raise InputError if an argument is not above 0.
     """
     return 2.0 * math.atan2(positive("swath", swath_m, "m"), 2.0 * positive("height", height_m, "m"))
 

@@ -99,7 +99,7 @@ def effective_resolution_m(scale: float) -> float:
 def cmas_m(rmse_x_m: float, rmse_y_m: float) -> float:
     """Return the radius of 90 %: 2.1460 (RMSE_x + RMSE_y)/2, m.
 
-    InputError if an RMSE is below 0 or not finite.
+    Raise InputError if an RMSE is below 0 or not finite.
     """
     return CMAS_FACTOR * 0.5 * sum(number("RMSE", v, "m", least=0.0) for v in (rmse_x_m, rmse_y_m))
 

@@ -78,9 +78,9 @@ class TransformationModel:
 
         Other models start from the least squares of ``numerator - target (denominator -
         1) = target``. Both rows of the projective transformation have the denominator; in
-        the line-scanner DLT only the sample has it. The affine model (denominator 1) is
-        the start for the parallel projection, and if the denominator is not above 0 at
-        all points.
+        the line-scanner DLT only the sample has it. The parallel projection
+        starts from the affine model (denominator 1). So do other models if their
+        denominator is not above 0 at all points.
         """
         x = np.zeros(self.n_unknowns)
         if self.linear:
@@ -284,9 +284,9 @@ def read_transformation(path: Path) -> Transformation:
 
 
 def _from_dict(record: Mapping[str, Any]) -> Transformation:
-    """Return the transformation of the content of a file.
+    """Return the transformation that the content of a file describes.
 
-    ValueError, KeyError or TypeError for invalid content.
+    Raise ValueError, KeyError or TypeError for invalid content.
     """
     if record["schema"] != SCHEMA:
         raise ValueError("schema")

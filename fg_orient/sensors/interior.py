@@ -67,7 +67,7 @@ class Interior:
     ) -> FrameCamera:  # fmt: skip
         """Make the camera of an image with this rotation and projection centre.
 
-        InputError for impossible values.
+        Raise InputError for impossible values.
         """
         return FrameCamera(
             rotation, centre_m, self.focal_px, self.principal_px, self.distortion, sigma or {}, self.model,

@@ -24,7 +24,7 @@ SIDE: Final = 3
 def chosen(names: tuple[str, ...], usual: LightEffects) -> LightEffects:
     """Return the effects with these names, or ``usual`` if there are no names.
 
-    InputError for unknown names.
+    Raise InputError for unknown names.
     """
     if not names:
         return usual

@@ -49,7 +49,7 @@ def read_survey(
     settings : Settings
         Information that the files do not contain.
     accept_unverified : bool
-        Accept a format whose reader was never tested with a file of its program.
+        Accept a format whose reader was never tested with a file from its program.
     scenes : sequence of Scene
         Footprints of the images; points that are far from all images are refused.
 

@@ -19,7 +19,7 @@ interchange.no_writer: this format can only be read
     -> convert from this format, not to it
 interchange.needs_model: the format needs cameras and poses, which {source} does not contain
     -> convert from a format that contains them: {known}
-interchange.unverified: this reader was never tested with a file of the program itself: pixel origin and columns come
+interchange.unverified: this reader was never tested with a file from the program itself: pixel origin and columns come
     from descriptions
     -> read docs/formats, compare one point with the program, and add <accept_unverified>
 interchange.empty: the file contains no points
@@ -111,7 +111,7 @@ lost.fixed: {format} has no points without uncertainty: fixed points get a stand
     -> choose a small suitable value
 lost.crs: {format} does not state the CRS: the CRS is lost
     -> give the CRS to the program that reads the file
-remark.unverified (note): the reader of this format was never tested with a file of its program
+remark.unverified (note): the reader of this format was never tested with a file from its program
     -> compare one point with the program
 remark.outside_area (note): {count} of {total} points lie outside the area for which {crs} was made
     -> check the CRS and the order of the columns

@@ -155,8 +155,9 @@ def page(record: dict[str, Any], figures: str = "") -> str:
         "## Rise of the resident memory, MB", "", *_table(record, "peak_bytes"), "",
         *_reasons(record), "",
         "## Exponents", "",
-        "`y = c n^b` by least squares on logarithms, over the sizes whose value is at least five times the least one "
-        "(four sizes or more), with the 95 % interval of b.", "", *_exponents(record), "",
+        "The law `y = c n^b` was fitted by least squares to the logarithms. Only sizes whose value is at least five "
+        "times the smallest value are used (four sizes or more). The table gives b with its 95 % interval.", "",
+        *_exponents(record), "",
         "## Elimination orders", "",
         "Graph with explicit points. Fill: elements of the factor that are zero in the normal matrix. The natural "
         "order eliminates images first: all points of an image are then linked.", "", *_orderings(record), "",
