@@ -277,7 +277,7 @@ class Border(BorderMatrix):
     def times(self, border: Array, ground: Array) -> tuple[Array, Array]:
         """Multiply the cofactor matrix of all unknowns by columns (b, d) and (N, 3, d).
 
-        The result has these shapes.
+        The result has the same shapes.
         """
         right, own = border.copy(), np.zeros(ground.shape)
         if self.named:

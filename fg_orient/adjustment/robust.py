@@ -258,7 +258,7 @@ def _ground_cofactors(problem: Problem, blocks: list[tuple[npt.NDArray[np.intp],
 
 
 def _of_image(problem: Problem, ground: Array, rows: npt.NDArray[np.intp], v: Array, b: Array, c: Array) -> Array:
-    """Return the ratios of T to the median of its chi-square, of the image points of one image."""
+    """Return T over the median of its chi-square distribution, for each image point of one image."""
     q = np.eye(2) - np.einsum("nri,nij,nsj->nrs", c, ground[problem.observations.point[rows]], c)
     kept = np.einsum("nrs,nsu->nru", q, b)
     prior = np.eye(b.shape[2]) if problem.block.options.priors else 0.0

@@ -1,8 +1,8 @@
 """Datum of a block without control points: directions that the rays hardly determine stay at the metadata.
 
 A movement x of the image unknowns moves the image points by ``J x``. The ground points move with the images.
-The points cannot follow the whole movement; the remaining part appears in the residuals. With N = J^T J and
-S, the normal matrix of the images after the elimination of all points (no priors),
+The points cannot follow the whole movement; the remaining part appears in the residuals. N is ``J^T J``. S is
+the normal matrix of the images without priors, after the elimination of all points. Their eigenvalues mu are
 
     S v = mu N v,    0 <= mu <= 1 without control points
 

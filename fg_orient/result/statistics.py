@@ -289,7 +289,7 @@ def tests_of(solution: Solution) -> OutlierTests | None:
 def outlier_records(solution: Solution) -> dict[str, Any]:
     """Return the record's entries on outlier tests: the test of all observations, and the searches."""
     tests = tests_of(solution)
-    judged = solution.weights is None and np.isfinite(solution.sigma0_interval[0])  # not with variance components
+    judged = solution.weights is None and np.isfinite(solution.sigma0_interval[0])  # false with variance components
     whole = solution.global_test() if judged else None
     return {
         "global_test": None if whole is None else {**asdict(whole), "accepted": whole.accepted},

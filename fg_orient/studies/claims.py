@@ -284,7 +284,7 @@ def _solutions(study: Study, eop_set: int) -> dict[str, Array]:
 def _spread(values: dict[str, Array], columns: Index) -> float:
     """Return the largest relative deviation of an unknown from partial pivoting; inf if an unknown is exactly 0 there.
 
-    An unknown without effect is a rounding error, which may happen to be 0.
+    The value of an unknown without effect is a rounding error and can be 0 by chance.
     """
     reference = values[PIVOT][columns]
     away = [np.abs(x[columns] - reference) for x in values.values()]

@@ -362,7 +362,7 @@ rpc.compensated (note): the RPC is compensated with control points
 rpc.fitted_correction (note): the corrected RPC is fitted; it differs from model and compensation by up to
     {line_px:.2g} px in line, {sample_px:.2g} px in sample
 points.operation (note): {operation}
-points.back (note): then to {crs} by the inverse of {operation}
+points.back (note): then transformed to {crs} by the inverse of {operation}
 points.alone (note): left out: {n} point(s) measured in one image only
 points.behind (note): {n} point(s) lie behind a camera
 points.not_adjusted (note): {n} unadjusted point(s) are left out
