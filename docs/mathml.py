@@ -20,7 +20,7 @@ def mathml(latex, display="inline"):
     Raises
     ------
     ValueError
-        It holds a command that has no MathML.
+        The formula contains a command that has no MathML.
     """
     latex = latex.replace("{aligned}", "{align*}")  # the same to it, and it knows this one
     text = convert(latex, display=display)

@@ -366,7 +366,7 @@ def gauss_helmert(
     reason = "the step is below the tolerance"
     if not converged:
         reason = f"no convergence within {iteration} iterations: the last whitened step is {change:.1e}"
-    # Q_vv = G (I - U U^T) G^T with G = Q_ll B^T M^-T/2, U of the design at the last point
+    # Q_vv = G (I - U U^T) G^T with G = Q_ll B^T M^-T/2; U spans the design at the last point
     rank, q_y, left, rank_notes = _spectrum(at.design @ at.basis)
     q_x = at.basis @ q_y @ at.basis.T
     across = at.spread @ left

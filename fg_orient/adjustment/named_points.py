@@ -99,7 +99,7 @@ class NamedBackend:
     Raises
     ------
     InputError
-        Too many unknowns of images and named points for one matrix.
+        Images and named points have too many unknowns for one matrix.
     """
 
     name = "schur"

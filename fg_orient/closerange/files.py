@@ -84,7 +84,7 @@ def read_control(path: Path, sigma: float | None = None) -> Observed:
     Raises
     ------
     InputError
-        All errors of the file.
+        The file has errors; all are listed.
     """
     extra = product(((), ("photo",)), ((), ("role",)), ((), SIGMA_IMAGE))
     return _read(path, [("id", *IMAGE, *GROUND, *a, *b, *c) for a, b, c in extra], sigma)
@@ -112,7 +112,7 @@ def read_model_points(path: Path) -> tuple[tuple[str, ...], Array]:
     Raises
     ------
     InputError
-        All errors of the file.
+        The file has errors; all are listed.
     """
     table = require_table(path, [("id", "x", "y", "z", *own) for own in ((), ("distance",))])
     model, ids = _numbers(table, ("x", "y", "z")), table.cells["id"]

@@ -416,7 +416,7 @@ def compare_points(reference_m: npt.ArrayLike, points_m: npt.ArrayLike, control:
     Raises
     ------
     InputError
-        Arrays of other shapes.
+        An array has another shape.
     """
     reference = as_points(reference_m, 3, "reference")
     difference = reference - as_points(points_m, 3, "points")

@@ -64,7 +64,7 @@ def run_import(
     Raises
     ------
     InputError
-        An invalid file, or a camera whose distortion maps ideal to measured coordinates.
+        The file is invalid, or it has a camera whose distortion maps ideal to measured coordinates.
     """
     require_free(out, overwrite=overwrite, contents=CONTENTS)
     format_ = format_named(source, place="<from>")

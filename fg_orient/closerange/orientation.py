@@ -318,7 +318,7 @@ def absolute_orientation(model: npt.ArrayLike, ground_m: npt.ArrayLike, *, sigma
     Raises
     ------
     InputError
-        Too few points, points on a line.
+        There are too few points, or they lie on a line.
     NoSolutionError
         The iteration does not converge.
 

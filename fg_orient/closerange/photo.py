@@ -87,7 +87,7 @@ class PhotoInterior:
 
     @property
     def matrix(self) -> Array:
-        """Ideal coordinates of directions in camera axes: (3, 3)."""
+        """Matrix (3, 3) that gives the ideal image coordinates of a direction in camera axes."""
         x, y = self.principal
         return np.array([[self.focal, 0.0, x], [0.0, self.sign * self.focal, y], [0.0, 0.0, 1.0]])
 

@@ -264,7 +264,7 @@ def models_of(kind: Kind, points: Array, axis: str) -> list[SurfaceModel]:
     Raises
     ------
     InputError
-        No such kind or axis.
+        The kind or axis does not exist.
     """
     plain = np.ones(1), np.zeros((2, 0))
     if kind == "quadric":

@@ -246,7 +246,7 @@ def _require_determined(task: _Task, x: Array) -> fitting.Determination:
     Raises
     ------
     InputError
-        Names the parameters and the undetermined direction.
+        The points leave a direction undetermined; the error names its parameters.
     NoSolutionError
         Normal distances have no derivatives at this state.
     """

@@ -17,7 +17,7 @@ from factors.arrays import Array, Index, Mask
 from fg_orient.model.errors import InputError, finding
 from fg_orient.model.names import LARGEST, SMALLEST, Role
 
-#: Numpy types accepted for each kind of value. Texts are refused, masks are not numbers, and no value is truncated.
+#: Numpy types accepted for each kind of value. Texts are refused, masks are refused as numbers, and no value is cut.
 _ACCEPTED: Final[dict[type, tuple[str, str]]] = {
     np.float64: ("iuf", "numbers"), np.intp: ("iu", "whole numbers"), np.bool_: ("b", "true and false"),
 }  # fmt: skip

@@ -84,7 +84,7 @@ def _has_address_limit() -> bool:
 
 #: Address space that OpenBLAS takes for the work of a thread, bytes: 32 MiB and two pages (strace, 0.3.30).
 BLAS_BYTES: Final = 40_000_000
-#: Address space that a run needs at its beginning, at least, for libraries and the compilation of kernels, bytes: LLVM
+#: Minimum address space that a run needs at its beginning for libraries and the compilation of kernels, bytes. LLVM
 #: ends the process if it does not get memory.
 START_BYTES: Final = 200_000_000
 #: Number of rows of a product for which OpenBLAS needs this address space.

@@ -71,7 +71,7 @@ def adjust_with_components(
     Raises
     ------
     InputError
-        Unknown groups or method; a loss.
+        The groups or the method are unknown, or there is a loss.
     NoSolutionError
         There is no covariance; a component is negative, diverges or does not converge.
     """

@@ -274,7 +274,7 @@ class Solution(AdjustmentResult):
         Raises
         ------
         InputError
-            Invalid probabilities.
+            The probabilities are invalid.
         NoSolutionError
             There is no covariance, or a loss is set: its weights change both probabilities.
         """

@@ -113,8 +113,8 @@ def refuse_deficient(compiled: Problem, observability: tuple[ImageObservability,
     Raises
     ------
     RankDeficientError
-        One problem per unknown with too few observations, per unobservable direction of an image, or per part of the
-        block that no control point fixes.
+        The error lists one problem per unknown with too few observations, per unobservable direction of an image, or
+        per part of the block that no control point fixes.
     """
     structure = analyse_structure(compiled)
     _refuse(compiled, observability, _structural(compiled, structure, observability))

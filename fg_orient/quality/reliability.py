@@ -131,7 +131,7 @@ def reliability(cofactors: ResidualCofactors, *, alpha: float = ALPHA, power: fl
     Raises
     ------
     InputError
-        Invalid probabilities.
+        The probabilities are invalid.
     """
     if not 0.0 < alpha < power < 1.0:
         raise InputError.of("statistics.power", place="alpha, power", value=f"{alpha}, {power}")

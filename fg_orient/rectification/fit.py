@@ -379,7 +379,7 @@ def require_redundancy(model: TransformationModel, n_points: int) -> None:
     Raises
     ------
     InputError
-        2n <= unknowns.
+        The number of equations, 2n, does not exceed the number of unknowns.
     """
     if 2 * n_points <= model.n_unknowns:
         raise InputError.of(

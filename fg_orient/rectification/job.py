@@ -123,7 +123,7 @@ def study_points(path: Path, counts: Sequence[int], degrees: Sequence[int], opti
     Raises
     ------
     InputError
-        See :func:`fg_orient.rectification.points.read_map_points` and ``design_study``; no check points.
+        See :func:`fg_orient.rectification.points.read_map_points` and ``design_study``; or there are no check points.
     """
     points = read_map_points(path, options.crs or "")
     if not points.check.any() or points.check.all():

@@ -212,7 +212,7 @@ def project(definition: str, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> 
     Raises
     ------
     InputError
-        An invalid definition, or a point outside its domain.
+        The definition is invalid, or a point is outside its domain.
     """
     lon, lat = _lon_lat(lon_deg, lat_deg)
     return _required(np.column_stack(_proj(definition)(lon, lat)), np.column_stack([lon, lat]), definition)

@@ -102,7 +102,7 @@ def subtract_dark_object(
     Raises
     ------
     InputError
-        Not a band; fewer valid pixels than ``least_pixels``.
+        The array is not a band, or it has fewer valid pixels than ``least_pixels``.
     """
     band, good = _band(image, valid)
     whole("least pixels", least_pixels, 1)
@@ -156,7 +156,7 @@ def classification_errors(assigned: npt.ArrayLike, truth: npt.ArrayLike) -> Clas
     Raises
     ------
     InputError
-        Different shapes, or no pixels.
+        The shapes differ, or there are no pixels.
     """
     both = [np.asarray(values).ravel() for values in (assigned, truth)]
     if np.shape(assigned) != np.shape(truth) or not len(both[0]):

@@ -139,7 +139,7 @@ def check_accuracy(differences_m: npt.ArrayLike, **options: Any) -> tuple[Standa
     Raises
     ------
     InputError
-        Invalid differences or options.
+        The differences or options are invalid.
     """
     d = np.atleast_2d(np.asarray(differences_m, float))
     if d.ndim != 2 or d.shape[1:] != (2,) or not len(d) or not np.isfinite(d).all():

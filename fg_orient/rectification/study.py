@@ -238,7 +238,7 @@ def digitised_sheets(extent_km: tuple[int, int] = SHEET_EXTENT_KM, runs: int = R
     Raises
     ------
     InputError
-        Fewer than two runs, a negative seed, or an extent with fewer than 24 nodes.
+        There are fewer than two runs, the seed is negative, or the extent has fewer than 24 nodes.
     """
     whole("runs", runs, 2)
     whole("seed", seed, 0)

@@ -129,7 +129,7 @@ def compensate(model: RpcModel, control: MeasuredPoints, kind: str = "shift", *,
     Raises
     ------
     InputError
-        No such kind, or too few points.
+        The kind does not exist, or there are too few points.
     NoSolutionError
         The points do not determine the terms: they lie on one line of the image.
     """

@@ -46,7 +46,7 @@ def penalised_unknowns(form: RfmForm, penalty: Penalty) -> Array:
     Raises
     ------
     InputError
-        No such penalty.
+        The penalty does not exist.
     """
     if penalty == "identity":
         return np.ones(len(form))
@@ -97,7 +97,8 @@ def fit_linear(
     Raises
     ------
     InputError
-        Fewer equations than coefficients, a coordinate without extent, unknown solver, bad kappa.
+        There are fewer equations than coefficients, a coordinate has no extent, the solver is unknown, or kappa is
+        invalid.
     NoSolutionError
         The solver breaks down, or a denominator changes sign.
     """

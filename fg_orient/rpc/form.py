@@ -44,7 +44,7 @@ class RfmForm:
     Raises
     ------
     InputError
-        No such degree, denominators or unknowns.
+        The degree, denominators or unknowns are not possible.
     """
 
     degree: int

@@ -71,7 +71,7 @@ class Reduced:
         Raises
         ------
         InputError
-            A coordinate without extent.
+            A coordinate has no extent.
         """
         system = linear_system(points, form, Scaling.of(points))
         a, observed = system.require_design("reduced system")
@@ -215,7 +215,7 @@ def fit_selected(
     Raises
     ------
     InputError
-        No such selection, or unusable points.
+        The selection does not exist, or the points cannot be used.
     NoSolutionError
         The fit has no solution, or a pole.
     """

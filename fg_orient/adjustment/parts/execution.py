@@ -51,7 +51,7 @@ class Execution:
     Raises
     ------
     InputError
-        An invalid value.
+        A value is invalid.
     """
 
     parts: int | None = None

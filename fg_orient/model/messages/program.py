@@ -34,7 +34,7 @@ output.busy: another run is writing this file
 output.not_a_folder: this is not a folder, or it is a link to one
 replay.same_folder: the repeated run would replace the result that it repeats
     -> give another <out>
-output.foreign: the folder holds other files, so it is not replaced
+output.foreign: the folder contains other files, so it is not replaced
     -> give another <out>, or move them; <overwrite> replaces only a folder that contains {mark} and no other files
 output.unwritable: the file cannot be written
     -> check folder, permissions and free space

@@ -138,8 +138,8 @@ linear.result_shape: the solver must return {unknowns} real numbers
     -> correct the solver's function
 linear.result_not_finite: the solver returned values that are not finite
     -> the system is singular for this solver
-classical.weights_twice: weights and cofactors exclude each other
-    -> give one of the two; Q_ll = W^-1
+classical.weights_twice: weights and cofactors are both given
+    -> give only one of them; Q_ll = W^-1
 classical.weights: this must be {count} finite numbers, or a finite matrix of {count} rows and columns
     -> give one per observation
 classical.not_definite: weights must be symmetric and positive definite; cofactors must be symmetric without negative
