@@ -302,8 +302,8 @@ def reduce_unknowns(
     Raises
     ------
     InputError
-        See :func:`fg_orient.adjust`. The direction is unknown, there are fewer control points than folds, or the options
-        contain a loss or a search.
+        See :func:`fg_orient.adjust`. The direction is unknown, there are fewer control points than folds, or the
+        options contain a loss or a search.
     NoSolutionError
         There is no covariance or no redundancy.
     """
