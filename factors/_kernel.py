@@ -175,7 +175,7 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
     def open_cache(self) -> _Cache | None:
         """Open the files of this kernel; return None if no folder is writable.
 
-        They are opened at the first call, not at import, because numba tests each folder.
+        The files are opened at the first call, not at import, because numba tests each folder.
         """
         if not self._opened:
             self._opened = True

@@ -102,7 +102,7 @@ class Result(compiler.CompileResult):  # type: ignore[misc]
 class PartLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
     """Code that is only linked into kernels.
 
-    It is not optimised or converted to machine code by itself.
+    This code is not optimised or converted to machine code by itself.
     """
 
     def _optimize_functions(self, module: Any) -> None:

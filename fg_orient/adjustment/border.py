@@ -80,7 +80,7 @@ def eliminated_part(problem: Problem, datum: Datum) -> Problem:
 def explicit_rows(problem: Problem, state: State) -> tuple[Array, sparse.csr_array]:
     """Return the whitened rows of named points, extra observations and priors.
 
-    These are residuals (r,) and the Jacobian (r, b) by the unknowns of the border.
+    The rows are residuals (r,) and the Jacobian (r, b) by the unknowns of the border.
     """
     from scipy import sparse
 

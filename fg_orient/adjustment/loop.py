@@ -195,7 +195,7 @@ class Course(Generic[S]):
     def assess(self, before: float, after: float, step: Step, control: float, always: bool = False) -> IterationRecord:
         """Record a step.
 
-        It is accepted if the error decreases, if the predicted decrease is rounding, or always.
+        The step is accepted if the error decreases, if the predicted decrease is rounding, or if ``always`` is true.
         """
         predicted = before - step.predicted_error
         ratio = (before - after) / predicted if predicted > 1e-12 * max(before, 1.0) else math.nan

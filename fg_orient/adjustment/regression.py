@@ -221,7 +221,7 @@ class _Point(NamedTuple):
 class _Backend:
     """A function and its observations as ``loop.Backend``; ``unit`` is the unit of residuals in the loop.
 
-    It is sqrt(eps) times the root mean square of the weighted observations: smaller residuals are rounding.
+    ``unit`` is sqrt(eps) times the root mean square of the weighted observations: smaller residuals are rounding.
     """
 
     def __init__(self, model: Model, jacobian: Model | None, x: Any, y: Array, weight: Array) -> None:

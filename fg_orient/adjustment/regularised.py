@@ -1,6 +1,6 @@
 """Record of a regularisation: method, parameter, rank and rows.
 
-They are chosen once, at the start values.
+Method, parameter and rank are determined once, at the start values.
 """
 
 from __future__ import annotations

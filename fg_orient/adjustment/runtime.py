@@ -135,7 +135,7 @@ class _Mate:
 def _work(inbox: SimpleQueue[Any], outbox: SimpleQueue[Any]) -> None:
     """Run the loop of a thread.
 
-    It has references to the queues only, so that it ends when its owner is deleted.
+    The thread has references to the queues only, so that it ends when its owner is deleted.
     """
     while (task := inbox.get()) is not None:
         kernel, lo, hi, arguments = task

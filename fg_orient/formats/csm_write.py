@@ -86,7 +86,7 @@ def write_state(
 def _detector(sensor: PushbroomSensor, correction: Correction, columns: tuple[int, int]) -> LineDetector:
     """Fit a detector line to the corrected look angles.
 
-    They are compared at samples over all its columns.
+    Detector and look angles are compared at samples over all columns.
     """
     first, end = columns
     sample = np.linspace(first, end - 1.0, min(COMPARED, end - first))
@@ -167,7 +167,7 @@ def _error_px(
 ) -> float:  # fmt: skip
     """Return the largest interpolation error of CSM, px.
 
-    It is tested halfway between the samples in the image.
+    The error is tested halfway between the samples in the image.
     """
     image, _ = _span(sensor)
     middle = 0.5 * (times[1:] + times[:-1])

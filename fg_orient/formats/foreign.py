@@ -67,7 +67,7 @@ class Table:
     def absolute(self) -> tuple[Path, ...]:
         """Return the absolute paths of the files.
 
-        They may be read again after a change of the working directory.
+        The files may be read again after a change of the working directory.
         """
         return tuple(path.absolute() for path in self.paths)
 

@@ -152,7 +152,7 @@ def _three(values: Array) -> tuple[float, float, float]:
 def focal_mm(isd: JsonFile, turn: Array, position: Array) -> float:
     """Return the focal length, mm.
 
-    It is negative if the camera looks along its negative third axis.
+    The focal length is negative if the camera looks along its negative third axis.
     """
     focal = abs(isd.number("focal_length_model.focal_length"))
     return focal if turn[2] @ position < 0.0 else -focal

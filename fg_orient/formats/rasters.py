@@ -150,7 +150,7 @@ class Raster:
     def decoded(self, factor: float) -> float:
         """Return how many pixels must be decoded for a picture that is reduced by a factor.
 
-        These are the pixels of the overview that is used.
+        The number is the size of the overview that is used.
         """
         overview = max((f for f in self._source.overviews(1) if f <= factor), default=1)
         return self.place.rows * self.place.columns / overview**2

@@ -241,7 +241,7 @@ def register_format(format_: Format) -> Format:
 def _sources(format_: Format) -> list[tuple[str, str]]:
     """Return the module and name of each function.
 
-    They are unchanged if a user's file is loaded again.
+    These names are unchanged if a user's file is loaded again.
     """
     values = (getattr(format_, name) for name in _FUNCTIONS)
     return [(value.__module__, value.__qualname__) for value in values if value is not None]

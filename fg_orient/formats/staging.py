@@ -114,7 +114,7 @@ def claimed(target: Path) -> Iterator[None]:
 def scratch_folder(parent: Path) -> Iterator[Path]:
     """Give a new temporary folder that only this user can read.
 
-    It is removed at the end, or by a later run. OSError: the folder cannot be created.
+    The folder is removed at the end, or by a later run. OSError: the folder cannot be created.
     """
     sweep_once(parent)
     with held(parent / "fg-orient") as folder:

@@ -1,6 +1,6 @@
 """Inner loops with vector instructions of 512 bits, or 256 bits if the processor has no wider ones.
 
-They are written explicitly because the compiler does not generate them for two kinds of loops. The
+The loops are written explicitly because the compiler does not generate them for two kinds of loops. The
 compiler unrolls a loop of nine and then does not vectorise it. Before each sum of rows
 (``fg_orient.kernels.batch_pairs``) it tests whether the arrays overlap, which takes as long as the sum.
 Nine components per image point (position, velocity, angles) are the usual case: their product takes 14

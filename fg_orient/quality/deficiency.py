@@ -1,6 +1,6 @@
 """Detection of unknowns that the observations do not determine, before the adjustment.
 
-They are reported if priors or a regularisation determine them; otherwise the block is refused. The checks
+Such unknowns are reported if priors or a regularisation determine them; otherwise the block is refused. The checks
 have the order in which a user corrects a block. First come unknowns with too few observations (structure),
 then physically unobservable directions of an image, motions of the block that no control point fixes, and
 other directions.

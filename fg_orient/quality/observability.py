@@ -162,7 +162,7 @@ def _name_by_unknowns(directions: Array, words: tuple[str, ...]) -> tuple[str, .
 def _raw_condition(s: Array, vt: Array, model: ImageModel) -> float:
     """Return the condition number with the unknowns in physical units per line, if the model has such coefficients.
 
-    It is the product of two norms, ``|J D| |D^-1 J^+|``, with ``J = U S V^T``. The inverse is computed in
+    The condition number is the product of two norms, ``|J D| |D^-1 J^+|``, with ``J = U S V^T``. The inverse is computed in
     prior sigmas, where it is accurate, so that condition numbers far above 1 / eps are correct.
     """
     unit = model.raw_sigma[model.parameters.own]

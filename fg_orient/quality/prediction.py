@@ -7,7 +7,7 @@ cofactors of the unknowns. E are the columns of the error in these rows. With
 
     T = (E^T S^-1 v)^T (E^T S^-1 E)^+ (E^T S^-1 v)
 
-It is equal to T of the outlier test in the adjustment that includes these observations. In that
+T is equal to T of the outlier test in the adjustment that includes these observations. In that
 adjustment ``S^-1 v`` are the whitened residuals and ``S^-1`` their cofactors (leave one out, Kok 1984).
 If they are included again, v^T v increases by ``v^T S^-1 v``. A ground point that the other
 observations do not determine is first intersected from the excluded observations; the test uses the

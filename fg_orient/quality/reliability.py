@@ -45,7 +45,7 @@ UNSEEN: Final = 20.0
 def noncentrality(alpha: float = ALPHA, power: float = POWER, dimension: int = 1) -> float:
     """Return the non-centrality delta of chi-square with which a test of size alpha has this power.
 
-    It is 17.075 for alpha = 0.001, a power of 0.80 and one dimension (Baarda 1968). ``dimension`` is
+    Delta is 17.075 for alpha = 0.001, a power of 0.80 and one dimension (Baarda 1968). ``dimension`` is
     the number of coordinates tested together.
     """
     return chi_square_noncentrality(dimension, chi_square_limit(dimension, alpha), power)

@@ -190,7 +190,7 @@ def _compliance(name: str, value: float, remarks: tuple[str, ...], options: Accu
 def _smallest_class(value_m: float) -> str:
     """Return the smallest class that is met, with four digits.
 
-    It is rounded up, as a smaller class is not met.
+    The class is rounded up, because a smaller class is not met.
     """
     text = f"{100.0 * value_m:.4g}"
     text = text if float(text) >= 100.0 * value_m else f"{100.05 * value_m:.4g}"

@@ -1,6 +1,6 @@
 """Adjusted points of a result as a point cloud with covariances: LAZ, LAS, PLY, CSV or GeoPackage.
 
-These are the tie and check points of an adjustment. They check the orientation; they are not a dense surface
+The points are the tie and check points of an adjustment. They check the orientation; they are not a dense surface
 model. Coordinates are in the CRS and above the zero level of the project's point table; without one, in UTM
 (WGS 84) with ellipsoidal heights. Standard deviations and covariances are the same as in the tables of
 the result. They refer to East, North, Up in the tangent plane of the point, in the scale that the

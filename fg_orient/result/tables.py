@@ -70,7 +70,7 @@ def tables_of(solution: Solution, cofactors: Array) -> dict[str, Table]:
 def start_points(problem: Problem) -> dict[str, Table]:
     """Return the table of the points' start values.
 
-    It is the only table if the block was not adjusted.
+    A block that was not adjusted has only this table.
     """
     points, ground = problem.block.points, problem.start.ground + problem.origin_m
     lon, lat, _ = _geodetic_deg(ground, problem.block).T

@@ -169,7 +169,7 @@ def _axis(feature: LineFeature, setup: Array, georeferenced: bool) -> Array:
 def _nearest_to_ray(setup: Array, centre: Array, direction: Array) -> Array:
     """Return the point (3,) of a curve that is nearest to a ray.
 
-    It is found by sampling with finer and finer steps.
+    The point is found by sampling with finer and finer steps.
     """
 
     def distances(k: int, t: Array) -> tuple[Array, Array]:

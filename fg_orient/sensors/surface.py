@@ -169,7 +169,7 @@ def _bracket(p: Array, u: Array, bottom: Array, top: Array, dem: HeightSurface) 
 def _peak(start: Array, middle: Array, end: Array) -> Array:
     """Return the position (0 to 1) of the peak of parabolas through three values.
 
-    It is nan unless the peak is inside and reaches 0.
+    The position is nan unless the peak is inside and reaches 0.
     """
     curve, slope = 2.0 * (start - 2.0 * middle + end), 4.0 * middle - 3.0 * start - end
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -201,7 +201,7 @@ class _GridLines:
     def after(self, path: Index) -> Array:
         """Return the parameter t of the next crossing of these paths.
 
-        It is 1 if there is no further crossing or if the path is nan.
+        The parameter is 1 if there is no further crossing or if the path is nan.
         """
         travel = self._travel[path]
         with np.errstate(divide="ignore", invalid="ignore"):

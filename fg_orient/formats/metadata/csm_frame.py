@@ -134,7 +134,7 @@ def _forward(camera: FramingCamera) -> FramingCamera:
 def _fitted(camera: FramingCamera, sensor: FramingSensor) -> FramingCamera:
     """Return a camera that a state can contain.
 
-    It is the given one, or the camera with the smallest difference over the image.
+    The result is the given camera, or the camera with the smallest difference over the image.
     A radial and tangential distortion gets its own rotation and affine detector, so that it contains the
     decentring and the principal point of metric cameras.
     """

@@ -105,7 +105,7 @@ def _band(root: XmlNode) -> str:
 def _timing(image: XmlNode, epoch: np.datetime64) -> LineTiming:
     """Read the times of lines.
 
-    They are linear between the pairs of the list, and the last rate is used after it.
+    Times are linear between the pairs of the list, and the last rate is used after it.
     """
     nodes = image.every("TLCLISTList/TLCLIST")
     line, seconds = np.array([node.vector(2) for node in nodes]).T

@@ -124,7 +124,7 @@ def _lift_m(level: ZeroLevel, images: Sequence[FoundImage]) -> float:
 def _found_level(survey: Survey, folders: Sequence[Path], decisions: Decisions, file: str) -> ZeroLevel:
     """Find the geoid file of the heights if PROJ does not have their grid.
 
-    It is a file with the name of the grid in the folders; if there is no such file, the user is asked.
+    The geoid file is a file in the folders with the name of the grid; if there is no such file, the user is asked.
     """
     name = vertical_reference(survey.crs)[0] if survey.crs and survey.located.any() else ""
     error = lacking_operation(survey) if name else None

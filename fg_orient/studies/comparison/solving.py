@@ -127,7 +127,7 @@ class Engines:
     def _explicit(self) -> list[Engine]:
         """Return engines on the graph with a factor for each image point.
 
-        They are our Gauss-Newton over GTSAM's elimination, and GTSAM's optimisers.
+        These engines are our Gauss-Newton over GTSAM's elimination, and GTSAM's optimisers.
         """
 
         def run(optimizer: str, problem: Problem, start: State, most: int) -> LoopResult[State]:
