@@ -185,8 +185,8 @@ def _read(folder: Path) -> tuple[Record, Record]:
 def _project_file(folder: Path, old: Mapping[str, Any], given: Path | None) -> Path:
     """Return the project file, which is the first input of a run.
 
-    The file is usually in the folder above the result. Otherwise a file with the recorded content is searched in a folder above or
-    beside the result.
+    The file is usually in the folder above the result. Otherwise a file with the recorded
+    content is searched in a folder above or beside the result.
     """
     first = old["provenance"]["inputs"][0]
     name, path = first["file"], folder.parent / first["file"] if given is None else given

@@ -162,8 +162,8 @@ def _name_by_unknowns(directions: Array, words: tuple[str, ...]) -> tuple[str, .
 def _raw_condition(s: Array, vt: Array, model: ImageModel) -> float:
     """Return the condition number with the unknowns in physical units per line, if the model has such coefficients.
 
-    The condition number is the product of two norms, ``|J D| |D^-1 J^+|``, with ``J = U S V^T``. The inverse is computed in
-    prior sigmas, where it is accurate, so that condition numbers far above 1 / eps are correct.
+    The condition number is the product of two norms, ``|J D| |D^-1 J^+|``, with ``J = U S V^T``. The inverse is
+    computed in prior sigmas, where it is accurate, so that condition numbers far above 1 / eps are correct.
     """
     unit = model.raw_sigma[model.parameters.own]
     return float(np.linalg.norm(s[:, None] * vt / unit, 2) * np.linalg.norm(unit[:, None] * vt.T / s, 2))
