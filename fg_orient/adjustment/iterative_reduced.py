@@ -130,7 +130,7 @@ class IterativeReduced:
         return self._inverse.selects if self._implicit is None else int(self._first[-1]) <= LARGEST_FULL
 
     def covariance(self, images: tuple[int, ...]) -> Array:
-        """See :class:`Reduced`; from a factor if it fits into the memory."""
+        """See :class:`Reduced`; it is computed from a factor of the matrix if the factor fits into the memory."""
         return self._factorised.covariance(images)
 
     def selected(self, pairs: Index) -> Array:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from fg_orient.sensors.surface import RasterDem
 
 INTERRUPTED: Final = 130
-#: Keyword argument of a command for the declared options that the user gave, a dict by name.
+#: Keyword argument of a command. It contains the declared options that the user gave, as a dict by name.
 GIVEN: Final = "options"
 #: For these faults of a user's own file, --debug shows the traceback.
 PLUGINS: Final = ("plugin.failed", "sensor.own_reader")

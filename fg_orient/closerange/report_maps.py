@@ -280,7 +280,7 @@ def _deviation_tip(point: dict[str, Any]) -> str:
 def outline(surface: dict[str, Any], axes: list[int]) -> Array:
     """Return the outline (n, 2) of a closed surface (``Surface.as_dict``) in axes across and up.
 
-    Empty for open quadrics.
+    The outline of an open quadric is empty.
     """
     from fg_orient.closerange.surface import Surface
 

@@ -281,7 +281,7 @@ def _table_of(name: str) -> str:
 
 
 def _blame(fault: Finding, overrides: Mapping[str, object]) -> Finding:
-    """Name the overriding option instead of the file in its fault."""
+    """Return a fault in which an option that overrides the file is named instead of the file."""
     for name, value in overrides.items():
         place = f"{_table_of(name)}.{name}"
         if value is not None and (fault.place == place or fault.place.startswith(f"{place}[")):

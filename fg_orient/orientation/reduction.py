@@ -15,8 +15,9 @@ Criteria for n observations and k unknowns, including the unit weight::
 (Akaike 1974; Hurvich & Tsai 1989; Schwarz 1978). With priors an unknown counts by the share that the observations
 determine, 1 - q_jj, and v excludes the residuals of priors.
 
-Cross-validation excludes control points and their image points from the adjustment and predicts them. In the image it
-projects them with the adjusted orientation; on the ground it intersects their rays. Check points stay sealed.
+Cross-validation excludes control points and their image points from the adjustment and predicts both: image
+points are projected with the adjusted orientation, and control points are intersected from their rays. Check
+points stay sealed.
 """
 
 from __future__ import annotations
