@@ -3,7 +3,7 @@ import re
 import sys
 from pathlib import Path
 
-# The kernels are documented as the plain functions they are written as.
+# Kernels are documented as plain Python functions.
 os.environ["NUMBA_DISABLE_JIT"] = "1"
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -14,13 +14,13 @@ from sphinx.domains.python import PythonDomain
 
 import fg_orient
 
-# numpydoc makes an environment, and compiles its one template, for each of two thousand objects
+# one environment for all objects: numpydoc would compile its template for each of two thousand objects
 _environments = {}
 _numpydoc.SandboxedEnvironment = lambda loader: _environments.setdefault(
     type(loader), SandboxedEnvironment(loader=loader)
 )
 
-# sphinx compares each name of a signature with the end of every object's name; most (float, Any) are none of ours
+# sphinx compares each name of a signature with the end of every object's name; most names (float, Any) are not ours
 _last_words = {}
 _search_all = PythonDomain.find_obj
 
@@ -50,9 +50,9 @@ myst_update_mathjax = False
 html_math_renderer = "mathml"
 nitpicky = False
 
-# Reference pages, made at each build, of what users and extenders import: one for each
-# package. Left out is what stands behind the command line, the loops inside the backends
-# and the printed values.
+# Each build makes reference pages of the modules that users and extenders import: one page
+# for each package. Modules of the command line, the loops inside the backends and the
+# printed values have no page.
 _ROOT = Path(__file__).resolve().parents[1]
 _INTERNAL = """
     fg_orient/__main__.py fg_orient/model/public.py
@@ -81,7 +81,7 @@ _IMPORTED = """
 
 
 def _paths(patterns):
-    """Files and folders of the source tree.
+    """Return files and folders of the source tree.
 
     A pattern that finds nothing is an error: the module has probably moved.
     """
@@ -107,12 +107,12 @@ apidoc_modules = [
     {"path": "../factors", "destination": "api/factors", **_common},
     {"path": "../fg_orient", "destination": "api/fg_orient", **_common},
 ]
-toc_object_entries = False  # with objects, the contents on each page took 100 of 170 s of a build
+toc_object_entries = False  # with objects, the table of contents of each page took 100 of 170 s of a build
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
-autodoc_use_type_comments = False  # there are none, and looking for them parses every function once more
-smartquotes = False  # they take a twentieth of the time
-autosummary_generate = False  # numpydoc loads it; no page has such a table
+autodoc_use_type_comments = False  # there are no type comments, and the search parses every function once more
+smartquotes = False  # smart quotes take a twentieth of the build time
+autosummary_generate = False  # numpydoc loads autosummary, but no page has such a table
 numpydoc_show_class_members = False
 numpydoc_class_members_toctree = False
 
@@ -120,14 +120,14 @@ html_theme = "furo"
 html_static_path = ["_static"]
 html_title = "fg_orient"
 
-# Several classes stand under two names (fg_orient.Block is fg_orient.model.block.Block): either target is right.
+# Several classes have two names (fg_orient.Block is fg_orient.model.block.Block): both targets are right.
 suppress_warnings = ["ref.python"]
 
 _LITERAL = re.compile(r"(``.+?``|:math:`.+?`)")
 
 
 def _plain_bars(app, what, name, obj, options, lines):
-    """Let |V| in a docstring mean a length, not a substitution of reStructuredText."""
+    """Read |V| in a docstring as a length, not as a substitution of reStructuredText."""
     for k, line in enumerate(lines):
         parts = _LITERAL.split(line)
         parts[::2] = [part.replace("|", "\\|") for part in parts[::2]]

@@ -23,7 +23,7 @@ _TABLE = re.compile(rf"{re.escape(HEAD)}(?:\|.*\n)*")
 
 
 def row(one: Format) -> str:
-    """Give the row of a format; its name leads to its own page, if there is one."""
+    """Return the row of a format. Its name is a link to the page of the format, if there is one."""
     pixel = "-" if one.first_pixel is None else "{:g}, {:g}".format(*one.first_pixel)
     name = f"[{one.name}]({one.name}.md)" if (PAGE.parent / f"{one.name}.md").is_file() else one.name
     cells = name, ", ".join(one.files), pixel, one.ground_axes, one.evidence or "**unverified**"
@@ -31,7 +31,7 @@ def row(one: Format) -> str:
 
 
 def page(text: str) -> str:
-    """Give the page with the table of all formats of points and frame models."""
+    """Return the page with the table of all formats of points and frame models."""
     return _TABLE.sub(lambda _: HEAD + "".join(map(row, formats().values())), text)
 
 

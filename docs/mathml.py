@@ -1,6 +1,6 @@
-"""Formulas as MathML, which browsers draw by themselves: a page asks no other address for a script.
+"""Write formulas as MathML. Browsers draw MathML themselves, so a page loads no script from another address.
 
-An extension of Sphinx; the conversion is latex2mathml's. A command that it does not know is an error of the page.
+This is an extension of Sphinx; latex2mathml converts the formulas. A command without MathML is an error of the page.
 """
 
 import re
@@ -10,19 +10,19 @@ from latex2mathml.converter import convert
 from sphinx.errors import ExtensionError
 from sphinx.util.math import get_node_equation_number
 
-#: What stays of a command that was not understood, or of a column of a table that is none.
+#: Output for a command that latex2mathml does not know, or for a column separator outside a table.
 _UNKNOWN = re.compile(r"<m[ion][^>]*>(\\|&(?!#))[^<]*<")
 
 
 def mathml(latex, display="inline"):
-    """Give the ``<math>`` element of a formula; ``display`` is "inline" or "block".
+    """Return the ``<math>`` element of a formula; ``display`` is "inline" or "block".
 
     Raises
     ------
     ValueError
         The formula contains a command that has no MathML.
     """
-    latex = latex.replace("{aligned}", "{align*}")  # the same to it, and it knows this one
+    latex = latex.replace("{aligned}", "{align*}")  # latex2mathml only knows this name of the same environment
     text = convert(latex, display=display)
     if found := _UNKNOWN.search(text):
         raise ValueError(f"no MathML for {found[0]} in the formula {latex}")
@@ -53,6 +53,6 @@ def _block(self, node):
 
 
 def setup(app):
-    """Make it the way formulas are written in HTML."""
+    """Register MathML as the renderer of formulas in HTML."""
     app.add_html_math_renderer("mathml", (_inline, None), (_block, None))
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -38,7 +38,7 @@ coefficient of tau.
 
 
 def row(option: Option) -> str:
-    """Give the row of an option."""
+    """Return the row of an option."""
     more = f", `{option.flag}-of`" if option.usual else ""
     allowed = option.expected.partition("; leave")[0]
     cells = (f"`{option.name}`", f"`{option.flag}`{more}", option.default_text, allowed, option.help)
@@ -46,7 +46,7 @@ def row(option: Option) -> str:
 
 
 def page(*records: type) -> str:
-    """Give the page of the options that dataclasses declare."""
+    """Return the page of the options that dataclasses declare."""
     options = declared(*records).values()
     lines = [HEAD.format(reading=" and ".join(f"`{name}`" for name in declared(Reading)))]
     for group in dict.fromkeys(one.group for one in options):

@@ -2,9 +2,9 @@
 
     python docs/pictures.py [FOLDER]
 
-FOLDER is docs/_static unless another one is given. Pictures of tutorials are drawn after all blocks of their page have
-been run, in a folder that is thrown away; pictures of concepts from the simulated pair that the
-tutorials use, pictures of examples with the functions of the script.
+FOLDER is docs/_static unless another one is given. Pictures of tutorials are drawn after all code blocks of their page
+have run in a temporary folder. Pictures of concepts are drawn from the simulated pair of the
+tutorials, and pictures of examples with the functions of the example script.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ from tests.support.command import in_process  # noqa: E402
 
 Array = npt.NDArray[np.float64]
 
-#: Turn of the sensor in the picture of signs, rad: it shows the effect of one or two degrees.
+#: Rotation of the sensor in the picture of signs, rad (0.7 degrees); yaw is four times as large.
 TURN = 0.012
-#: Image whose footprint is drawn, height of the ground, m.
+#: Height of the ground, m.
 HEIGHT = 400.0
 
 
@@ -57,7 +57,7 @@ def keep(figure: object, path: Path) -> None:
 
 @contextlib.contextmanager
 def ran(page: str) -> Iterator[None]:
-    """Run all blocks of a tutorial; inside, its folder is the current one."""
+    """Run all code blocks of a tutorial in a temporary folder, which stays the current folder until the end."""
     before = Path.cwd()
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
@@ -70,9 +70,9 @@ def ran(page: str) -> Iterator[None]:
 
 
 def made(*words: object) -> None:
-    """Run a command that has to succeed."""
+    """Run a command; a failure ends the program."""
     ended = in_process(*words)
-    if ended.code not in (0, 4):  # 4: a model that lacks a term is not trustworthy, and shown for that
+    if ended.code not in (0, 4):  # 4: the page shows a model without a term, which is not trustworthy
         raise SystemExit(ended.stderr)
 
 
@@ -80,7 +80,7 @@ def made(*words: object) -> None:
 
 
 def pixels(out: Path) -> None:
-    """Draw the first pixels of an image, and what other conventions call their centre."""
+    """Draw the first pixels of an image, with the coordinates of their centres in other conventions."""
     figure = paper.new_figure(paper.TWO_COLUMNS, 2.3)
     axes = figure.add_subplot()
     axes.set(xlim=(-1.1, 6.2), ylim=(2.7, -1.15), aspect="equal")
@@ -110,9 +110,9 @@ def pixels(out: Path) -> None:
 
 
 def outline(correction: Correction | None, image: Path) -> Array:
-    """Corners (4, 2) of an image on the ground, round the image from its first pixel on.
+    """Return the corners (4, 2) of an image on the ground, around the image from its first pixel.
 
-    Km right of and along the flight, from the middle of the uncorrected image.
+    Coordinates are in km, across the flight (to the right) and along it, from the middle of the uncorrected image.
     """
     sensor = read_sensor(image)
     last_line, last_sample = sensor.n_lines - 1.0, sensor.n_samples - 1.0
@@ -149,7 +149,7 @@ def signs(out: Path, image: Path) -> None:
 
 
 def planted(project: Path, image: str, point: str, error_px: float) -> None:
-    """Exchange the line of one observation by a wrong one."""
+    """Replace the line of one observation by a wrong value."""
     path = project.parent / "observations.csv"
     lines = path.read_text("utf-8").splitlines(keepends=True)
     for k, line in enumerate(lines):
@@ -233,7 +233,7 @@ def dense_sparse(out: Path) -> None:
 
 
 def table(path: Path) -> list[dict[str, str]]:
-    """Rows of a CSV file, comments left out."""
+    """Return the rows of a CSV file without comments."""
     return list(csv.DictReader(line for line in path.read_text("utf-8").splitlines() if not line.startswith("#")))
 
 
@@ -257,7 +257,7 @@ def rpc(out: Path) -> None:
 
 
 def panel_of_vectors(panel: object, at: Array, v: Array, check: npt.NDArray[np.bool_]) -> None:
-    """Draw vectors (line, sample) at pixels (sample, line), lines downwards, the mean length a tenth of the width."""
+    """Draw vectors (line, sample) at pixels (sample, line). Lines go down; the mean length is a tenth of the width."""
     size = float(np.median(np.linalg.norm(v, axis=1)))
     length = float(f"{size:.0e}")
     for rows, ink, mark, name in ((~check, chart.BLUE, "^", "control"), (check, chart.ORANGE, "o", "check")):
@@ -298,7 +298,7 @@ def calibrate(out: Path) -> None:
 
 
 def functions(example: str) -> dict[str, Any]:
-    """Give what an example calls by name, without running it."""
+    """Return the functions of an example by name, without running the example."""
     return runpy.run_path(str(ROOT / "examples" / f"{example}.py"))
 
 
@@ -324,7 +324,7 @@ def rectify_by_points(out: Path) -> None:
 
 
 def rpc_bundle(out: Path) -> None:
-    """Draw how far the rays of each point pass each other, with the RPC as they came and adjusted without control."""
+    """Draw the distance between the rays of each point, with the original and with the adjusted RPC, without control."""
     own = functions("rpc_bundle")
     with contextlib.redirect_stdout(io.StringIO()):
         block = own["without_control"](own["rpc_block"]())
@@ -363,7 +363,7 @@ def jitter(out: Path) -> None:
     keep(figure, out / "band.svg")
 
 
-#: What is drawn, by the folder that it goes to.
+#: Functions that draw pictures, by the folder of these pictures.
 PICTURES: dict[str, tuple[Callable[[Path], None], ...]] = {
     "concepts": (concepts,),
     "factor-graph": (factor_graph,),

@@ -1,6 +1,6 @@
-"""Write scale.md and its figures: ``python docs/scale.py [FOLDER]``, a folder of ``fg-orient compare --scale``.
+"""Write scale.md and its figures: ``python docs/scale.py [FOLDER]`` with a folder of ``fg-orient compare --scale``.
 
-Without a folder the page is made of the record that is kept with the figures.
+Without a folder the page is made from the record that is stored with the figures.
 """
 
 import json
@@ -45,7 +45,7 @@ have few calls and few variables: with the same optimisers the default graph gro
 
 
 def text() -> str:
-    """Text of the page from the record that is kept with the figures."""
+    """Return the text of the page from the record that is stored with the figures."""
     record = json.loads((FIGURES / "result.json").read_text("utf-8"))
     head = (
         "<!-- made by docs/scale.py from _static/scale/result.json and benchmarks/results/optimiser_copies.json -->\n\n"
@@ -54,7 +54,7 @@ def text() -> str:
 
 
 def copies(record: dict[str, Any]) -> str:
-    """Section on the optimisers of GTSAM on the explicit graph."""
+    """Return the section on the optimisers of GTSAM on the explicit graph."""
     cells = []
     for one in record["rows"]:
         parts = one["linearise_s"] + one["error_s"] + one["eliminate_s"]
