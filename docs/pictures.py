@@ -324,7 +324,7 @@ def rectify_by_points(out: Path) -> None:
 
 
 def rpc_bundle(out: Path) -> None:
-    """Draw the distance between the rays of each point, with the original and with the adjusted RPC, without control."""
+    """Draw the distance of the rays of each point, with the original and with the adjusted RPC, without control."""
     own = functions("rpc_bundle")
     with contextlib.redirect_stdout(io.StringIO()):
         block = own["without_control"](own["rpc_block"]())
