@@ -24,8 +24,8 @@ Every option has one declaration, in `fg_orient.model.options`, and can be given
 is given in several places, the last place of this list applies:
 
 1. project file: an entry of `[orientation]` or `[adjustment]`, for instance `datum = "inner"`;
-2. command line: `fg-orient adjust project.toml --datum inner`. Options that are true or false have two flags: `--gnc`, `--no-gnc`. Names
-   and three numbers: with commas between them;
+2. command line: `fg-orient adjust project.toml --datum inner`. Options that are true or false have two flags: `--gnc`,
+   `--no-gnc`. Names and three numbers: with commas between them;
 3. Python: `fg.read_project("project.toml", datum="inner")`, `fg.adjust(block, datum="inner")`. A name that is not an
    option is a `TypeError`, a value that is not allowed an `InputError`. `fg.adjust(block, options=fg.Options(...))`
    replaces all.
