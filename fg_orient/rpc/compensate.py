@@ -20,10 +20,11 @@ from factors.arrays import Array
 from factors.cameras import rfm
 from factors.cameras.rfm_equation import COMPENSATION, COMPENSATIONS
 from factors.cameras.rfm_project import RANGE
-from fg_orient.model.distributions import f_quantile
+from fg_orient.model.distributions import chi_square_limit, chi_square_median, f_quantile, sidak
 from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.quality.hypotheses import f_statistics
 from fg_orient.quality.rejection import MOST, reject
+from fg_orient.quality.verdict import sigma0_interval
 from fg_orient.rpc.points import MeasuredPoints
 from fg_orient.sensors.rpc import RpcModel
 
@@ -34,6 +35,8 @@ NAMES: Final = ("line_0", "sample_0", "line_l1", "sample_l1", "line_s1", "sample
 LEVEL: Final = 0.001
 #: The points do not determine the terms if the ratio of singular values (columns of unit length) is below this.
 RANK: Final = 1e-8
+#: Reweighted fits of the robust start.
+REWEIGHTED: Final = 50
 #: If a redundancy number is below this, the other points do not check the coordinate.
 CHECKED: Final = 1e-6
 
@@ -111,6 +114,8 @@ class Compensation:
 def compensate(model: RpcModel, control: MeasuredPoints, kind: str = "shift", *, level: float = LEVEL) -> Compensation:
     """Adjust and test; leave out the worst point and adjust again until no point is suspicious.
 
+    If sigma0 then lies above its interval, the points that are far from the fit of most points are left out together.
+
     Parameters
     ----------
     model : RpcModel
@@ -131,11 +136,55 @@ def compensate(model: RpcModel, control: MeasuredPoints, kind: str = "shift", *,
     if kind not in KINDS:
         raise InputError.of("rpc.compensation_kind", option="compensation", value=kind, known=", ".join(KINDS))
 
+    fit = _searched(model, control, kind, level, int(MOST * len(control)))
+    if fit.redundancy > 0 and fit.sigma0 > sigma0_interval(fit.redundancy)[1]:
+        other = _from_most(model, control, kind, level)
+        return fit if other is None else other
+    return fit
+
+
+def _searched(model: RpcModel, control: MeasuredPoints, kind: str, level: float, most: int) -> Compensation:
+    """Leave out the worst point and adjust again until no point is suspicious or ``most`` are left out."""
+
     def without(out: Sequence[dict[str, Any]], _: object) -> Compensation:
         return _adjusted(model, control.take(~np.isin(control.ids, [outlier["id"] for outlier in out])), kind)
 
-    end = reject(without((), None), without, lambda fit, _: _worst(fit, level), int(MOST * len(control)))
+    end = reject(without((), None), without, lambda fit, _: _worst(fit, level), most)
     return replace(end.fit, outliers=end.out, complete=end.worst is None)
+
+
+def _from_most(model: RpcModel, control: MeasuredPoints, kind: str, level: float) -> Compensation | None:
+    """Adjust without all points that are far from the fit of most points: equal errors hide each other.
+
+    The robust fit minimises the sum of distances (iterative reweighting). Its scale is the median distance. The result
+    is None if no point or more than ``MOST`` of the points are far, or if a point that is left out fits to the rest by
+    F(2, f).
+    """
+    n, sigma = len(control), control.sigma_px
+    a, l = design(model, control, kind), -residuals(model, control)  # noqa: E741
+    weight = np.ones(n)
+    for _ in range(REWEIGHTED):
+        root = np.sqrt(weight)[:, None] / sigma
+        x = np.stack([np.linalg.lstsq(a * r[:, None], y * r, rcond=None)[0] for r, y in zip(root.T, l.T, strict=True)])
+        distance = np.linalg.norm((l - a @ x.T) / sigma, axis=1)
+        weight = 1.0 / np.maximum(distance, 1e-3 * np.median(distance) + np.finfo(float).tiny)
+    scale = np.median(distance**2) / float(chi_square_median(2))
+    far = distance**2 > scale * float(chi_square_limit(2, sidak(level, n)))
+    if not 0 < far.sum() <= MOST * n:
+        return None
+    fit = _searched(model, control.take(~far), kind, level, int(MOST * n) - int(far.sum()))
+    aside = control.take(far)
+    error = -residuals(model, aside, fit.values)
+    statistic = predicted_squares(model, aside, error, fit) / (2.0 * fit.sigma0**2)
+    limit = float(f_quantile(2, fit.redundancy, 1.0 - level)) if fit.redundancy else np.inf
+    if not (statistic > limit).all():
+        return None
+    records = [
+        {"id": aside.ids[k], "statistic": float(statistic[k]), "limit": limit, "error_line_px": float(error[k, 0]),
+         "error_sample_px": float(error[k, 1])}
+        for k in np.argsort(-statistic, kind="stable").tolist()
+    ]  # fmt: skip
+    return replace(fit, outliers=(*records, *fit.outliers))
 
 
 def residuals(model: RpcModel, measured: MeasuredPoints, values: Array | None = None) -> Array:

@@ -181,22 +181,23 @@ def beyond_prior(fit: Compensation, prior: Prior) -> list[Finding]:
 def of_check_points(model: RpcModel, check: MeasuredPoints, v: Array, fit: Compensation) -> list[Finding]:
     """Return the doubt on check points whose residuals v (n, 2) are too large for chance.
 
-    The limit of the largest of n points: chi2(2) with the sigmas of the file. If 1 px is only assumed, F(2, f) with the
-    sigma0 of the control points, at most chi2(2) with 5 px.
+    The limit of the largest of n points is that of chi2(2) if the file states the sigmas and sigma0 allows them,
+    otherwise that of F(2, f) with the sigma0 of the control points. If 1 px is only assumed, the limit is at most that
+    of chi2(2) with sigmas of 5 px.
     """
     if not len(check):
         return []
-    level, f = sidak(BUDGET["check_far"], len(check)), fit.redundancy
-    limit = float(chi_square_limit(2, level))
-    if not check.stated:
-        limit *= LARGEST_SIGMA0_PX**2
-        if f > 0:
-            limit = min(limit, 2.0 * float(f_quantile(2, f, 1.0 - level)) * fit.sigma0**2)
-    squares = predicted_squares(model, check, v, fit)
-    far = np.flatnonzero(~(squares <= limit))
+    level, f, scale = sidak(BUDGET["check_far"], len(check)), fit.redundancy, 1.0
+    square = float(chi_square_limit(2, level))
+    if f > 0 and (not check.stated or fit.sigma0 > sigma0_interval(f)[1]):
+        scale, square = fit.sigma0, 2.0 * float(f_quantile(2, f, 1.0 - level))
+    if not check.stated and not square * scale**2 < LARGEST_SIGMA0_PX**2 * chi_square_limit(2, level):
+        scale, square = LARGEST_SIGMA0_PX, float(chi_square_limit(2, level))
+    ratio = np.sqrt(predicted_squares(model, check, v, fit)) / scale
+    far = np.flatnonzero(~(ratio <= np.sqrt(square)))
     if not len(far):
         return []
-    far = far[np.argsort(-squares[far], kind="stable")]
+    far = far[np.argsort(-ratio[far], kind="stable")]
     worst = int(far[0])
     return [
         finding(
@@ -207,8 +208,8 @@ def of_check_points(model: RpcModel, check: MeasuredPoints, v: Array, fit: Compe
             worst=check.ids[worst],
             line_px=float(v[worst, 0]),
             sample_px=float(v[worst, 1]),
-            size=float(np.sqrt(squares[worst])),
-            limit=float(np.sqrt(limit)),
+            size=float(ratio[worst]),
+            limit=float(np.sqrt(square)),
         )
     ]
 

@@ -157,10 +157,13 @@ class RpcModel:
         if len(bad):
             lon, lat, h = (a[bad[0]] for a in same_length(lon_deg, lat_deg, height_m))
             v = self.validity
+            only_height = bool(self.inside(lon, lat, v.height_m[0])[0])
             raise InputError.of(
                 "rpc.outside", file=self.file, place=f"point {names[bad[0]] if names else bad[0] + 1}",
                 value=f"longitude {lon:.6f}, latitude {lat:.6f}, height {h:.1f}; {len(bad)} such point(s)",
                 lon=span(v.lon_deg), lat=span(v.lat_deg), height=span(v.height_m),
+                check="only the height is outside: check that heights are ellipsoidal and in m" if only_height
+                else "check the order of the coordinates",
             )  # fmt: skip
 
     # --- image to ground ---------------------------------------------------------------------

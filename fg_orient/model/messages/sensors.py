@@ -138,7 +138,8 @@ rpc.denominator_constant: the constant of a denominator must be 1
 rpc.pole: the denominator is not positive everywhere inside the image: the model fails near there
     -> fit it again with fewer or regularised coefficients; in Python RpcSensor(model, poles=True) accepts it
 rpc.outside: the point is outside the validity range of the model
-    -> valid: longitude {lon}, latitude {lat}, height {height} m; check the order of the coordinates
+    -> valid: longitude {lon}, latitude {lat}, height {height} m; {check},
+       or add <extrapolate>
 rpc.no_direct: the file contains no coefficients from image to ground
     -> use locate(), which inverts the projection by iteration
 rpc.no_ground: the pixel has no ground point at this height
