@@ -263,6 +263,7 @@ verdict.sigma0_regularised (doubt): sigma0 = {size:.2f} lies above {limit:.2f}, 
 verdict.gross_error (doubt): gross error suspected
     + , of about {error} {unit}
     + ; {symbol} = {size:.1f}; fewer than {level:g} % of blocks without gross errors have such a large value
+    + ; without this observation sigma0 is {without:.2f}, inside its interval
     + ; the error may also be in {also:5}, which cannot be separated from it
     + ; {more} more observation(s) are above their limits, perhaps because of this error
     + ; among them are {crowd}: the measurements or the orientation of this image are wrong
