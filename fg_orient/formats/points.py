@@ -29,7 +29,7 @@ from factors.arrays import Array, Mask
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.faults import Faults, sigma_remarks
 from fg_orient.formats.heights import ZeroLevel, on_found_grid, without_vertical
-from fg_orient.formats.scenes import Scene, check_positions
+from fg_orient.formats.scenes import Scene, check_positions, exchanged_pixels
 from fg_orient.formats.tables import Row, Table, read_table
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.geodesy import (
@@ -409,9 +409,17 @@ def read_observations(
     if bare.any():
         values[bare, :2] = table.numbers(*COLUMNS[2:4], rows=bare)[bare]
     size = np.array([n or (np.inf, np.inf) for n in (sizes or {"": None}).values()], float)
-    last = np.append(size, [[np.inf, np.inf]], axis=0)[np.minimum(image, len(size))] - 0.5
+    sizes_of = np.append(size, [[np.inf, np.inf]], axis=0)[np.minimum(image, len(size))]
+    exchanged, beyond = exchanged_pixels(image, values[:, :2], sizes_of)
+    if beyond.any():
+        names = list(dict.fromkeys(table.cells["image"][k] for k in np.flatnonzero(exchanged).tolist()))
+        faults.add(
+            "observations.exchanged", place=table.row(int(np.argmax(beyond))).place(), images=names,
+            outside=int(beyond.sum()), total=int(exchanged.sum()),
+        )  # fmt: skip
+    last = sizes_of - 0.5
     for j, axis in enumerate(("line", "sample")):
-        outside = np.isfinite(last[:, j]) & ((values[:, j] < -0.5) | (values[:, j] > last[:, j]))
+        outside = np.isfinite(last[:, j]) & ((values[:, j] < -0.5) | (values[:, j] > last[:, j])) & ~exchanged
         fields = {"image": lambda row: row.cells["image"], "axis": axis, "last": last[:, j]}
         table.refuse(outside, "observations.outside", axis, **fields)
         sigma = values[:, 2 + j]

@@ -1,4 +1,4 @@
-"""Refuse ground points that are far from the footprints of all images.
+"""Refuse ground points that are far from the footprints of all images, and exchanged lines and samples.
 
 The usual causes of such points are exchanged columns and a wrong CRS. Both move a point
 far outside every footprint. Therefore a coarse test is sufficient: a point is refused if
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from factors.arrays import Array, Mask
+from factors.arrays import Array, Index, Mask
 from fg_orient.formats.faults import Faults
 from fg_orient.geodesy import COORDINATE_COLUMNS, crs_kind, geodetic_to_ecef, to_ecef
 from fg_orient.model.errors import InputError
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 #: Maximum distance of a plausible ground point from the image centre, as a multiple of the footprint's diagonal.
 REACH: Final = 1.5
+#: Minimum number of points that show a mistake of the whole table.
+LEAST_POINTS: Final = 3
 
 
 @dataclass(frozen=True)
@@ -111,3 +113,32 @@ def _exchanged(scenes: Sequence[Scene], crs: str, given: Array) -> Mask:
             continue
         exchanged[k] = _in_reach(scenes, xyz)[0] <= 1.0
     return exchanged
+
+
+def exchanged_pixels(image: Index, pixels: Array, size: Array) -> tuple[Mask, Mask]:
+    """Find images in which pixels are outside, but all are inside after an exchange of line and sample.
+
+    Parameters
+    ----------
+    image : (n,) int array
+        Image of each pixel.
+    pixels : (n, 2) array
+        Line and sample; rows of nan are skipped.
+    size : (n, 2) array
+        Numbers of lines and samples of the image of each pixel; infinite if they are unknown.
+
+    Returns
+    -------
+    rows, outside : (n,) mask
+        Pixels of these images, and those of them that are outside. Both are empty if fewer than three are outside.
+    """
+    outside = _outside(pixels, size)
+    fits = np.isin(image, image[outside]) & ~np.isin(image, image[_outside(pixels[:, ::-1], size)])
+    if np.count_nonzero(outside & fits) < LEAST_POINTS:
+        return np.zeros_like(fits), np.zeros_like(fits)
+    return fits, outside & fits
+
+
+def _outside(pixels: Array, size: Array) -> Mask:
+    """Return a mask (n,) of the pixels outside their images."""
+    return np.asarray(((pixels < -0.5) | (pixels > size - 0.5)).any(axis=1))

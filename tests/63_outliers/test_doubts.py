@@ -12,9 +12,9 @@ from scipy.stats import binom, chi2, norm
 
 import fg_orient as fg
 from fg_orient.model.block import Block
-from fg_orient.model.errors import DECISIVE, InputError
+from fg_orient.model.errors import DECISIVE, InputError, finding
 from fg_orient.model.names import Role, Status
-from fg_orient.quality.doubts import BUDGET
+from fg_orient.quality.doubts import BUDGET, require_acceptances, with_accepted
 from fg_orient.simulate.block import BlockOptions, grid_block
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak, zonguldak_block
 from tests.support.command import in_process as run
@@ -218,3 +218,20 @@ def test_an_error_that_the_sigmas_allow_is_not_a_doubt() -> None:
     assert tests[0].probability < BUDGET["gross_error"] / tests.n_tested
     assert tests.quadratic[0] < chi2.isf(0.001, tests[0].dimension)
     assert solution.status is Status.CONVERGED
+
+
+@pytest.mark.behaviour
+@pytest.mark.parametrize("code", ["sigmas", "accuracy", "check_far", "check_beyond"])
+def test_the_acceptance_that_a_remedy_names_accepts_its_doubt(code: str) -> None:
+    sizes = [835.003, 27.949, 1.4616, 101.00007, 999.6, 1000.0, 5.0, *10.0 ** np.random.default_rng(1).uniform(-6, 9, 200)]
+    for size in sizes:
+        given = round(size) + 1 if code == "check_beyond" else size
+        doubt = finding(
+            f"verdict.{code}", place="control points" if code == "sigmas" else "", size=given, words="", level=0.1, more="",
+            n=9, of=9, required=1.0, points=[], limit=4.0, expected=0.1,
+        )  # fmt: skip
+        text = doubt.remedy.split('"')[1]
+        require_acceptances([text])
+        assert with_accepted([doubt], [text])[0].severity == "note", text
+        limit = float(text.partition("<=")[2])
+        assert limit <= given * 1.01  # a limit that is rounded up is not much larger

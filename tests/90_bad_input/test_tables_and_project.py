@@ -14,7 +14,7 @@ import pytest
 from fg_orient.formats.project import checked_project, read_project
 from fg_orient.model.errors import Finding, InputError
 from tests.support.command import in_process
-from tests.support.project_folder import ProjectFolder
+from tests.support.project_folder import ProjectFolder, install_stand_in
 
 pytestmark = pytest.mark.behaviour
 
@@ -219,6 +219,25 @@ def test_what_is_spoilt_in_many_lines_is_one_fault(folder, spoil, code, said):
     assert found.code == code
     for name, part in said.items():
         assert part in getattr(found, name), name
+
+
+def images_of_size(monkeypatch, n_lines, n_samples):
+    install_stand_in(monkeypatch, n_lines=n_lines, n_samples=n_samples)
+
+
+def test_exchange_of_line_and_sample_is_one_fault_for_all_pixels_outside(folder, monkeypatch):
+    images_of_size(monkeypatch, 12000, 10000)  # two samples of each image are above 10000; all lines are below
+    (found,) = refused(folder)
+    assert found.code == "observations.exchanged"
+    assert found.place == "line 4" and "4 of 14 image points are outside left, right" in found.message
+    assert "exchange line and sample" in found.remedy
+
+
+def test_pixels_outside_that_an_exchange_does_not_put_inside_are_listed(folder, monkeypatch):
+    images_of_size(monkeypatch, 11000, 10000)  # sample 11000.25 is outside as a line, too
+    assert {p.code for p in refused(folder)} == {"observations.outside"}
+    images_of_size(monkeypatch, 12000, 10900)  # one pixel of each image is outside, which may be a wrong digit
+    assert [p.code for p in refused(folder)] == ["observations.outside"] * 2
 
 
 @pytest.mark.parametrize(("name", "code"), [("", "project.folder"), ("nowhere.toml", "project.missing_file")])

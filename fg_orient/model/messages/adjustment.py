@@ -271,7 +271,7 @@ verdict.gross_error (doubt): gross error suspected
 verdict.sigmas (doubt): the stated standard deviations are too small: {words}; if they were right, fewer than {level:g}
     % of blocks would have such large residuals. Standard deviations and coordinates must not be trusted
     + ; the standard deviations of {more} are too small, too
-    -> correct them, let <variance_components> estimate them, or <accept> "sigmas:{place}<={size:.3g}"
+    -> correct them, let <variance_components> estimate them, or <accept> "sigmas:{place}<={size:up3}"
 verdict.sigmas_large (note): the stated standard deviations are too large: {words}; the observations have too little
     weight, and the result looks less accurate than it is
     -> correct them, or let <variance_components> estimate them
@@ -282,12 +282,12 @@ verdict.beyond_prior (doubt): the adjusted value differs by {correction:+.3g} {u
        the metadata can have this error, or <accept> "beyond_prior:{place}"
 verdict.accuracy (doubt): {n} of {of} points have a standard deviation above the required {required:g} m; the largest
     is {size:.3g} m: {points:10}
-    -> add control points or images, or <accept> "accuracy<={size:.3g}"
+    -> add control points or images, or <accept> "accuracy<={size:up3}"
 verdict.accuracy_unknown (doubt): the required accuracy of {required:g} m is not verified, because there is no
     covariance
 verdict.check_far (doubt): check points contradict the adjusted points: {points:10}; the largest difference is
     {size:.1f} times its standard deviation; the limit for {n} coordinates is {limit:.1f}
-    -> check the coordinates and image points of these points, or <accept> "check_far<={size:.3g}"
+    -> check the coordinates and image points of these points, or <accept> "check_far<={size:up3}"
 verdict.check_beyond (doubt): check points contradict the adjusted points: {size} of {n} check coordinates differ by
     more than 3 standard deviations of the difference, {expected:.1f} are expected. According to their joint covariance,
     fewer than {level:g} % of blocks without mistakes have so many such coordinates: {points:10}

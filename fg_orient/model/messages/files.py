@@ -287,6 +287,9 @@ project.unknown_key: unknown entry
     -> {hint}
 observations.twice: the point is measured twice in this image, first on {first}
     -> keep one measurement
+observations.exchanged: line and sample look exchanged: {outside} of {total} image points are outside {images:5}; after
+    an exchange all are inside
+    -> exchange line and sample of the image points in {images:5}
 observations.outside: the pixel is outside image {image}
     -> {axis} runs from -0.5 to {last:g}; (0, 0) is the centre of the first pixel
 observations.sigma_not_positive: the standard deviation is not above zero, or its size is impossible
