@@ -129,6 +129,16 @@ def test_columns_that_nobody_can_guess(tmp_path: Path, header: bool, columns: st
     assert differences(made(tmp_path / "project"), there) < (1e-3, 1e-3)
 
 
+def test_a_stated_crs_in_which_the_points_are_in_no_image(tmp_path: Path) -> None:
+    """``new`` names the CRS that it finds without the statement."""
+    office_folder(tmp_path)
+    stated = ("--crs", "EPSG:32635", "--first-pixel", "1", *STATED, "--yes")
+    ended = in_process("new", tmp_path / "office", "--out", tmp_path / "project", *stated)
+    assert ended.code == 2
+    assert "in the stated CRS" in ended.stderr
+    assert "they are in EPSG:32636" in ended.stderr
+
+
 def test_words_for_pixels_that_are_exchanged(tmp_path: Path) -> None:
     """``new`` finds by the images that line and sample are exchanged in a table, states it and corrects it."""
     there = place("tr")

@@ -158,6 +158,34 @@ def swap_easting_and_northing(folder):
     folder.change(T, "EPSG:4979", "EPSG:32636")
 
 
+def in_zone(folder, coordinates, stated):
+    """Write the points with known coordinates in a CRS, and state a CRS in the project file."""
+    to_plane = pyproj.Transformer.from_crs("EPSG:4326", coordinates, always_xy=True)
+    lines = [line.split(",") for line in folder.points.read_text().splitlines()[2:]]
+    rows = []
+    for cells in lines:
+        if cells[2]:
+            cells[2:4] = [f"{one:.3f}" for one in to_plane.transform(float(cells[2]), float(cells[3]))]
+        rows.append(",".join(cells))
+    folder.points.write_text("\n".join([HEADER.replace("lon_deg,lat_deg", "easting_m,northing_m"), *rows]) + "\n")
+    folder.change(T, "EPSG:4979", stated)
+
+
+def wrong_zone(folder):
+    in_zone(folder, "EPSG:32636", "EPSG:32635")
+
+
+def wrong_zone_on_another_datum(folder):
+    in_zone(folder, "EPSG:23036", "EPSG:23037")
+
+
+def no_zone_fits(folder):
+    text = folder.points.read_text()
+    for lon in ("31.60", "32.05", "31.62", "32.00", "31.80", "31.85"):
+        text = text.replace(f"{lon},41", f"{lon},51")
+    folder.points.write_text(text)
+
+
 def sigmas_along_the_axes(folder):
     rows = "01,control,4078323.8,2515180.6,4195881.4,1,1,1\n"
     folder.points.write_text("id,role,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m\n" + rows)
@@ -200,6 +228,10 @@ def folder_in_place_of_a_file(folder):
 SPOILT = [
     (swap_all, "points.swapped", {"message": "6 of 6", "remedy": "exchange"}),
     (swap_easting_and_northing, "points.swapped", {"message": "easting_m and northing_m"}),
+    (wrong_zone, "points.other_zone", {
+        "value": "EPSG:32635", "message": "EPSG:32636 (WGS 84 / UTM zone 36N) 6 of 6", "remedy": "EPSG:32636"}),
+    (wrong_zone_on_another_datum, "points.other_zone", {"message": "EPSG:23036 (ED50 / UTM zone 36N) 6 of 6"}),
+    (no_zone_fits, "points.far_most", {"place": "line 3", "message": "6 of 6 points are far from all images"}),
     (sigmas_along_the_axes, "points.sigma_axes", {"remedy": "sigma_east_m"}),
     (outside_the_projection, "geodesy.outside", {"place": "line 2", "value": "1e+30 1 1"}),
     (no_control, "block.no_control", {"file": P}),
@@ -219,6 +251,11 @@ def test_what_is_spoilt_in_many_lines_is_one_fault(folder, spoil, code, said):
     assert found.code == code
     for name, part in said.items():
         assert part in getattr(found, name), name
+
+
+def test_the_right_zone_is_not_refused(folder):
+    in_zone(folder, "EPSG:32636", "EPSG:32636")
+    assert len(read_project(folder.project).observations) == 14
 
 
 def images_of_size(monkeypatch, n_lines, n_samples):

@@ -279,6 +279,11 @@ points.swapped: {first} and {second} look swapped: after an exchange the points 
     -> exchange the two columns
 points.far: the point is {distance_km:.0f} km from the centre of the nearest image ({image}, {size_km:.0f} km across)
     -> check the coordinates, the columns and the crs of the project file
+points.far_most: {count} of {total} points are far from all images; this one is {distance_km:.0f} km from the centre of the
+    nearest image ({image}, {size_km:.0f} km across)
+    -> check that table and images belong to the same area, and check the columns and the crs of the project file
+points.other_zone: the points are far from all images, but in {zone} ({name}) {count} of {total} points lie in the images
+    -> give the CRS {zone}
 points.changed: the file has changed since it was read
     -> run the adjustment again
 observations.image_unknown: the project has no image with this id{times}
