@@ -51,6 +51,10 @@ _SIGMA_XYZ: Final = ("sigma_x_m", "sigma_y_m", "sigma_z_m")
 FIXED: Final = "fixed"
 
 
+#: Entries of a project file that messages name instead of options.
+ENTRIES: Final = {name: f"{name} under [points]" for name in ("geoid", "undulation_m", "both_heights")}
+
+
 def _layouts(first: Kind, incomplete: bool) -> list[tuple[str, ...]]:
     kinds: list[Kind] = sorted(COORDINATE_COLUMNS, key=lambda kind: kind != first)
     usual: list[tuple[str, ...]] = [("id", "role", *COORDINATE_COLUMNS[kind], *SIGMA_COLUMNS) for kind in kinds]
@@ -162,8 +166,10 @@ def _id(row: Row) -> str:
     return row.cells["id"]
 
 
-def located(survey: Survey, faults: Faults) -> tuple[Coordinates, Operation | None]:
-    """Transform the coordinates of a survey to ECEF.
+def located(
+    survey: Survey, faults: Faults, names: Mapping[str, str] | None = None
+) -> tuple[Coordinates, Operation | None]:
+    """Transform the coordinates of a survey to ECEF; messages show ``names`` instead of options.
 
     Returns
     -------
@@ -183,7 +189,7 @@ def located(survey: Survey, faults: Faults) -> tuple[Coordinates, Operation | No
                 deciding=having_role(survey.roles, Role.CONTROL)[rows],
             )  # fmt: skip
         except InputError as error:
-            faults.take(*(replace(p, file=faults.file) for p in error.problems))
+            faults.take(*(replace(p, file=faults.file, names=names or {}) for p in error.problems))
     return Coordinates(ecef, survey.sigma_enu_m, survey.fixed), operation
 
 
@@ -296,7 +302,7 @@ def point_file(
     if given is None or survey is None:
         return None
     digest = sha256_of(*files)
-    coordinates, operation = located(survey, faults)
+    coordinates, operation = located(survey, faults, ENTRIES)
     check_positions(scenes, survey.crs, survey.coordinates, coordinates.ecef_m, survey.place, faults)
 
     def opened(wanted: tuple[str, ...]) -> Coordinates:
@@ -328,7 +334,7 @@ def _ellipsoidal(survey: Survey | None, level: ZeroLevel | None, faults: Faults)
     try:
         return level.applied(without_vertical(survey)) if level else on_found_grid(survey)
     except InputError as error:
-        faults.take(*error.problems)
+        faults.take(*(replace(p, names=ENTRIES) for p in error.problems))
         return None
 
 

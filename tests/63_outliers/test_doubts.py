@@ -223,12 +223,21 @@ def test_an_error_that_the_sigmas_allow_is_not_a_doubt() -> None:
 @pytest.mark.behaviour
 @pytest.mark.parametrize("code", ["sigmas", "accuracy", "check_far", "check_beyond"])
 def test_the_acceptance_that_a_remedy_names_accepts_its_doubt(code: str) -> None:
-    sizes = [835.003, 27.949, 1.4616, 101.00007, 999.6, 1000.0, 5.0, *10.0 ** np.random.default_rng(1).uniform(-6, 9, 200)]
+    sizes = [
+        835.003,
+        27.949,
+        1.4616,
+        101.00007,
+        999.6,
+        1000.0,
+        5.0,
+        *10.0 ** np.random.default_rng(1).uniform(-6, 9, 200),
+    ]
     for size in sizes:
         given = round(size) + 1 if code == "check_beyond" else size
         doubt = finding(
-            f"verdict.{code}", place="control points" if code == "sigmas" else "", size=given, words="", level=0.1, more="",
-            n=9, of=9, required=1.0, points=[], limit=4.0, expected=0.1,
+            f"verdict.{code}", place="control points" if code == "sigmas" else "", size=given, words="", level=0.1,
+            more="", n=9, of=9, required=1.0, points=[], limit=4.0, expected=0.1,
         )  # fmt: skip
         text = doubt.remedy.split('"')[1]
         require_acceptances([text])

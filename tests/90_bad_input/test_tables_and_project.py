@@ -11,6 +11,7 @@ from pathlib import Path
 import pyproj
 import pytest
 
+from fg_orient.formats.faults import did_you_mean
 from fg_orient.formats.project import checked_project, read_project
 from fg_orient.model.errors import Finding, InputError
 from tests.support.command import in_process
@@ -186,6 +187,10 @@ def no_zone_fits(folder):
     folder.points.write_text(text)
 
 
+def heights_above_a_geoid_without_grid(folder):
+    folder.change(T, "EPSG:4979", "EPSG:4326+EGM96")
+
+
 def sigmas_along_the_axes(folder):
     rows = "01,control,4078323.8,2515180.6,4195881.4,1,1,1\n"
     folder.points.write_text("id,role,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m\n" + rows)
@@ -232,6 +237,7 @@ SPOILT = [
         "value": "EPSG:32635", "message": "EPSG:32636 (WGS 84 / UTM zone 36N) 6 of 6", "remedy": "EPSG:32636"}),
     (wrong_zone_on_another_datum, "points.other_zone", {"message": "EPSG:23036 (ED50 / UTM zone 36N) 6 of 6"}),
     (no_zone_fits, "points.far_most", {"place": "line 3", "message": "6 of 6 points are far from all images"}),
+    (heights_above_a_geoid_without_grid, "geodesy.no_operation", {"remedy": "give geoid under [points] a file"}),
     (sigmas_along_the_axes, "points.sigma_axes", {"remedy": "sigma_east_m"}),
     (outside_the_projection, "geodesy.outside", {"place": "line 2", "value": "1e+30 1 1"}),
     (no_control, "block.no_control", {"file": P}),
@@ -298,6 +304,24 @@ def test_faults_of_all_files_come_together(folder):
         "table.not_a_number",
         "observations.outside",
     ]
+
+
+@pytest.mark.parametrize(("word", "known", "meant"), [
+    ("1", ("41", "01", "11"), "01"), ("p-007", ("P7", "P70", "p_7a"), "P7"), ("010", ("10", "100"), "10"),
+    ("G31", ("G13", "G32"), "G32"), ("0", ("00", "10"), "00"),
+])  # fmt: skip
+def test_an_id_in_another_form_is_suggested_first(word, known, meant):
+    assert did_you_mean(word, known) == f"did you mean {meant}?"
+
+
+def test_a_missing_column_is_named_with_those_found(folder):
+    text = folder.points.read_text().replace(",sigma_up_m", "").replace(",1.0\n", "\n")
+    folder.points.write_text(
+        text.replace(",fixed\n", "\n").replace(",0.5\n", "\n").replace("t1,tie,,,,,,", "t1,tie,,,,,")
+    )
+    (found,) = refused(folder)
+    assert found.message == "column sigma_up_m is missing"
+    assert found.value == HEADER.removesuffix(",sigma_up_m").replace(",", ", ")
 
 
 def test_suggestions(folder):

@@ -388,6 +388,7 @@ search.restless: the rejection by the median does not converge: the rejected ima
     iterations
     -> raise <median_rejection> or <max_iterations>, or search with <snoop>
 search.left_out (warning): snooping left out {n} observation(s) in {rounds} rounds: {names:5}
+    + ; all three coordinates of a point are left out together, so these control points are tie points now: {ties:5}
     + ; also left out, as the only remaining rays of their points: {with_them:5}
 search.conditional (note): standard deviations after the search are conditional: they are valid if exactly the wrong
     observations were left out

@@ -237,7 +237,7 @@ table.column_unknown: unknown column
     -> {hint}
 table.column_foreign: the column cannot be used together with the others
     -> the columns are {columns}
-table.column_missing: a column is missing
+table.column_missing: column {missing} is missing
     -> the columns are {columns}, in any order
 table.cell_count: the line does not have {count} cells, one for each column
     -> write an empty cell for a missing value and decimal points, not commas
