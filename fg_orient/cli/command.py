@@ -24,7 +24,7 @@ from fg_orient.model.errors import FgOrientError, Finding, InputError, NoSolutio
 from fg_orient.model.options import MAX_EXTRAPOLATION_S, Reading
 
 if TYPE_CHECKING:
-    from fg_orient.model.block import Block
+    from fg_orient.model.block import Block, Image
     from fg_orient.sensors.surface import RasterDem
 
 INTERRUPTED: Final = 130
@@ -389,9 +389,22 @@ class Sensors(NamedTuple):
         """Read a project with these options."""
         from fg_orient.formats.project import read_project
 
-        block = read_project(path, extrapolate_attitude_s=self.extrapolate_attitude or None,
-                             light=effects_of(self.light) or None)  # fmt: skip
-        return replace(block, images=tuple(replace(i, sensor=self._oriented(i.sensor, i.id)) for i in block.images))
+        block = read_project(path, **self._overrides())
+        return replace(block, images=self._all_oriented(block.images))
+
+    def images(self, path: Path) -> tuple[Image, ...]:
+        """Read the images of a project with these options; the project may have no image points yet."""
+        from fg_orient.formats.project import has_observations, read_images
+
+        if has_observations(path):
+            return self.project(path).images
+        return self._all_oriented(read_images(path, **self._overrides()).images)
+
+    def _overrides(self) -> dict[str, object]:
+        return {"extrapolate_attitude_s": self.extrapolate_attitude or None, "light": effects_of(self.light) or None}
+
+    def _all_oriented(self, images: tuple[Image, ...]) -> tuple[Image, ...]:
+        return tuple(replace(image, sensor=self._oriented(image.sensor, image.id)) for image in images)
 
     def _oriented(self, sensor: Any, image_id: str = "") -> Any:
         """Return the sensor with the orientation from the result folder, if this folder is given."""

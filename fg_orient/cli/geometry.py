@@ -383,7 +383,7 @@ def footprint(
 def _images(sources: list[Path], sensors: Sensors) -> tuple[Image, ...]:
     """Return the images of a project, or of metadata files, which are then numbered."""
     if len(sources) == 1 and sources[0].suffix.lower() == ".toml":
-        return sensors.project(sources[0]).images
+        return sensors.images(sources[0])
     from fg_orient.model.block import Image
 
     return tuple(Image(str(k), sensors.read(path)) for k, path in enumerate(sources, start=1))

@@ -184,6 +184,8 @@ def _show(record: dict[str, Any], counts: dict[str, int], remarks: Any) -> None:
         tell("remark", one)
     say(", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items()))
     say(f"written: {record['project']}")
+    if not record["image_points"]:
+        say(f"next: measure tie points (fg-orient match {record['project']}), or add a table [observations] to the project")
 
 
 def _named_images(words: list[str]) -> dict[str, str]:

@@ -105,9 +105,9 @@ def other_zones(crs: str, box: tuple[float, float, float, float]) -> list[str]:
 
 
 def on_own_datum(crs: str, first: Array, second: Array) -> Array:
-    """Return longitude and latitude (n, 2), degrees, on the datum of a CRS of horizontal coordinates; nan if impossible.
+    """Return longitude and latitude (n, 2), degrees, of horizontal coordinates on the datum of their CRS.
 
-    No operation between datums is searched.
+    No operation between datums is searched. Impossible coordinates are nan.
     """
     lonlat = np.stack([first, second], axis=1)
     if crs_kind(crs) == "projected":

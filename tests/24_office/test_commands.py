@@ -104,6 +104,14 @@ def test_images_alone_become_a_project_without_tables(tmp_path: Path) -> None:
     text_ = (tmp_path / "project" / "project.toml").read_text("utf-8")
     assert 'metadata = "../in/left_RPC.TXT"' in text_
     assert "[points]" not in text_
+    assert "next: measure tie points (fg-orient match " in ended.stdout
+    project = tmp_path / "project" / "project.toml"
+    seen = in_process("footprint", project, "--height", "0", "--json")
+    assert [image["image"] for image in seen.json["images"]] == ["left", "right"]
+    for command in (("validate", project), ("adjust", project, "--out", tmp_path / "result")):
+        refused = in_process(*command)
+        assert refused.code == 2
+        assert "the project has no image points; measure tie points with fg-orient match" in refused.stderr
 
 
 def test_an_existing_project_is_kept(tmp_path: Path) -> None:

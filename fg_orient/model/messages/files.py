@@ -279,10 +279,11 @@ points.swapped: {first} and {second} look swapped: after an exchange the points 
     -> exchange the two columns
 points.far: the point is {distance_km:.0f} km from the centre of the nearest image ({image}, {size_km:.0f} km across)
     -> check the coordinates, the columns and the crs of the project file
-points.far_most: {count} of {total} points are far from all images; this one is {distance_km:.0f} km from the centre of the
-    nearest image ({image}, {size_km:.0f} km across)
+points.far_most: {count} of {total} points are far from all images; this one is {distance_km:.0f} km from the centre of
+    the nearest image ({image}, {size_km:.0f} km across)
     -> check that table and images belong to the same area, and check the columns and the crs of the project file
-points.other_zone: the points are far from all images, but in {zone} ({name}) {count} of {total} points lie in the images
+points.other_zone: the points are far from all images, but in {zone} ({name}) {count} of {total} points lie in the
+    images
     -> give the CRS {zone}
 points.changed: the file has changed since it was read
     -> run the adjustment again
@@ -304,6 +305,8 @@ observations.seen_once: {count} check or tie point(s) are measured in one image 
     -> measure them in a second image, or write points_seen_once = "drop" under [adjustment]
 observations.image_unused: the image has no measured point
     -> measure points in it, or remove it from the project
+project.no_observations: the project has no image points
+    -> measure tie points with fg-orient match, or add a table [observations] with file
 project.missing_file: the file does not exist
     -> check the path; it is relative to {folder}
 project.folder: this is a folder, not a project file
