@@ -185,7 +185,7 @@ def _show(record: dict[str, Any], counts: dict[str, int], remarks: Any) -> None:
     say(", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items()))
     say(f"written: {record['project']}")
     if not record["image_points"]:
-        say(f"next: measure tie points (fg-orient match {record['project']}), or add a table [observations] to the project")
+        say(f"next: measure tie points (fg-orient match {record['project']}), or add a table [observations]")
 
 
 def _named_images(words: list[str]) -> dict[str, str]:

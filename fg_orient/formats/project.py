@@ -263,9 +263,7 @@ def _navigated(block: Block, project: ProjectFile, folder: Path, file: str) -> B
 # --- the TOML file -------------------------------------------------------------------------------
 
 
-def _read_toml(
-    path: Path, overrides: Mapping[str, object], missing: Mapping[str, object] | None = None
-) -> ProjectFile:
+def _read_toml(path: Path, overrides: Mapping[str, object], missing: Mapping[str, object] | None = None) -> ProjectFile:
     """Read the file; ``missing`` are tables that it need not have."""
     require_declared(overrides, "read_project", Options, Reading)
     content = {**(missing or {}), **parse_toml(path)}

@@ -76,8 +76,8 @@ def read_coordinates(
     spread = [Spread.of(table, triple, row) for triple in triples]
     found = readings(spread, stated, labels, fit, exchange)
     if not found and stated:
-        others = [one for one in readings(spread, "", labels, fit, exchange) if one.evidence.believable]
-        codes = sorted({one.crs for one in others}, key=usual_first)
+        tried = readings(spread, "", labels, fit, exchange)
+        codes = sorted({one.crs for one in tried if one.evidence.believable}, key=usual_first)
         raise InputError.of("office.nowhere_in_crs", file=table.file, place=table.sheet.name, option="crs",
                             value=stated, others=codes)  # fmt: skip
     named = all(part.named for part in parts) if parts else True
