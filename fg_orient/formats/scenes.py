@@ -132,7 +132,8 @@ def _inside(scenes: Sequence[Scene], crs: str, given: Array) -> Mask:
     some = np.flatnonzero(np.isfinite(lonlat).all(axis=1))
     if not len(some):
         return inside
-    rough = geodetic_to_ecef(*lonlat[some].T, np.zeros(len(some)))
+    lon, lat = lonlat[some].T
+    rough = geodetic_to_ecef(lon, lat, np.zeros(len(some)))
     some = some[_in_reach(scenes, rough, ROUGH_M) <= 1.0]
     with suppress(InputError):
         if len(some):

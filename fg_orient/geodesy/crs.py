@@ -115,7 +115,7 @@ def on_own_datum(crs: str, first: Array, second: Array) -> Array:
         flat = horizontal_part(known_crs(crs)).to_2d()
         back = proj.Transformer.from_crs(flat, flat.geodetic_crs, always_xy=True)
         lonlat = np.stack(back.transform(first, second), axis=1)
-    possible = np.isfinite(lonlat).all(axis=1) & (np.abs(lonlat) <= (360.0, 90.0)).all(axis=1)
+    possible = np.isfinite(lonlat).all(axis=1) & np.all(np.abs(lonlat) <= (360.0, 90.0), axis=1)
     return np.where(possible[:, None], lonlat, np.nan)
 
 
