@@ -22,6 +22,7 @@ from fg_orient.cli.command import (
 from fg_orient.cli.log import session
 from fg_orient.cli.output import (
     answer,
+    flag,
     folded,
     note,
     number,
@@ -33,7 +34,7 @@ from fg_orient.cli.output import (
     warn_of_scheduler,
 )
 from fg_orient.cli.progress import progress, progress_bar
-from fg_orient.model.errors import InputError, read
+from fg_orient.model.errors import InputError, findings_of, read
 from fg_orient.model.names import EXIT_CODE, Status
 from fg_orient.model.options import Options, Reading
 
@@ -138,7 +139,7 @@ def show(record: dict[str, Any]) -> None:
     from fg_orient.report.words import orientation_words, regularised_words
 
     if session().quiet and record["status"] != Status.CONVERGED:
-        note(f"{record['status'].replace('_', ' ')}{regularised_words(record)}: {record['reason']}")
+        note(f"{record['status'].replace('_', ' ')}{regularised_words(record)}: {_reason(record)}")
     if record["status"] == Status.RANK_DEFICIENT:
         if record["out"]:
             say(f"report of the undetermined unknowns: {Path(record['out']) / 'report.html'}")
@@ -185,7 +186,13 @@ def show(record: dict[str, Any]) -> None:
             f"above it after {found['rounds']} adjustments, {len(found['outside'])} outside{rest}")  # fmt: skip
     say(f"report: {Path(record['out']) / 'report.html'}")
     if record["status"] != Status.CONVERGED:
-        say(f"{record['status'].replace('_', ' ')}{regularised}: {record['reason']}")
+        say(f"{record['status'].replace('_', ' ')}{regularised}: {_reason(record)}")
+
+
+def _reason(record: dict[str, Any]) -> str:
+    """Return the reason of the status, with flags instead of names of options."""
+    same = (found.text(flag) for found in findings_of(record) if str(found) == record["reason"])
+    return next(same, record["reason"])
 
 
 @command(

@@ -5,6 +5,7 @@ The module of a command is loaded only when the command is called.
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import gc
 import inspect
@@ -150,6 +151,7 @@ def completion(
 
 def main() -> NoReturn:
     """Run the command line; this is the entry point of ``fg-orient``."""
+    _replace_closed_streams()
     gc.set_threshold(*COLLECT)
     signal.signal(signal.SIGTERM, _terminate)
     if VARIABLE in os.environ:  # the completion script of a shell has called the program
@@ -161,10 +163,44 @@ def main() -> NoReturn:
     except (KeyboardInterrupt, typer.Abort):
         note("interrupted: nothing was written")
         code = INTERRUPTED
+    except OSError as error:  # of standard output: commands convert all others
+        code = _unwritable(error)
     except Exception as error:
         code = _usage_error(error)
+    code = _flushed(code)
     gc.freeze()  # otherwise garbage collection of numba's objects takes 0.5 s when the interpreter ends
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _replace_closed_streams() -> None:
+    """Give the process an empty input and outputs without a reader in place of streams that it does not have."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))
+
+
+def _flushed(code: object) -> object:
+    """Write what standard output still holds; return the exit code, which changes if this fails."""
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        return code
+    except OSError as error:
+        return _unwritable(error, told=code not in (0, None))
+    return code
+
+
+def _unwritable(error: OSError, *, told: bool = False) -> int:
+    """Report that standard output cannot be written, unless a line says so already.
+
+    The interpreter would report it again at the end; it writes to nowhere instead.
+    """
+    problem = InputError.of("output.unwritable", file="standard output", value=error.strerror or type(error).__name__)
+    if not told:
+        with contextlib.suppress(OSError):
+            note(f"error: {problem}")
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return problem.exit_code
 
 
 def _usage_error(error: Exception) -> int:

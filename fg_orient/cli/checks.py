@@ -31,6 +31,7 @@ from fg_orient.cli.output import answer, emit, fault, flag, note, say, table, te
 from fg_orient.model.errors import FgOrientError, Finding, InputError, as_record, finding
 from fg_orient.model.installation import OPTIONAL, REQUIRED, shared_file, versions
 from fg_orient.model.machine import in_gb
+from fg_orient.model.names import EXIT_CODE, Status
 
 if TYPE_CHECKING:
     from fg_orient.formats.registry import Format, Settings
@@ -46,7 +47,7 @@ def validate(
     crs: Annotated[str, option("CRS of the points, if the file does not state it.", "EPSG:N")] = "",
     office: Any = None,
 ) -> None:
-    """Check a project and all its files; report errors (exit code 2) and remarks."""
+    """Check a project and all its files; report errors (exit code 2), exchanged columns (exit code 4) and remarks."""
     if format_name:
         from fg_orient.formats.registry import Settings
 
@@ -63,13 +64,16 @@ def validate(
         impossible = _impossible(block, project)
         problems += impossible
         if not impossible:
+            from fg_orient.quality.mix_ups import mix_ups
+
+            problems += [one.finding(block) for one in mix_ups(block)]
             from fg_orient.adjustment.memory import reduced
 
             need, _ = reduced(block)
             problems += [] if need.fits else [need.problem(str(project))]
     errors = [p for p in problems if p.severity == "failure"]
     remarks = [p for p in problems if p.severity != "failure"]
-    lines = [] if errors else ["no errors"]
+    lines = [] if errors or _doubtful(remarks) else ["no errors"]
     if need is not None:
         limit = "" if need.allowed is None else f" of {in_gb(need.allowed)} allowed"
         parts = f" in {need.parts} parts" if need.parts else ""
@@ -78,19 +82,25 @@ def validate(
 
 
 def _finish(record: dict[str, Any], errors: list[Finding], remarks: list[Finding], lines: list[str]) -> None:
-    """Print errors and remarks together with the record or the lines; errors end the command."""
+    """Print errors, doubts and remarks with the record or the lines; errors and doubts end the command."""
     as_json = session().as_json
     if as_json:
         emit({"errors": [p.as_dict(flag) for p in errors], "remarks": [p.as_dict(flag) for p in remarks], **record})
     for p in errors:
         fault(p)
     if not as_json:
-        for p in remarks:
-            tell("remark", p, as_result=True)
+        for p in sorted(remarks, key=lambda p: p.severity != "doubt"):
+            tell("doubt" if p.severity == "doubt" else "remark", p, as_result=True)
         for line in lines:
             say(line)
     if errors:
         raise typer.Exit(InputError.exit_code)
+    if _doubtful(remarks):
+        raise typer.Exit(EXIT_CODE[Status.NOT_TRUSTWORTHY])
+
+
+def _doubtful(remarks: list[Finding]) -> bool:
+    return any(p.severity == "doubt" for p in remarks)
 
 
 def _validate_points(paths: list[Path], format_name: str, settings: Settings) -> None:

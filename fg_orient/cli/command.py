@@ -24,7 +24,7 @@ from fg_orient.model.errors import FgOrientError, Finding, InputError, NoSolutio
 from fg_orient.model.options import MAX_EXTRAPOLATION_S, Reading
 
 if TYPE_CHECKING:
-    from fg_orient.model.block import Block
+    from fg_orient.model.block import Block, Image
     from fg_orient.sensors.surface import RasterDem
 
 INTERRUPTED: Final = 130
@@ -51,6 +51,8 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors and dou
 Log = Annotated[Path | None, option("Append each event to this file, one JSON object per line.", "FILE")]
 Json = Annotated[bool, option("Print one JSON object on standard output and nothing else.", flag="--json")]
 Debug = Annotated[bool, option("Show the traceback of an error of the program itself.", flag="--debug")]
+#: Names of the parameters of commands that name an output.
+OUTPUTS: Final = ("out", "export", "photos_out")
 #: Options that every command has.
 SHARED: Final = {"quiet": (Quiet, False), "log": (Log, None), "as_json": (Json, False), "debug": (Debug, False)}
 
@@ -99,6 +101,7 @@ def command(
                 given = {one.name: _value(one, values) for one in options}
                 values[GIVEN] = {name: value for name, value in given.items() if value is not None}
             with outcome(as_json, debug, quiet, log, flags):
+                _require_distinct(values, log)
                 for name, one in joined.items():
                     values[name] = one.make(**{part: values.pop(part) for part in one.options})
                 function(**values)
@@ -112,6 +115,32 @@ def command(
         return run
 
     return decorate
+
+
+def _require_distinct(values: Mapping[str, Any], log: Path | None) -> None:
+    """Raise InputError if an output of a command is an input, a file of an input result, or another output."""
+    named = [
+        (name, path) for name, value in {**values, "log": log}.items()
+        for path in (value if isinstance(value, list | tuple) else [value]) if isinstance(path, Path)
+    ]  # fmt: skip
+    for k, (name, out) in enumerate(named):
+        others = [path for other, (_, path) in enumerate(named) if other != k]
+        if name in OUTPUTS and any(_would_replace(out, path) for path in others):
+            raise InputError.of("output.is_input", file=out, option=name)
+
+
+def _would_replace(out: Path, path: Path) -> bool:
+    """Return whether an output is an input file, or a file of an input folder that is a result of ``adjust``."""
+    with contextlib.suppress(OSError, ValueError):  # ValueError: the output is outside the folder
+        if out.is_dir() or not out.exists():
+            return False
+        if not path.is_dir():
+            return out.samefile(path)
+        from fg_orient.formats.atomic import RESULT
+
+        name = out.resolve().relative_to(path.resolve())
+        return (path / RESULT.mark).is_file() and any(name.match(one) for one in RESULT.names)
+    return False
 
 
 @contextlib.contextmanager
@@ -360,9 +389,22 @@ class Sensors(NamedTuple):
         """Read a project with these options."""
         from fg_orient.formats.project import read_project
 
-        block = read_project(path, extrapolate_attitude_s=self.extrapolate_attitude or None,
-                             light=effects_of(self.light) or None)  # fmt: skip
-        return replace(block, images=tuple(replace(i, sensor=self._oriented(i.sensor, i.id)) for i in block.images))
+        block = read_project(path, **self._overrides())
+        return replace(block, images=self._all_oriented(block.images))
+
+    def images(self, path: Path) -> tuple[Image, ...]:
+        """Read the images of a project with these options; the project may have no image points yet."""
+        from fg_orient.formats.project import has_observations, read_images
+
+        if has_observations(path):
+            return self.project(path).images
+        return self._all_oriented(read_images(path, **self._overrides()).images)
+
+    def _overrides(self) -> dict[str, object]:
+        return {"extrapolate_attitude_s": self.extrapolate_attitude or None, "light": effects_of(self.light) or None}
+
+    def _all_oriented(self, images: tuple[Image, ...]) -> tuple[Image, ...]:
+        return tuple(replace(image, sensor=self._oriented(image.sensor, image.id)) for image in images)
 
     def _oriented(self, sensor: Any, image_id: str = "") -> Any:
         """Return the sensor with the orientation from the result folder, if this folder is given."""

@@ -263,7 +263,7 @@ def convert_camera(
     from fg_orient.sensors.frame import IDEAL_TO_MEASURED, MEASURED_TO_IDEAL
     from fg_orient.sensors.interior import converted
 
-    require_free_files(out, overwrite=overwrite and not (out.exists() and out.samefile(file)))
+    require_free_files(out, overwrite=overwrite)
     theirs = read_convention(file)
     if theirs is not None:
         pixel_mm, r0_mm = pixel_mm or theirs.pixel_mm, r0_mm or theirs.r0_mm

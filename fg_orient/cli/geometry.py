@@ -5,6 +5,7 @@ They use the metadata or an adjusted orientation.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -137,7 +138,33 @@ def project(
     else:
         ids, columns = ["1"], [np.array([value]) for value in (lon, lat, height)]
     sensor = sensors.read(image)
-    _publish(sensor, pixel_records(sensor, ids, ground_on(sensor.body, *columns)), PIXEL, out, overwrite)
+    records = pixel_records(sensor, ids, ground_on(sensor.body, *columns))
+    _publish(sensor, records, PIXEL, out, overwrite, _outside(sensor, records, *columns))
+
+
+def _outside(sensor: Any, records: list[dict[str, Any]], lon: Array, lat: Array, height_m: Array) -> list[Finding]:
+    """Return one warning for all points outside the image; it tells if an exchange of longitude and latitude helps."""
+    import numpy as np
+
+    from fg_orient.geodesy.bodies import ground_on
+    from fg_orient.sensors.ground import pixel_records
+
+    away = np.array([not record["inside"] for record in records])
+    if not away.any():
+        return []
+    other, inside = away & (np.abs(lon) <= 90.0), 0  # a latitude is at most 90 degrees
+    if other.any():
+        ground = ground_on(sensor.body, lat[other], lon[other], height_m[other])
+        inside = sum(record["inside"] for record in pixel_records(sensor, ["?"] * len(ground), ground))
+    return [
+        finding(
+            "cli.points_outside (warning): {n} of {of} point(s) lie outside the image: {points:5} "
+            "+ ; with longitude and latitude exchanged {inside} of these lie inside "
+            "-> check that longitude and latitude are not exchanged, and that the image shows the point",
+            n=int(away.sum()), of=len(records), inside=inside or None,
+            points=[record["id"] for record in records if not record["inside"]],
+        )
+    ]  # fmt: skip
 
 
 @command(several=SENSORS)
@@ -166,9 +193,9 @@ def intersect(
         images, observations = _pixels_of(sources, pixel or [], sensors)
         ids = ("1",)
     records = intersection_records(images, observations, ids)
-    doubts = list(filter(None, map(_doubt, records)))
+    doubts = [*filter(None, map(_doubt, records)), *_beyond_pixels(records, images, observations, sensors.result)]
     for doubt in doubts:
-        tell("warning", doubt)
+        tell(doubt.severity, doubt)
     if out is not None:
         write_records(out, (*GROUND, "miss_m", *SIGMAS), records, overwrite)
     record = {"points": records, "images": [image.id for image in images], "notes": list(map(str, doubts)),
@@ -185,6 +212,62 @@ def _doubt(record: dict[str, Any]) -> Finding | None:
         "m: probably not the same point in every image",
         id=record["id"], miss_m=record["miss_m"], height_m=record["height_m"],
     )  # fmt: skip
+
+
+def _beyond_pixels(
+    records: list[dict[str, Any]], images: tuple[Image, ...], observations: ImagePoints, result: Path | None
+) -> list[Finding]:
+    """Report the points whose rays miss each other by more than the sigmas of their pixels allow.
+
+    A residual r_i in sigmas at the distance d_i of ray i from the point gives the sigma d_i/r_i of this distance. With
+    equal distances of m rays, the miss in sigmas is ``m / sqrt(sum 1/r_i^2)``; its square has at most 2 m - 3 degrees
+    of freedom. With the orientation of the metadata a larger miss is a note, with an adjusted orientation a warning.
+    """
+    import numpy as np
+
+    from fg_orient.model.distributions import chi_square_limit, sidak
+    from fg_orient.quality.accuracy import CHANCE
+
+    o, count = observations, np.bincount(observations.point)
+    used = np.flatnonzero(count >= 2)
+    ground = np.full((len(count), 3), np.nan)
+    ground[used] = [[record[name] for name in ("x_m", "y_m", "z_m")] for record in records]
+    square = np.zeros(len(o.point))
+    for k, image in enumerate(images):
+        rows = np.flatnonzero((o.image == k) & (count[o.point] >= 2))
+        line, sample = image.sensor.project(ground[o.point[rows]]) if len(rows) else (o.line[rows], o.sample[rows])
+        d = (line - o.line[rows]) / o.sigma_line_px[rows], (sample - o.sample[rows]) / o.sigma_sample_px[rows]
+        square[rows] = d[0] ** 2 + d[1] ** 2
+    with np.errstate(divide="ignore"):
+        inverse = np.bincount(o.point, 1.0 / square)[used]
+    size = count[used] / np.sqrt(inverse)
+    limit = np.sqrt(chi_square_limit(2 * count[used] - 3, sidak(CHANCE, max(len(used), 1))))
+    away = np.flatnonzero(size > limit)
+    if not len(away):
+        return []
+    worst = int(away[np.argmax(size[away] / limit[away])])
+    figures = {
+        "n": len(away), "of": len(used), "worst": records[worst]["id"], "miss_m": records[worst]["miss_m"],
+        "size": float(size[worst]), "limit": float(limit[worst]),
+    }  # fmt: skip
+    if result is None:
+        return [
+            finding(
+                "cli.rays_beyond_metadata (note): {n} of {of} point(s) have rays that miss each other by more than the "
+                "sigmas of the pixels allow, point {worst} by {miss_m:.1f} m, {size:.0f} standard deviations (limit "
+                "{limit:.1f}). The orientation of metadata usually has such errors; so may the point -> adjust the "
+                "images, and give <result>",
+                **figures,
+            )
+        ]
+    return [
+        finding(
+            "cli.rays_beyond (warning): {n} of {of} point(s) have rays that miss each other by more than the sigmas of "
+            "the pixels allow, point {worst} by {miss_m:.1f} m, {size:.0f} standard deviations (limit {limit:.1f}) "
+            "-> check that the pixels show the same point in every image",
+            **figures,
+        )
+    ]
 
 
 def _pixels_of(sources: list[Path], pixels: list[str], sensors: Sensors) -> tuple[tuple[Image, ...], ImagePoints]:
@@ -227,13 +310,16 @@ def _columns(path: Path, names: tuple[str, ...], optional: str = "") -> tuple[li
 
 
 def _publish(
-    sensor: Any, records: list[dict[str, Any]], columns: tuple[str, ...], out: Path | None, overwrite: bool
-) -> None:
-    """Write a CSV file if ``--out`` is given, then print JSON or a table."""
+    sensor: Any, records: list[dict[str, Any]], columns: tuple[str, ...], out: Path | None, overwrite: bool,
+    warnings: Sequence[Finding] = (),
+) -> None:  # fmt: skip
+    """Print warnings, write a CSV file if ``--out`` is given, then print JSON or a table."""
+    for one in warnings:
+        tell("warning", one)
     if out is not None:
         write_records(out, columns, records, overwrite)
     where = None if out is None else str(out)
-    notes = list(map(str, sensor.notes))
+    notes = list(map(str, (*sensor.notes, *warnings)))
     record = {"points": records, "image": Path(sensor.file).name, "notes": notes, "out": where}
     framed = sensor.metadata.frame_note if columns is FRAME else None
     noted = (*sensor.notes, *(() if framed is None or framed in sensor.notes else [framed]))
@@ -297,7 +383,7 @@ def footprint(
 def _images(sources: list[Path], sensors: Sensors) -> tuple[Image, ...]:
     """Return the images of a project, or of metadata files, which are then numbered."""
     if len(sources) == 1 and sources[0].suffix.lower() == ".toml":
-        return sensors.project(sources[0]).images
+        return sensors.images(sources[0])
     from fg_orient.model.block import Image
 
     return tuple(Image(str(k), sensors.read(path)) for k, path in enumerate(sources, start=1))

@@ -115,10 +115,10 @@ def _level(geoid: Path | None, undulation_m: float | None, both_heights: Path | 
 #: These options about the zero level of heights replace the parameter ``level`` of a command.
 LEVEL: Final = {"level": Several({
     "geoid": (
-        Annotated[Path | None, option("Geoid file, to convert the heights of IN to ellipsoidal heights.")], None
+        Annotated[Path | None, option("Geoid file, to convert heights of the table to ellipsoidal heights.")], None
     ),
     "undulation_m": (
-        Annotated[float | None, option("Constant undulation of the heights of IN, m.", "METRES", flag="--undulation")],
+        Annotated[float | None, option("Constant undulation of the heights, m.", "METRES", flag="--undulation")],
         None,
     ),
     "both_heights": (
@@ -184,6 +184,8 @@ def _show(record: dict[str, Any], counts: dict[str, int], remarks: Any) -> None:
         tell("remark", one)
     say(", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items()))
     say(f"written: {record['project']}")
+    if not record["image_points"]:
+        say(f"next: measure tie points (fg-orient match {record['project']}), or add a table [observations]")
 
 
 def _named_images(words: list[str]) -> dict[str, str]:

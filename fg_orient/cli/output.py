@@ -7,10 +7,11 @@ several lines, one for each column.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import takewhile
 from pathlib import Path
@@ -20,7 +21,7 @@ import typer
 
 from fg_orient.cli.log import session
 from fg_orient.model.declaration import declared
-from fg_orient.model.errors import Finding, finding, findings_of
+from fg_orient.model.errors import Finding, InputError, finding, findings_of
 from fg_orient.model.options import Options, Reading
 
 if TYPE_CHECKING:
@@ -49,7 +50,19 @@ def note(text: object) -> None:
 def say(text: object = "") -> None:
     """Print a line of the result; with ``--quiet``, print nothing."""
     if not session().quiet:
-        typer.echo(printable(text))
+        with printing():
+            typer.echo(printable(text))
+
+
+@contextlib.contextmanager
+def printing() -> Iterator[None]:
+    """Raise InputError if the block cannot write to standard output, for instance because the disk is full."""
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise InputError.of("output.unwritable", file="standard output", value=error.strerror) from error
 
 
 def verdict(text: object, *, good: bool) -> None:
@@ -125,12 +138,14 @@ def emit(record: object) -> None:
 
     for found in findings_of(record) if isinstance(record, dict) else ():
         session().tell("warning", text=found.text(flag))
-    typer.echo(dumps(record, indent=1))
+    with printing():
+        typer.echo(dumps(record, indent=1))
 
 
 def emit_errors(*problems: Finding) -> None:
-    """Print the errors as JSON."""
-    emit({"errors": [p.as_dict(flag) for p in problems]})
+    """Print the errors as JSON, if standard output can be written."""
+    with contextlib.suppress(InputError):
+        emit({"errors": [p.as_dict(flag) for p in problems]})
 
 
 def answer(record: Any, show: Callable[..., None], *shown: Any) -> None:
@@ -185,12 +200,13 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], 
     console.width = min(WIDTH, console.width)
     least = [_least(name, [row[k] for row in cells], text=k < left) for k, name in enumerate(columns)]
     around = 3 * len(columns) + 1  # a blank on both sides of a cell, dividers and edges
-    if title:
-        console.print(Text(title, style="bold"))
-    if sum(least) + around <= console.width:
-        console.print(_table(columns, cells, left, least))
-    else:
-        _print_records(console, columns, cells)
+    with printing():
+        if title:
+            console.print(Text(title, style="bold"))
+        if sum(least) + around <= console.width:
+            console.print(_table(columns, cells, left, least))
+        else:
+            _print_records(console, columns, cells)
 
 
 def show_components(record: dict[str, Any]) -> None:

@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from fg_orient.adjustment.loop import IterationRecord
 
 #: Note when the first kernels are compiled and can be saved.
-COMPILING: Final = "compiling kernels, once per machine: up to about 15 s"
+COMPILING: Final = "compiling the kernels of this command, once per machine: up to about 15 s"
 #: The same note if the kernels cannot be saved.
 COMPILING_IN_VAIN: Final = (
-    "compiling kernels, up to about 15 s in this run and every later run: no folder for compiled code can be written; "
-    "set NUMBA_CACHE_DIR to a folder that you can write"
+    "compiling the kernels of this command, up to about 15 s in this run and every later run: no folder for compiled "
+    "code can be written; set NUMBA_CACHE_DIR to a folder that you can write"
 )
 #: Function that receives a text, the number of finished steps, and the number of all steps (None: unknown).
 Show = Callable[[str, int, int | None], None]

@@ -12,7 +12,7 @@ from fg_orient.cli.command import Extrapolate, Light, Overwrite, Result, Sensors
 from fg_orient.cli.output import answer, number, say, table, tell, tell_findings, verdict
 from fg_orient.cli.progress import progress_bar
 from fg_orient.model.declaration import declared
-from fg_orient.model.errors import InputError, finding, judged
+from fg_orient.model.errors import Finding, InputError, finding, judged
 from fg_orient.model.names import EXIT_CODE, Status
 from fg_orient.rpc.options import FileOptions, FitOptions, RefineOptions
 
@@ -153,9 +153,9 @@ def refine(
     exit code is 4 if the points do not fit the model.
     """
     from fg_orient.formats.atomic import require_free_files
-    from fg_orient.rpc.compensate import refine as refined
     from fg_orient.rpc.files import corrected, describe, target_of, write_as
     from fg_orient.rpc.points import read_measured
+    from fg_orient.rpc.refine import refine as refined
 
     target = None if out is None else target_of(to, out)
     require_free_files(out, overwrite=overwrite)
@@ -232,14 +232,15 @@ def fit(
         with progress_bar("fitting"):
             model, record = fit_image(sensor, heights, chosen, grid or SHAPE)
     record |= {"file": str(source), "out": None}
+    refused = None
     if out is not None and record["status"] == Status.NOT_TRUSTWORTHY and not force:
-        tell("warning", finding("rpc.not_written (warning): the RPC is not trustworthy and is not written -> correct "
-                                "the causes above, or write it with <force>", file=out))  # fmt: skip
+        refused = finding("rpc.not_written (warning): the RPC is not trustworthy and is not written -> correct the "
+                          "causes above, or write it with <force>", file=out)  # fmt: skip
     elif out is not None:
         from fg_orient.rpc.files import write_as
 
         record["out"] = write_as(model, out, target_of(to, out), overwrite=overwrite)
-    _end(record, _show_fit)
+    _end(record, _show_fit, refused)
 
 
 def _refuse(source: Path, options: Mapping[str, object], what: str) -> None:
@@ -252,9 +253,11 @@ def _refuse(source: Path, options: Mapping[str, object], what: str) -> None:
 # --- results -------------------------------------------------------------------------------------
 
 
-def _end(record: dict[str, Any], show: Callable[[dict[str, Any]], None]) -> None:
-    """Print a record and end the command with its exit code."""
+def _end(record: dict[str, Any], show: Callable[[dict[str, Any]], None], last: Finding | None = None) -> None:
+    """Print a record, then a last warning, and end the command with its exit code."""
     answer(record, _show, record, show)
+    if last is not None:
+        tell("warning", last)
     if record["status"] == Status.NOT_TRUSTWORTHY:
         raise typer.Exit(EXIT_CODE[Status.NOT_TRUSTWORTHY])
 

@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from factors.arrays import Array
+from factors.arrays import Array, Index, Mask
 from fg_orient.adjustment.linear.system import MAX_UNKNOWNS
 from fg_orient.adjustment.loop import Callback
 from fg_orient.adjustment.runtime import one_blas_thread
@@ -22,6 +22,7 @@ from fg_orient.closerange.bundle_result import BundleResult, result_of, without_
 from fg_orient.closerange.fitting import as_points, as_positions, as_sigmas
 from fg_orient.closerange.options import COMMON, DEFAULTS
 from fg_orient.closerange.photo import NAMES, PhotoInterior
+from fg_orient.closerange.resection import LEAST_TESTED, other_readings
 from fg_orient.model.arrays import array, names, wrong
 from fg_orient.model.block import Options
 from fg_orient.model.constraint import Constraint
@@ -216,7 +217,21 @@ def adjust_bundle(
             residual == "condition",
             options,
         )
-        return result_of(built, _solved(built, callback))
+        try:
+            return result_of(built, _solved(built, callback))
+        except NoSolutionError as error:
+            known = np.isin(points, list(control or {}))
+            tested = (_tested(p, which == k, of, known, start, measured, points) for k, p in enumerate(photos))
+            raise NoSolutionError(*other_readings(tested), *error.problems) from None
+
+
+def _tested(
+    photo: BundlePhoto, own: Mask, of: Index, known: Mask, start: Array, image: Array, ids: Sequence[str]
+) -> tuple[str, PhotoInterior, Array, Array, list[str]]:
+    """Return the points of a photo with which its image coordinates are tested: control points, if there are enough."""
+    rows = np.flatnonzero(own & known[of])
+    rows = rows if len(rows) >= LEAST_TESTED else np.flatnonzero(own)
+    return photo.name, photo.interior, start[of[rows]], image[rows], [ids[j] for j in of[rows].tolist()]
 
 
 def _solved(built: Built, callback: Callback | None) -> Solution:

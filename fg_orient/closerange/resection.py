@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from operator import attrgetter
@@ -17,7 +18,7 @@ from fg_orient.closerange import fitting
 from fg_orient.closerange.dlt import direct_dlt, recover
 from fg_orient.closerange.minima import SAME, Rival, bend, rival_of
 from fg_orient.closerange.photo import Photo, PhotoInterior
-from fg_orient.model.errors import FgOrientError, Finding, InputError, NoSolutionError
+from fg_orient.model.errors import FgOrientError, Finding, InputError, NoSolutionError, finding
 from fg_orient.rectification.transformation import Scaling
 
 Pose = tuple[Array, Array]
@@ -27,6 +28,11 @@ LEAST: Final = 4
 SPREAD: Final = 6
 #: The iteration begins at this number of best start values.
 TRIED: Final = 4
+#: Minimum number of points that test another reading of the image coordinates, and how much better it must fit.
+LEAST_TESTED: Final = 6
+BETTER: Final = 10.0
+#: Smallest median distance that counts, as tangent.
+TINY: Final = 1e-12
 #: Code and place of the error for points that do not determine a photo.
 REFUSED: Final = ("closerange.pose", "resection")
 
@@ -116,6 +122,14 @@ def resect(
     if len(ground) != len(measured) or len(ground) < LEAST:
         raise InputError.of("closerange.few", place="resection", value=len(ground), least=LEAST)
     tangents = interior.tangents(measured)
+    try:
+        return _best(interior, ground, tangents, size / interior.focal, name)
+    except NoSolutionError as error:
+        raise NoSolutionError(*other_readings([(name, interior, ground, measured, ())]), *error.problems) from None
+
+
+def _best(interior: PhotoInterior, ground: Array, tangents: Array, size: Array, name: str) -> Resection:
+    """Return the minimum with the smallest weighted squares; ``size`` are the sigmas of the tangents."""
     poses = start_poses(ground, tangents)
     if not poses:
         _require_off_line(ground)
@@ -124,7 +138,7 @@ def resect(
 
     def descend(pose: Pose) -> None:
         try:
-            minima.append(_adjusted(interior, ground, tangents, size / interior.focal, pose, name))
+            minima.append(_adjusted(interior, ground, tangents, size, pose, name))
         except (NoSolutionError, InputError) as error:
             failures.append(error)
 
@@ -228,6 +242,65 @@ def start_poses(ground: Array, tangents: Array) -> list[Pose]:
         misfits.append(float(np.median(np.linalg.norm(q[:, :2] / q[:, 2:] - tangents, axis=1))) if ahead else np.inf)
     order = np.argsort(misfits, kind="stable")
     return [poses[k] for k in order if np.isfinite(misfits[k])]
+
+
+def other_readings(photos: Iterable[tuple[str, PhotoInterior, Array, Array, Sequence[str]]]) -> list[Finding]:
+    """Return findings on photos whose points fit far better with other image coordinates.
+
+    The other direction of y differs from exchanged columns x and y by a rotation of the photo, so both are named.
+    Otherwise points are named that an exchange of their own x and y makes fit.
+
+    Parameters
+    ----------
+    photos : iterable of tuple
+        Name, interior, known points (n, 3), their image points (n, 2), and the ids of the points; without ids they are
+        counted. Photos with fewer than six points are skipped: one pose fits three points exactly.
+    """
+    mirrored, times, out = list[str](), list[float](), list[Finding]()
+    for name, interior, ground, image, ids in photos:
+        if len(ground) < LEAST_TESTED:
+            continue
+        given = _misfit(interior, ground, image)
+        if given is None:
+            continue
+        pose, away = given
+        other = _misfit(replace(interior, y_axis="up" if interior.y_axis == "down" else "down"), ground, image)
+        middle, best = _middle(away), np.inf if other is None else _middle(other[1])
+        if BETTER * best < middle:
+            mirrored.append(name)
+            times.append(middle / best)
+            continue
+        swapped = _apart(pose, ground, interior.tangents(np.ascontiguousarray(image[:, ::-1])))
+        wrong = (away > BETTER * middle) & (BETTER * swapped < away)
+        points = [ids[k] if ids else str(k + 1) for k in np.flatnonzero(wrong).tolist()]
+        if points:
+            out.append(finding("closerange.exchanged_point", place=f"photo {name}" if name else "", points=points))
+    if mirrored:
+        named = [name for name in mirrored if name]
+        out.insert(0, finding("closerange.other_reading", photos=named, times=min(times)))
+    return out
+
+
+def _misfit(interior: PhotoInterior, ground: Array, image: Array) -> tuple[Pose, Array] | None:
+    """Return the best start pose and the residuals (n,) of all tangents; None without a pose."""
+    try:
+        tangents = interior.tangents(image)
+    except FgOrientError:
+        return None
+    poses = start_poses(ground, tangents)
+    return (poses[0], _apart(poses[0], ground, tangents)) if poses else None
+
+
+def _middle(away: Array) -> float:
+    """Return the median distance, or the fifth smallest of few points: a pose fits three points exactly."""
+    return max(float(np.sort(away)[max(len(away) // 2, 4)]), TINY)
+
+
+def _apart(pose: Pose, ground: Array, tangents: Array) -> Array:
+    """Return the distances (n,) between projected points and tangents."""
+    rotation, centre = pose
+    q = (ground - centre) @ rotation.T
+    return np.asarray(np.linalg.norm(q[:, :2] / q[:, 2:] - tangents, axis=1))
 
 
 def _spread(points: Array) -> list[int]:

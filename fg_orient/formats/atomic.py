@@ -271,7 +271,11 @@ def require_free_files(*files: Path | None, overwrite: bool, option: str = "out"
     Call it before computing.
     """
     for file in files:
-        if file is not None and file.exists() and not overwrite:
+        if file is None or not os.path.lexists(file):
+            continue
+        if not (file.is_file() or file.is_dir()):
+            raise InputError.of("output.not_a_file", file=file, option=option)
+        if not overwrite:
             raise InputError.of("output.exists", file=file, option=option)
 
 

@@ -7,6 +7,7 @@ and remedy (``docs/file-formats.md``).
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Callable, Sequence
 from typing import Final
 
@@ -87,11 +88,17 @@ def sigma_remarks(
     return (finding(code, file=file, place=place, value=value, low=low, high=high, count=len(odd)),)
 
 
+def _plain(name: str) -> str:
+    """Return a name without the differences that programs make: capitals, separators, zeros before numbers."""
+    return re.sub(r"(?<![0-9])0+(?=[0-9])", "", re.sub(r"[\W_]+", "", name.casefold()))
+
+
 def did_you_mean(word: str, known: Sequence[str]) -> str:
     """Return the hint "did you mean X?"; without a similar word, return the list of known words, shortened."""
     if not known:
         return "there is none"
-    close = difflib.get_close_matches(word, known, n=1)
+    alike = _plain(word)
+    close = [name for name in known if _plain(name) == alike] or difflib.get_close_matches(word, known, n=1)
     if close:
         return f"did you mean {close[0]}?"
     more = " ..." if len(known) > 10 else ""

@@ -23,6 +23,7 @@ from fg_orient.formats.faults import Faults, did_you_mean, sigma_remarks
 from fg_orient.formats.heights import ZeroLevel
 from fg_orient.formats.points import PLAUSIBLE_SIGMA_PX, ObservationFile, PointFile, point_file
 from fg_orient.formats.registry import Holds, Settings, format_named
+from fg_orient.formats.scenes import exchanged_pixels
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.model.block import Coordinates, GroundPoints, ImagePoints
 from fg_orient.model.errors import InputError
@@ -191,8 +192,13 @@ def _check_pixels(
     """Note faults of image points: outside the image, or without a standard deviation."""
     o = survey.observed
     size = np.array([n or (np.inf, np.inf) for _, n in sizes], float).reshape(-1, 2)[image[o.image]]
+    exchanged, beyond = exchanged_pixels(image[o.image], np.stack([o.line, o.sample], axis=1), size)
+    if beyond.any():
+        names = [survey.images[k] for k in np.unique(o.image[exchanged]).tolist()]
+        faults.add("observations.exchanged", place=_place(survey, int(np.argmax(beyond))), images=names,
+                   outside=int(beyond.sum()), total=int(exchanged.sum()))  # fmt: skip
     for axis, values, last in (("line", o.line, size[:, 0] - 0.5), ("sample", o.sample, size[:, 1] - 0.5)):
-        for k in np.flatnonzero((values < -0.5) | (values > last)):
+        for k in np.flatnonzero(((values < -0.5) | (values > last)) & ~exchanged):
             faults.add("observations.outside", place=_place(survey, int(k)), value=f"{axis} {values[k]:.10g}",
                        image=survey.images[o.image[k]], axis=axis, last=float(last[k]))  # fmt: skip
     lacking = np.flatnonzero(np.isnan(o.sigma_line_px) | np.isnan(o.sigma_sample_px))

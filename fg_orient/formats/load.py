@@ -25,7 +25,7 @@ import orjson
 
 from fg_orient.formats.registry import read_bytes
 from fg_orient.model.errors import FgOrientError, InputError
-from fg_orient.model.limits import exceeded, limit, within, within_memory
+from fg_orient.model.limits import exceeded, limit, open_input, within, within_memory
 
 #: Maximum number of bytes of Python objects for each of these characters in JSON. The
 #: characters begin a table, a list, a further value, or the value of a name.
@@ -154,7 +154,7 @@ def load_npz(source: Path | bytes, code: str, file: object = "", kinds: str = KI
 
 
 def _stream(source: Path | bytes) -> IO[bytes]:
-    return io.BytesIO(source) if isinstance(source, bytes) else source.open("rb")
+    return io.BytesIO(source) if isinstance(source, bytes) else open_input(source)
 
 
 def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo, kinds: str) -> npt.NDArray[Any]:
@@ -220,7 +220,7 @@ def open_sqlite(path: Path, tables: Sequence[str], code: str) -> Iterator[sqlite
         size = path.stat().st_size
         within("sqlite_bytes", size, file=path.name)
         most = limit("sqlite_steps") + limit("sqlite_steps_per_byte") * size
-        with path.open("rb") as stream:
+        with open_input(path) as stream:
             if stream.read(len(SQLITE_MARK)) != SQLITE_MARK:
                 raise ValueError("it is not a database of SQLite")
         with closing(sqlite3.connect(f"file:{quote(str(path.resolve()))}?mode=ro", uri=True)) as opened:

@@ -29,7 +29,7 @@ from factors.arrays import Array, Mask
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.faults import Faults, sigma_remarks
 from fg_orient.formats.heights import ZeroLevel, on_found_grid, without_vertical
-from fg_orient.formats.scenes import Scene, check_positions
+from fg_orient.formats.scenes import Scene, check_positions, exchanged_pixels
 from fg_orient.formats.tables import Row, Table, read_table
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.geodesy import (
@@ -49,6 +49,10 @@ from fg_orient.model.names import LARGEST, SMALLEST, Role
 SIGMA_COLUMNS: Final = ("sigma_east_m", "sigma_north_m", "sigma_up_m")
 _SIGMA_XYZ: Final = ("sigma_x_m", "sigma_y_m", "sigma_z_m")
 FIXED: Final = "fixed"
+
+
+#: Entries of a project file that messages name instead of options.
+ENTRIES: Final = {name: f"{name} under [points]" for name in ("geoid", "undulation_m", "both_heights")}
 
 
 def _layouts(first: Kind, incomplete: bool) -> list[tuple[str, ...]]:
@@ -162,8 +166,10 @@ def _id(row: Row) -> str:
     return row.cells["id"]
 
 
-def located(survey: Survey, faults: Faults) -> tuple[Coordinates, Operation | None]:
-    """Transform the coordinates of a survey to ECEF.
+def located(
+    survey: Survey, faults: Faults, names: Mapping[str, str] | None = None
+) -> tuple[Coordinates, Operation | None]:
+    """Transform the coordinates of a survey to ECEF; messages show ``names`` instead of options.
 
     Returns
     -------
@@ -183,7 +189,7 @@ def located(survey: Survey, faults: Faults) -> tuple[Coordinates, Operation | No
                 deciding=having_role(survey.roles, Role.CONTROL)[rows],
             )  # fmt: skip
         except InputError as error:
-            faults.take(*(replace(p, file=faults.file) for p in error.problems))
+            faults.take(*(replace(p, file=faults.file, names=names or {}) for p in error.problems))
     return Coordinates(ecef, survey.sigma_enu_m, survey.fixed), operation
 
 
@@ -296,7 +302,7 @@ def point_file(
     if given is None or survey is None:
         return None
     digest = sha256_of(*files)
-    coordinates, operation = located(survey, faults)
+    coordinates, operation = located(survey, faults, ENTRIES)
     check_positions(scenes, survey.crs, survey.coordinates, coordinates.ecef_m, survey.place, faults)
 
     def opened(wanted: tuple[str, ...]) -> Coordinates:
@@ -328,7 +334,7 @@ def _ellipsoidal(survey: Survey | None, level: ZeroLevel | None, faults: Faults)
     try:
         return level.applied(without_vertical(survey)) if level else on_found_grid(survey)
     except InputError as error:
-        faults.take(*error.problems)
+        faults.take(*(replace(p, names=ENTRIES) for p in error.problems))
         return None
 
 
@@ -409,9 +415,17 @@ def read_observations(
     if bare.any():
         values[bare, :2] = table.numbers(*COLUMNS[2:4], rows=bare)[bare]
     size = np.array([n or (np.inf, np.inf) for n in (sizes or {"": None}).values()], float)
-    last = np.append(size, [[np.inf, np.inf]], axis=0)[np.minimum(image, len(size))] - 0.5
+    sizes_of = np.append(size, [[np.inf, np.inf]], axis=0)[np.minimum(image, len(size))]
+    exchanged, beyond = exchanged_pixels(image, values[:, :2], sizes_of)
+    if beyond.any():
+        names = list(dict.fromkeys(table.cells["image"][k] for k in np.flatnonzero(exchanged).tolist()))
+        faults.add(
+            "observations.exchanged", place=table.row(int(np.argmax(beyond))).place(), images=names,
+            outside=int(beyond.sum()), total=int(exchanged.sum()),
+        )  # fmt: skip
+    last = sizes_of - 0.5
     for j, axis in enumerate(("line", "sample")):
-        outside = np.isfinite(last[:, j]) & ((values[:, j] < -0.5) | (values[:, j] > last[:, j]))
+        outside = np.isfinite(last[:, j]) & ((values[:, j] < -0.5) | (values[:, j] > last[:, j])) & ~exchanged
         fields = {"image": lambda row: row.cells["image"], "axis": axis, "last": last[:, j]}
         table.refuse(outside, "observations.outside", axis, **fields)
         sigma = values[:, 2 + j]

@@ -155,8 +155,13 @@ class ProjectImages(NamedTuple):
     is_new: bool
 
 
-def read_images(path: str | Path) -> ProjectImages:
-    """Read the images and options of a project.
+def has_observations(path: str | Path) -> bool:
+    """Return whether a project file names image points."""
+    return "observations" in parse_toml(Path(path))
+
+
+def read_images(path: str | Path, **overrides: object) -> ProjectImages:
+    """Read the images and options of a project; ``overrides`` replace options of the file.
 
     The tables of points and observations may be missing, both in the project file and on the disk.
 
@@ -165,12 +170,9 @@ def read_images(path: str | Path) -> ProjectImages:
     InputError
         The project file or the metadata have faults.
     """
-    path = Path(path)
-    content = parse_toml(path)
-    is_new = "observations" not in content
-    content.setdefault("observations", dict(NEW_OBSERVATIONS))
-    project = validate(content, str(path), ProjectFile)
-    options, problems = _options(project, str(path), {})
+    path, is_new = Path(path), not has_observations(path)
+    project = _read_toml(path, overrides, {"observations": dict(NEW_OBSERVATIONS)})
+    options, problems = _options(project, str(path), overrides)
     images, image_problems = _images(project, path.parent, str(path))
     problems += [*image_problems, *_entry_problems(project, str(path))]
     if problems:
@@ -261,9 +263,10 @@ def _navigated(block: Block, project: ProjectFile, folder: Path, file: str) -> B
 # --- the TOML file -------------------------------------------------------------------------------
 
 
-def _read_toml(path: Path, overrides: Mapping[str, object]) -> ProjectFile:
+def _read_toml(path: Path, overrides: Mapping[str, object], missing: Mapping[str, object] | None = None) -> ProjectFile:
+    """Read the file; ``missing`` are tables that it need not have."""
     require_declared(overrides, "read_project", Options, Reading)
-    content = parse_toml(path)
+    content = {**(missing or {}), **parse_toml(path)}
     for name, value in overrides.items():
         if value is not None:
             table = content.setdefault(_table_of(name), {})
@@ -281,7 +284,9 @@ def _table_of(name: str) -> str:
 
 
 def _blame(fault: Finding, overrides: Mapping[str, object]) -> Finding:
-    """Return a fault in which an option that overrides the file is named instead of the file."""
+    """Return a fault that names the overriding option, or the next step of a project without points."""
+    if (fault.code, fault.place) == ("project.missing", "observations"):
+        return finding("project.no_observations", file=fault.file, place=fault.place)
     for name, value in overrides.items():
         place = f"{_table_of(name)}.{name}"
         if value is not None and (fault.place == place or fault.place.startswith(f"{place}[")):

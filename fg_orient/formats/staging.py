@@ -19,6 +19,7 @@ import platform
 import re
 import secrets
 import shutil
+import stat
 import sys
 import time
 from collections.abc import Iterator
@@ -36,6 +37,8 @@ _LOCK: Final = re.compile(r"\.(.+)\.([0-9a-f]{12})\.lock")
 LONGEST: Final = 200
 #: Token of the lock that all writers of one output take. Other locks have random tokens.
 _CLAIM: Final = "0" * 12
+#: Flags to open a lock file, which may be a link or a pipe that another user placed there.
+_SAFE: Final = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 #: Pause between two attempts, s. A run that removes old files holds a lock for a moment.
 PAUSE_S: Final = 1e-3
 #: A lock of another machine is removed when it is older than this, s.
@@ -95,9 +98,12 @@ def claimed(target: Path) -> Iterator[None]:
     """
     path = target.with_name(f".{target.name[:LONGEST]}.{_CLAIM}.lock")
     for _ in range(TRIES):
-        descriptor = os.open(path, os.O_CREAT | os.O_RDWR | getattr(os, "O_NOFOLLOW", 0), 0o666)
+        descriptor = os.open(path, os.O_CREAT | os.O_RDWR | _SAFE, 0o666)
         if _take(descriptor) is not False and _is(path, descriptor):
-            break
+            if _is_lock(descriptor):
+                break
+            os.close(descriptor)
+            raise OSError(errno.EEXIST, f"{path.name} is not a lock file", str(path))
         os.close(descriptor)
         time.sleep(PAUSE_S)
     else:
@@ -162,6 +168,12 @@ def _take(descriptor: int) -> bool | None:
     return True
 
 
+def _is_lock(descriptor: int) -> bool:
+    """Return whether an open file can be a lock: a regular file with one name, which is not somebody's other file."""
+    found = os.fstat(descriptor)
+    return stat.S_ISREG(found.st_mode) and found.st_nlink == 1
+
+
 def _is(path: Path, descriptor: int) -> bool:
     """Return whether a path still names the open file."""
     try:
@@ -197,9 +209,9 @@ def sweep(folder: Path) -> None:
         if match is None:
             continue
         with contextlib.suppress(OSError):
-            descriptor = os.open(folder / name, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0))
+            descriptor = os.open(folder / name, os.O_RDWR | _SAFE)
             try:
-                if _take(descriptor) and _is(folder / name, descriptor) and _ours(descriptor):
+                if _is_lock(descriptor) and _take(descriptor) and _is(folder / name, descriptor) and _ours(descriptor):
                     _clear(folder, match[1], name.removesuffix(".lock"))
             finally:
                 os.close(descriptor)
@@ -215,9 +227,12 @@ def _ours(descriptor: int) -> bool:
 
 
 def _remove_all(folder: Path, *beginnings: str) -> bool:
-    """Remove the files and folders with these beginnings of their names; False if one is still there."""
+    """Remove the files and folders with these names, also with a further suffix; False if one is still there."""
     with contextlib.suppress(OSError):
-        found = [folder / entry.name for entry in os.scandir(folder) if entry.name.startswith(beginnings)]
+        found = [
+            folder / entry.name for entry in os.scandir(folder)
+            if any(entry.name == one or entry.name.startswith((f"{one}.", f"{one}-")) for one in beginnings)
+        ]  # fmt: skip
         for path in found:
             remove(path)
         return not any(map(os.path.lexists, found))

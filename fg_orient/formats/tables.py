@@ -374,7 +374,9 @@ def _check_names(
     misspelt = [match for name in names for match in difflib.get_close_matches(name, layout, n=1)]
     for name in layout:
         if name not in names and name not in misspelt:
-            faults.add("table.column_missing", place=place, value=name, columns=", ".join(layout))
+            faults.add(
+                "table.column_missing", place=place, value=", ".join(names), missing=name, columns=", ".join(layout)
+            )
 
 
 def note_repeated(place: str, names: Sequence[str], faults: Faults) -> None:

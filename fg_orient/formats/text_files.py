@@ -8,7 +8,7 @@ from pathlib import Path
 
 from fg_orient.formats.faults import Faults
 from fg_orient.model.errors import InputError
-from fg_orient.model.limits import within_memory
+from fg_orient.model.limits import open_input, within_memory
 
 #: Memory that a line and its cells need, bytes.
 LINE_BYTES = 250
@@ -20,7 +20,7 @@ def read_data(path: Path, faults: Faults, size: int = -1) -> bytes | None:
     If it cannot be read, note the error and return None.
     """
     try:
-        with path.open("rb") as stream:
+        with open_input(path) as stream:
             return stream.read(size)
     except FileNotFoundError:
         faults.add("table.missing_file")
@@ -79,7 +79,7 @@ def sha256_of(*paths: Path) -> str:
 
 
 def _digest(file: Path) -> bytes:
-    with file.open("rb") as stream:
+    with open_input(file) as stream:
         return hashlib.file_digest(stream, "sha256").digest()
 
 

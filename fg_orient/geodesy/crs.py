@@ -25,6 +25,7 @@ from fg_orient.geodesy import (
     ecef_to_geodetic,
     enu_from_ecef,
     geodetic_to_ecef,
+    horizontal_part,
     known_crs,
     offline_pyproj,
     operation_to_ecef,
@@ -46,6 +47,8 @@ _CONFIDENCE: Final = 70
 #: Beginnings of names of an unspecified datum, as in a PROJ string that only has an ellipsoid.
 _NO_DATUM: Final = ("unknown", "unspecified", "not specified")
 _UTM = re.compile(r"WGS ?84[ /]+UTM(?: zone)?[ /]+([0-9]{1,2}) ?([NS])", re.IGNORECASE)
+#: Number and hemisphere of a zone in the name of a projection.
+_ZONE: Final = re.compile(r"\b[0-9]+ ?[NS]?\b")
 _CODE = re.compile(r"EPSG:{1,2}([0-9]{1,6}(?:\+[0-9]{1,6})?)", re.IGNORECASE)
 
 
@@ -79,6 +82,48 @@ def epsg_code(text: str) -> str:
 def utm_code(zone: int, *, north: bool) -> str:
     """Return the EPSG code of a UTM zone (1 to 60) on WGS84."""
     return f"EPSG:{(32600 if north else 32700) + zone}"
+
+
+def other_zones(crs: str, box: tuple[float, float, float, float]) -> list[str]:
+    """Return the codes of EPSG's projected CRS that differ from a CRS only in the zone, and whose area meets a box.
+
+    Parameters
+    ----------
+    crs : str
+        Code of a projected CRS; a vertical part is kept.
+    box : four floats
+        West, south, east, north, degrees.
+    """
+    proj = offline_pyproj()
+    flat, plus, vertical = crs.partition("+")
+    family = _zone_family(known_crs(flat).name)
+    if family is None:
+        return []
+    found = proj.database.query_crs_info("EPSG", proj.enums.PJType.PROJECTED_CRS, proj.aoi.AreaOfInterest(*box))
+    codes = [f"EPSG:{one.code}" for one in found if _zone_family(one.name) == family]
+    return [f"{code}{plus}{vertical}" for code in codes if code != flat.upper()]
+
+
+def on_own_datum(crs: str, first: Array, second: Array) -> Array:
+    """Return longitude and latitude (n, 2), degrees, of horizontal coordinates on the datum of their CRS.
+
+    No operation between datums is searched. Impossible coordinates are nan.
+    """
+    lonlat = np.stack([first, second], axis=1)
+    if crs_kind(crs) == "projected":
+        proj = offline_pyproj()
+        flat = horizontal_part(known_crs(crs)).to_2d()
+        back = proj.Transformer.from_crs(flat, flat.geodetic_crs, always_xy=True)
+        lonlat = np.stack(back.transform(first, second), axis=1)
+    possible = np.isfinite(lonlat).all(axis=1) & np.all(np.abs(lonlat) <= (360.0, 90.0), axis=1)
+    return np.where(possible[:, None], lonlat, np.nan)
+
+
+def _zone_family(name: str) -> tuple[str, str] | None:
+    """Return datum and projection of a name such as "WGS 84 / UTM zone 33N" without the zone; None without a zone."""
+    datum, _, projection = name.partition(" / ")
+    family = _ZONE.sub("#", projection)
+    return None if family == projection else (datum, family)
 
 
 def with_codes(text: str) -> str:

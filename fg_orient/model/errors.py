@@ -12,6 +12,7 @@ import re
 import string
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from decimal import ROUND_CEILING, Decimal
 from functools import cache
 from typing import Any, Final, Self
 
@@ -107,7 +108,10 @@ class Finding:
 
 
 class _Format(string.Formatter):
-    """Formatter that writes lists as "a, b"; the format of a list limits its items, and ``!w`` names figures."""
+    """Formatter that writes lists as "a, b"; the format of a list limits its items, and ``!w`` names figures.
+
+    The format ``up3`` rounds a number up to three significant digits, for a limit that the number must not exceed.
+    """
 
     def convert_field(self, value: Any, conversion: str | None) -> Any:
         if conversion != "w":
@@ -116,9 +120,17 @@ class _Format(string.Formatter):
 
     def format_field(self, value: Any, format_spec: str) -> str:
         if not isinstance(value, list):
-            return format(value, format_spec)
+            return _rounded_up(value) if format_spec == "up3" else format(value, format_spec)
         most = int(format_spec or len(value))
         return ", ".join(map(str, value[:most])) + (" ..." if len(value) > most else "")
+
+
+def _rounded_up(value: float) -> str:
+    """Return the smallest number of three significant digits that is not below the value."""
+    exact = Decimal(value)
+    if not exact.is_finite() or not exact:
+        return f"{value:.3g}"
+    return f"{float(exact.quantize(Decimal(1).scaleb(exact.adjusted() - 2), ROUND_CEILING)):.3g}"
 
 
 _FORMAT: Final = _Format()

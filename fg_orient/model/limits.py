@@ -7,9 +7,12 @@ Each message names the limit that was exceeded.
 
 from __future__ import annotations
 
+import errno
 import os
 import re
+import stat
 from functools import cache
+from io import BufferedReader
 from typing import Final
 
 from fg_orient.model.errors import InputError
@@ -68,6 +71,24 @@ def _given(text: str) -> dict[str, float]:
             raise InputError.of("limits.variable", place=VARIABLE, value=word, known=", ".join(LIMITS))
         found[name] = value
     return found
+
+
+def open_input(path: str | os.PathLike[str]) -> BufferedReader:
+    """Open a regular file for reading; a pipe or a device could give bytes without end, or none.
+
+    Raises
+    ------
+    OSError
+        The file is missing, cannot be read, or is no regular file.
+    """
+    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    try:
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            raise OSError(errno.EINVAL, "it is a pipe, a device or a folder", os.fspath(path))
+        return os.fdopen(descriptor, "rb")
+    except BaseException:
+        os.close(descriptor)
+        raise
 
 
 def limit(name: str) -> float:

@@ -30,6 +30,8 @@ from fg_orient.quality.outliers import outlier_tests
 from fg_orient.quality.residuals import ResidualCofactors
 from fg_orient.quality.stated_sigmas import StatedSigma, stated_sigmas
 
+#: Probability of the two-sided interval of sigma0.
+SIGMA0_LEVEL: Final = 0.999
 #: Largest probability of each doubt in a block without mistakes, for all tests of the doubt together (see
 #: docs/verdict.md).
 BUDGET: Final = {
@@ -92,9 +94,16 @@ def of_solution(
         test=options.outlier_test,
         control=options.multiple_testing,
     )
-    gross = gross_errors(tests, options.accept)
+    gross = gross_errors(tests, options.accept, estimate.chi2)
     sigmas = stated_sigmas(residuals, tests if gross else None)
-    return Examined([*out, *gross, *wrong_sigmas(sigmas)], residuals, tests, sigmas)
+    # the other residuals contain parts of a gross error: if it alone explains sigma0, no sigma is doubted
+    doubted = [] if any(explains_all(one) for one in gross) else wrong_sigmas(sigmas)
+    return Examined([*out, *gross, *doubted], residuals, tests, sigmas)
+
+
+def explains_all(found: Finding) -> bool:
+    """Return whether a finding is a gross error without which sigma0 is inside its interval."""
+    return found.severity == "doubt" and found.data.get("without") is not None
 
 
 def wrong_sigmas(sigmas: Sequence[StatedSigma]) -> list[Finding]:
@@ -121,8 +130,11 @@ def wrong_sigmas(sigmas: Sequence[StatedSigma]) -> list[Finding]:
     return out
 
 
-def gross_errors(tests: OutlierTests, accept: Sequence[str] = ()) -> list[Finding]:
+def gross_errors(tests: OutlierTests, accept: Sequence[str] = (), chi2: float | None = None) -> list[Finding]:
     """Return the doubts on accepted observations, then the doubt on the most suspicious other observation.
+
+    ``chi2`` is that of the adjustment; with it, the finding states sigma0 without the observation if it is inside its
+    interval.
 
     A gross error makes other observations suspicious, too; these are only counted. An error that the given sigmas allow
     (Baarda's test of this observation alone) is not a doubt, although it is large relative to a small sigma0.
@@ -147,11 +159,20 @@ def gross_errors(tests: OutlierTests, accept: Sequence[str] = ()) -> list[Findin
                 level=100.0 * level,
                 more=len(first) - rank - 1 or None,
                 crowd=_crowd(tests, above),
+                without=None if chi2 is None else _sigma0_without(tests, k, chi2),
             )
         )
         if not _accepts(out[-1], accept):
             break
     return out
+
+
+def _sigma0_without(tests: OutlierTests, k: int, chi2: float) -> float | None:
+    """Return sigma0 without an observation, from its quadratic form; None if it is above its 99.9 % interval."""
+    rest, freedom = max(chi2 - float(tests.quadratic[k]), 0.0), tests.problem.redundancy - int(tests.dimension[k])
+    if freedom <= 0 or float(chi_square_tail(freedom, rest)) < 0.5 * (1.0 - SIGMA0_LEVEL):
+        return None
+    return float(np.sqrt(rest / freedom))
 
 
 def _crowd(tests: OutlierTests, above: Index) -> str | None:

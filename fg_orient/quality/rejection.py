@@ -32,6 +32,9 @@ T = TypeVar("T")
 #: Maximum share of gross errors among the observations. If there are more, the model must be wrong.
 MOST: Final = 0.25
 
+#: Parts of suspects that are coordinates of control points.
+COORDINATES: Final = ("position", "height", "east", "north", "up")
+
 
 @dataclass(frozen=True)
 class Change(Generic[T]):
@@ -237,9 +240,12 @@ class Search:
         out = []
         if self.left_out:
             names = [one.test.name for one in self.left_out]
+            coordinates = [one for one in self.left_out if one.test.part in COORDINATES and not one.with_it]
+            ties = list(dict.fromkeys(one.test.point for one in coordinates))
             out.append(
-                finding("search.left_out", n=len(names), rounds=len(self.rounds), names=names, with_them=self.went_with)
-            )
+                finding("search.left_out", n=len(names), rounds=len(self.rounds), names=names, ties=ties,
+                        with_them=self.went_with)
+            )  # fmt: skip
             out.append(finding("search.conditional"))
             if self.check_points:
                 out.append(finding("search.check_points", n=len(self.check_points), points=self.check_points))

@@ -32,11 +32,9 @@ from fg_orient.model.errors import DECISIVE, Finding, finding
 from fg_orient.model.names import Role, Status
 from fg_orient.quality import conditioning, regularisation, vendor_datum
 from fg_orient.quality.accuracy import ASPRS_MINIMUM, Accuracy
-from fg_orient.quality.doubts import with_accepted
+from fg_orient.quality.doubts import SIGMA0_LEVEL, explains_all, with_accepted
 from fg_orient.quality.observability import BlockObservability, ImageObservability
 
-#: Probability of the two-sided interval of sigma0.
-SIGMA0_LEVEL = 0.999
 #: Maximum share of down-weighted image points in a trustworthy solution.
 MOST_DOWN = 0.5
 #: Maximum number of images that are named.
@@ -73,8 +71,11 @@ def assess_solution(problem: Problem, estimate: Estimate, unavailable: tuple[Fin
 def decided(
     assessment: SolutionAssessment, end: Finding, findings: Sequence[Finding], accept: Sequence[str]
 ) -> tuple[Status, Finding, tuple[Finding, ...]]:
-    """Return the status, its reason and all findings, the most serious first; accepted doubts do not decide."""
-    ordered = tuple(with_accepted(findings, accept))
+    """Return the status, its reason and all findings, the most serious first; accepted doubts do not decide.
+
+    A gross error that alone explains sigma0 is before the doubts that follow from it.
+    """
+    ordered = tuple(with_accepted(sorted(findings, key=lambda f: not explains_all(f)), accept))
     if assessment.status is Status.NOT_CONVERGED:
         return assessment.status, assessment.finding, ordered
     worst = next((f for f in ordered if f.severity in DECISIVE), None)

@@ -163,6 +163,8 @@ class PointFit:
         Computed minus given, in the unit of the target.
     pruning : Pruning or None
         Record of the pruning, if points were left out until an RMSE was reached.
+    heights : (n,) array or None
+        Heights of the control points, m, if they are known and the transformation does not contain them.
     """
 
     fit: TransformationFit
@@ -170,6 +172,7 @@ class PointFit:
     check: Observations | None
     check_residuals: Array
     pruning: Pruning | None = None
+    heights: Array | None = None
 
     @property
     def unit(self) -> str:
@@ -219,8 +222,12 @@ def fit_points(
     fitted = fit(control, model, source_names=names[0], target_names=names[1], crs=points.crs)
     pruning = None if prune_to is None else prune(fitted, prune_to, rule=prune_by)
     fitted = fitted if pruning is None else pruning.fit
+    heights = None
+    if model.dimension == 2 and points.ground.shape[1] == 3:
+        height_of = dict(zip(points.ids, points.ground[:, 2].tolist(), strict=True))
+        heights = np.array([height_of[name] for name in fitted.points.ids])
     if not points.check.any():
-        return PointFit(fitted, way, None, np.zeros((0, 2)), pruning)
+        return PointFit(fitted, way, None, np.zeros((0, 2)), pruning, heights)
     check = every.take(points.check)
     computed = fitted.transformation.apply(check.source[:, : model.dimension])
-    return PointFit(fitted, way, check, computed - check.target, pruning)
+    return PointFit(fitted, way, check, computed - check.target, pruning, heights)

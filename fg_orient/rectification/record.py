@@ -18,6 +18,7 @@ from fg_orient.model.distributions import f_tail
 from fg_orient.model.errors import Finding, as_record, finding, sentences
 from fg_orient.rectification.fit import Observations
 from fg_orient.rectification.folder import CONTENTS, RECORD_FILE, TRANSFORMATION_FILE
+from fg_orient.rectification.mistakes import mistakes_in
 from fg_orient.rectification.outliers import PointTests, check_tests, point_tests
 from fg_orient.rectification.points import DIRECTIONS, PointFit
 from fg_orient.rectification.study import PairDistances
@@ -137,7 +138,7 @@ def _rows(
 
 def findings_on(fitted: PointFit, tests: PointTests, checks: PointTests | None) -> list[Finding]:
     """Return the findings on a fit, from the tests of the control points and of the check points, if any."""
-    out = _suspicious("point", fitted.fit.points.ids, tests, fitted.unit)
+    out = mistakes_in(fitted.fit, fitted.heights) + _suspicious("point", fitted.fit.points.ids, tests, fitted.unit)
     out += _layout(fitted) + _sigmas(fitted) + _far_from_zone(fitted)
     if fitted.pruning is not None and fitted.pruning.dropped:
         out.append(finding("rectify.rmse_after_pruning"))

@@ -166,7 +166,8 @@ def read_table(path: Path, *required: str, code: str = "report.damaged") -> Tabl
     def check(place: str, names: Sequence[str]) -> None:
         note_repeated(place, names, faults)
         for name in sorted(set(required) - set(names)):
-            faults.add("table.column_missing", place=place, value=name, columns=", ".join(required))
+            faults.add("table.column_missing", place=place, value=", ".join(names), missing=name,
+                       columns=", ".join(required))  # fmt: skip
 
     faults, columns = Faults(str(path)), dict[str, Column]()
     table = read_columns(path, faults, check, required)

@@ -18,8 +18,9 @@ from fg_orient.formats.sensor import read_sensor
 from fg_orient.geodesy import ecef_to_geodetic
 from fg_orient.model.errors import Finding, InputError, finding, judged
 from fg_orient.rpc.compensate import normalised, residuals
+from fg_orient.rpc.doubts import of_points
 from fg_orient.rpc.files import RpcFile, describe
-from fg_orient.rpc.points import MeasuredPoints, statistics
+from fg_orient.rpc.points import AXES, MeasuredPoints, statistics
 from fg_orient.sensors.dem import RasterDem, range_below
 from fg_orient.sensors.rpc import COORDINATES, NEAR_ZERO, RpcModel, span
 
@@ -70,7 +71,8 @@ def check_rpc(
         "points": None if points is None else point_residuals(model, points),
         "against": None if against is None else differences(model, against, heights),
     }
-    return {**judged(_findings(record)), **record}
+    of_pixels = [] if points is None else of_points(model, points)
+    return {**judged(_findings(record, of_pixels)), **record}
 
 
 def _heights(model: RpcModel, given: Range | None) -> Range:
@@ -195,8 +197,31 @@ def differences(model: RpcModel, other: Path, heights_m: Range) -> dict[str, Any
     }
 
 
-def _findings(record: dict[str, Any]) -> list[Finding]:
-    """Return the findings on a model; with any of them except the last two kinds, it must not be used."""
+def _disagreement(other: dict[str, Any]) -> list[Finding]:
+    """Report a doubt if the pixels of two models differ by more than their files' models to ground and image may."""
+    worst, figures = other["worst"], other["statistics"]
+    largest = max(abs(worst["line_px"]), abs(worst["sample_px"]))
+    if largest <= AGREEMENT_PX:
+        return []
+    mean = [figures[f"mean_{axis}_px"] for axis in AXES]
+    rms = [figures[f"rms_{axis}_px"] for axis in AXES]
+    apart = max(abs(worst[f"{axis}_px"] - m) for axis, m in zip(AXES, mean, strict=True))
+    constant = max(r**2 - m**2 for r, m in zip(rms, mean, strict=True)) <= AGREEMENT_PX**2 and apart <= AGREEMENT_PX
+    return [
+        finding(
+            "rpc.against",
+            other=Path(other["file"]).name,
+            largest_px=largest,
+            rms_px=rms if np.isfinite(rms).all() else "",
+            limit=AGREEMENT_PX,
+            where=f"line {worst['line']:.0f}, sample {worst['sample']:.0f}, height {worst['height_m']:.0f} m",
+            constant_px=mean if constant else "",
+        )
+    ]
+
+
+def _findings(record: dict[str, Any], of_pixels: list[Finding]) -> list[Finding]:
+    """Return the findings on a model, doubts first; ``of_pixels``: those from measured points."""
     out, below = [], record["denominators"]
     least = min(below["least_line"], below["least_sample"])
     if below["pole"] is not None:
@@ -213,6 +238,8 @@ def _findings(record: dict[str, Any]) -> list[Finding]:
     points = record["points"]
     if points is not None and points["outside"]:
         out.append(finding("rpc.points_outside", n=len(points["outside"]), points=points["outside"]))
+    out += of_pixels if record["against"] is None else [*_disagreement(record["against"]), *of_pixels]
+    out.sort(key=lambda f: f.severity != "doubt")
     used = record["extrapolation"].items()
     out += [finding("rpc.extrapolated", coordinate=name, used=value) for name, value in used if value > EXTRAPOLATED]
     low, high = record["validity"]["height_m"]

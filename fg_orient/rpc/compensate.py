@@ -5,8 +5,7 @@
 
 l, s are the model's own normalised coordinates. Ground coordinates are held fixed; the
 sigmas of line and sample must include their errors. Each point is tested with both
-coordinates together, as in ``fg_orient.quality.outliers``. :func:`refine` executes the
-command ``rpc refine``: compensation, then its errors at check points.
+coordinates together, as in ``fg_orient.quality.outliers``.
 """
 
 from __future__ import annotations
@@ -17,16 +16,16 @@ from typing import Any, Final
 
 import numpy as np
 
-from factors.arrays import Array, Mask
+from factors.arrays import Array
 from factors.cameras import rfm
 from factors.cameras.rfm_equation import COMPENSATION, COMPENSATIONS
 from factors.cameras.rfm_project import RANGE
-from fg_orient.model.distributions import f_quantile
-from fg_orient.model.errors import Finding, InputError, NoSolutionError, finding, judged
-from fg_orient.model.names import Role
+from fg_orient.model.distributions import chi_square_limit, chi_square_median, f_quantile, sidak
+from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.quality.hypotheses import f_statistics
 from fg_orient.quality.rejection import MOST, reject
-from fg_orient.rpc.points import MeasuredPoints, statistics
+from fg_orient.quality.verdict import sigma0_interval
+from fg_orient.rpc.points import MeasuredPoints
 from fg_orient.sensors.rpc import RpcModel
 
 #: Names of the kinds for users and in the equation.
@@ -36,11 +35,10 @@ NAMES: Final = ("line_0", "sample_0", "line_l1", "sample_l1", "line_s1", "sample
 LEVEL: Final = 0.001
 #: The points do not determine the terms if the ratio of singular values (columns of unit length) is below this.
 RANK: Final = 1e-8
+#: Reweighted fits of the robust start.
+REWEIGHTED: Final = 50
 #: If a redundancy number is below this, the other points do not check the coordinate.
 CHECKED: Final = 1e-6
-#: Largest plausible sigma0, in pixels or given sigmas. A larger sigma0 means that the
-#: points were not measured in this image.
-LARGEST_SIGMA0: Final = 5.0
 
 
 @dataclass(frozen=True)
@@ -116,6 +114,8 @@ class Compensation:
 def compensate(model: RpcModel, control: MeasuredPoints, kind: str = "shift", *, level: float = LEVEL) -> Compensation:
     """Adjust and test; leave out the worst point and adjust again until no point is suspicious.
 
+    If sigma0 then lies above its interval, the points that are far from the fit of most points are left out together.
+
     Parameters
     ----------
     model : RpcModel
@@ -136,11 +136,55 @@ def compensate(model: RpcModel, control: MeasuredPoints, kind: str = "shift", *,
     if kind not in KINDS:
         raise InputError.of("rpc.compensation_kind", option="compensation", value=kind, known=", ".join(KINDS))
 
+    fit = _searched(model, control, kind, level, int(MOST * len(control)))
+    if fit.redundancy > 0 and fit.sigma0 > sigma0_interval(fit.redundancy)[1]:
+        other = _from_most(model, control, kind, level)
+        return fit if other is None else other
+    return fit
+
+
+def _searched(model: RpcModel, control: MeasuredPoints, kind: str, level: float, most: int) -> Compensation:
+    """Leave out the worst point and adjust again until no point is suspicious or ``most`` are left out."""
+
     def without(out: Sequence[dict[str, Any]], _: object) -> Compensation:
         return _adjusted(model, control.take(~np.isin(control.ids, [outlier["id"] for outlier in out])), kind)
 
-    end = reject(without((), None), without, lambda fit, _: _worst(fit, level), int(MOST * len(control)))
+    end = reject(without((), None), without, lambda fit, _: _worst(fit, level), most)
     return replace(end.fit, outliers=end.out, complete=end.worst is None)
+
+
+def _from_most(model: RpcModel, control: MeasuredPoints, kind: str, level: float) -> Compensation | None:
+    """Adjust without all points that are far from the fit of most points: equal errors hide each other.
+
+    The robust fit minimises the sum of distances (iterative reweighting). Its scale is the median distance. The result
+    is None if no point or more than ``MOST`` of the points are far, or if a point that is left out fits to the rest by
+    F(2, f).
+    """
+    n, sigma = len(control), control.sigma_px
+    a, l = design(model, control, kind), -residuals(model, control)  # noqa: E741
+    weight = np.ones(n)
+    for _ in range(REWEIGHTED):
+        root = np.sqrt(weight)[:, None] / sigma
+        x = np.stack([np.linalg.lstsq(a * r[:, None], y * r, rcond=None)[0] for r, y in zip(root.T, l.T, strict=True)])
+        distance = np.linalg.norm((l - a @ x.T) / sigma, axis=1)
+        weight = 1.0 / np.maximum(distance, 1e-3 * np.median(distance) + np.finfo(float).tiny)
+    scale = np.median(distance**2) / float(chi_square_median(2))
+    far = distance**2 > scale * float(chi_square_limit(2, sidak(level, n)))
+    if not 0 < far.sum() <= MOST * n:
+        return None
+    fit = _searched(model, control.take(~far), kind, level, int(MOST * n) - int(far.sum()))
+    aside = control.take(far)
+    error = -residuals(model, aside, fit.values)
+    statistic = predicted_squares(model, aside, error, fit) / (2.0 * fit.sigma0**2)
+    limit = float(f_quantile(2, fit.redundancy, 1.0 - level)) if fit.redundancy else np.inf
+    if not (statistic > limit).all():
+        return None
+    records = [
+        {"id": aside.ids[k], "statistic": float(statistic[k]), "limit": limit, "error_line_px": float(error[k, 0]),
+         "error_sample_px": float(error[k, 1])}
+        for k in np.argsort(-statistic, kind="stable").tolist()
+    ]  # fmt: skip
+    return replace(fit, outliers=(*records, *fit.outliers))
 
 
 def residuals(model: RpcModel, measured: MeasuredPoints, values: Array | None = None) -> Array:
@@ -217,86 +261,14 @@ def _worst(fit: Compensation, level: float) -> list[dict[str, Any]]:
     return [record] if statistic > limit else []
 
 
-def refine(model: RpcModel, measured: MeasuredPoints, kind: str, *, extrapolate: bool = False) -> dict[str, Any]:
-    """Adjust the compensation of a model.
-
-    Parameters
-    ----------
-    model : RpcModel
-    measured : MeasuredPoints
-        Control and check points.
-    kind : str
-        "shift", "shift_drift" or "affine".
-    extrapolate : bool
-        True: also use points outside the validity range.
-
-    Returns
-    -------
-    dict
-        status, warnings, compensation, terms (name, px, sd_px), covariance_px2, values_px
-        (6), sigma0, redundancy, height_dependence, outliers, control and check (before,
-        after), leave_one_out, check_suspicious, residuals.
-
-    Raises
-    ------
-    InputError
-        A denominator changes its sign inside the image, points outside the validity range, too few points.
-    NoSolutionError
-        The points do not determine the terms.
-    """
-    model.require_no_pole()
-    if not extrapolate:
-        lon, lat, height_m = measured.ground.T
-        model.require_valid(lon, lat, height_m, measured.ids)
-    check = measured.check
-    fit = compensate(model, measured.take(~check), kind)
-    before, after = residuals(model, measured), residuals(model, measured, fit.values)
-    suspicious = _suspicious(model, measured.take(check), after[check], fit)
-    height, used = height_dependence(model, fit.points), np.isin(measured.ids, fit.points.ids)
-
-    def both(rows: Mask) -> dict[str, Any]:
-        return {"before": statistics(before[rows]), "after": statistics(after[rows])}
-
-    return {
-        **judged(_findings(fit, suspicious, height)),
-        "compensation": kind,
-        "terms": fit.terms(),
-        "values_px": fit.values.tolist(),
-        "covariance_px2": fit.covariance[np.ix_(fit.codes, fit.codes)].tolist(),
-        "sigma0": fit.sigma0,
-        "redundancy": fit.redundancy,
-        "height_dependence": height,
-        "outliers": list(fit.outliers),
-        "control": both(used),
-        "check": both(check) if check.any() else None,
-        "leave_one_out": statistics(fit.left_out_px[np.isfinite(fit.left_out_px).all(axis=1)]),
-        "check_suspicious": suspicious,
-        "residuals": [
-            {
-                "id": name,
-                "role": str(Role.CHECK if check[k] else Role.CONTROL),
-                "used": bool(used[k]),
-                "before_line_px": float(before[k, 0]),
-                "before_sample_px": float(before[k, 1]),
-                "after_line_px": float(after[k, 0]),
-                "after_sample_px": float(after[k, 1]),
-            }
-            for k, name in enumerate(measured.ids)
-        ],
-    }
-
-
-def _suspicious(model: RpcModel, check: MeasuredPoints, v: Array, fit: Compensation) -> list[str]:
-    """Return check points whose residuals v (n, 2) the compensation does not explain, by F(2, f)."""
-    if not len(check) or fit.redundancy == 0:
-        return []
-    a, t = design(model, check, fit.kind), np.zeros(len(check))
+def predicted_squares(model: RpcModel, points: MeasuredPoints, v: Array, fit: Compensation) -> Array:
+    """Return squares (n,) of the residuals v (n, 2) of points outside the fit, by their variances for sigma0 = 1."""
+    a, t = design(model, points, fit.kind), np.zeros(len(points))
     for axis in (0, 1):
         codes = np.arange(axis, 2 * a.shape[1], 2)
-        q = check.sigma_px[:, axis] ** 2 + np.einsum("ni,ij,nj->n", a, fit.cofactors[np.ix_(codes, codes)], a)
+        q = points.sigma_px[:, axis] ** 2 + np.einsum("ni,ij,nj->n", a, fit.cofactors[np.ix_(codes, codes)], a)
         t += v[:, axis] ** 2 / q
-    limit = 2.0 * float(f_quantile(2, fit.redundancy, 1.0 - LEVEL)) * fit.sigma0**2
-    return [name for name, bad in zip(check.ids, t > limit, strict=True) if bad]
+    return t
 
 
 def height_dependence(model: RpcModel, used: MeasuredPoints) -> dict[str, Any] | None:
@@ -323,29 +295,3 @@ def height_dependence(model: RpcModel, used: MeasuredPoints) -> dict[str, Any] |
     if statistic <= float(f_quantile(2, free, 1.0 - LEVEL)):
         return None
     return {"line_px_per_km": slopes[0], "sample_px_per_km": slopes[1], "statistic": float(statistic)}
-
-
-def _findings(fit: Compensation, suspicious: list[str], height: dict[str, Any] | None) -> list[Finding]:
-    """Return the findings on a compensation; with one of the first two, it must not be used."""
-    out = [] if fit.complete else [finding("rpc.too_many_left_out", n=len(fit.outliers))]
-    if fit.sigma0 > LARGEST_SIGMA0:
-        out.append(finding("rpc.no_fit", sigma0=fit.sigma0))
-    out += [
-        finding(
-            "rpc.gross_error",
-            point=one["id"],
-            line_px=one["error_line_px"],
-            sample_px=one["error_sample_px"],
-            statistic=one["statistic"],
-            limit=one["limit"],
-        )
-        for one in fit.outliers
-    ]
-    if fit.redundancy == 0:
-        out.append(finding("rpc.no_redundancy"))
-    if height is not None:
-        line, sample = height["line_px_per_km"], height["sample_px_per_km"]
-        out.append(finding("rpc.heights_system", line=line, sample=sample))
-    if suspicious:
-        out.append(finding("rpc.check_points", points=suspicious))
-    return out

@@ -212,14 +212,19 @@ class MeasuredPoints(PointTable):
     ----------
     sigma_px : (n, 2) array
         Standard deviations of line and sample; 1 if the file has none.
+    stated : bool
+        False if the file has no standard deviations, so that 1 px is only an assumption.
     """
 
     sigma_px: Array
+    stated: bool = True
 
     def take(self, index: Mask) -> MeasuredPoints:
         """Return some of the points."""
         ids = tuple(name for name, wanted in zip(self.ids, index, strict=True) if wanted)
-        return MeasuredPoints(ids, self.check[index], self.image[index], self.ground[index], self.sigma_px[index])
+        return MeasuredPoints(
+            ids, self.check[index], self.image[index], self.ground[index], self.sigma_px[index], self.stated
+        )
 
     @property
     def points(self) -> ControlPoints:
@@ -249,9 +254,10 @@ def read_measured(path: Path) -> MeasuredPoints:
     table.refuse((lat > 90.0) & ~swapped, "points.latitude", "lat_deg")
     table.refuse(lon > 180.0, "points.longitude", "lon_deg")
     ids, check = ids_and_checks(table)
-    sigma = positive_numbers(table, _SIGMAS) if _SIGMAS[0] in table.columns else np.ones((len(table), 2))
+    stated = _SIGMAS[0] in table.columns
+    sigma = positive_numbers(table, _SIGMAS) if stated else np.ones((len(table), 2))
     table.require_valid()
-    return MeasuredPoints(ids, check, values[:, :2], values[:, 2:], sigma)
+    return MeasuredPoints(ids, check, values[:, :2], values[:, 2:], sigma, stated)
 
 
 def ids_and_checks(table: Table) -> tuple[tuple[str, ...], Mask]:

@@ -155,12 +155,16 @@ class RpcModel:
         """
         bad = np.flatnonzero(~self.inside(lon_deg, lat_deg, height_m))
         if len(bad):
-            lon, lat, h = (a[bad[0]] for a in same_length(lon_deg, lat_deg, height_m))
+            all_lon, all_lat, all_h = (a[bad] for a in same_length(lon_deg, lat_deg, height_m))
+            lon, lat, h = all_lon[0], all_lat[0], all_h[0]
             v = self.validity
+            only_height = self.inside(all_lon, all_lat, v.height_m[0]).all()
             raise InputError.of(
                 "rpc.outside", file=self.file, place=f"point {names[bad[0]] if names else bad[0] + 1}",
                 value=f"longitude {lon:.6f}, latitude {lat:.6f}, height {h:.1f}; {len(bad)} such point(s)",
                 lon=span(v.lon_deg), lat=span(v.lat_deg), height=span(v.height_m),
+                check="only the height is outside: check that heights are ellipsoidal and in m" if only_height
+                else "check the order of the coordinates",
             )  # fmt: skip
 
     # --- image to ground ---------------------------------------------------------------------

@@ -214,4 +214,4 @@ def test_missing_roles_heights_and_sigmas_are_filled(tmp_path: Path) -> None:
         "left,t,3.0,4.0,0.5,0.6",
     ]
     told = in_process("validate", tmp_path / "points.csv", "--format", "csv")
-    assert told.code == 2 and "a column is missing" in told.stderr
+    assert told.code == 2 and "column role is missing" in told.stderr

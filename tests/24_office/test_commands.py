@@ -104,6 +104,14 @@ def test_images_alone_become_a_project_without_tables(tmp_path: Path) -> None:
     text_ = (tmp_path / "project" / "project.toml").read_text("utf-8")
     assert 'metadata = "../in/left_RPC.TXT"' in text_
     assert "[points]" not in text_
+    assert "next: measure tie points (fg-orient match " in ended.stdout
+    project = tmp_path / "project" / "project.toml"
+    seen = in_process("footprint", project, "--height", "0", "--json")
+    assert [image["image"] for image in seen.json["images"]] == ["left", "right"]
+    for command in (("validate", project), ("adjust", project, "--out", tmp_path / "result")):
+        refused = in_process(*command)
+        assert refused.code == 2
+        assert "the project has no image points; measure tie points with fg-orient match" in refused.stderr
 
 
 def test_an_existing_project_is_kept(tmp_path: Path) -> None:
@@ -127,6 +135,16 @@ def test_columns_that_nobody_can_guess(tmp_path: Path, header: bool, columns: st
     ended = in_process("new", tmp_path / "in", "--out", tmp_path / "project", "--columns", columns, *stated)
     assert ended.code == 0, ended.stderr
     assert differences(made(tmp_path / "project"), there) < (1e-3, 1e-3)
+
+
+def test_a_stated_crs_in_which_the_points_are_in_no_image(tmp_path: Path) -> None:
+    """``new`` names the CRS that it finds without the statement."""
+    office_folder(tmp_path)
+    stated = ("--crs", "EPSG:32635", "--first-pixel", "1", *STATED, "--yes")
+    ended = in_process("new", tmp_path / "office", "--out", tmp_path / "project", *stated)
+    assert ended.code == 2
+    assert "in the stated CRS" in ended.stderr
+    assert "they are in EPSG:32636" in ended.stderr
 
 
 def test_words_for_pixels_that_are_exchanged(tmp_path: Path) -> None:

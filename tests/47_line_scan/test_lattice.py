@@ -174,5 +174,5 @@ def test_directions_of_two_cameras_are_refused(tmp_path: Path) -> None:
     cells = rows[60].split(",")
     cells[2] = repr(float(cells[2]) + 2e-4)
     table.write_text("\n".join([*rows[:60], ",".join(cells), *rows[61:]]) + "\n", encoding="utf-8")
-    with pytest.raises(InputError, match="one camera in rotation"):
+    with pytest.raises(InputError, match="one rotating camera"):
         read_sensor(path)

@@ -56,12 +56,28 @@ def test_simulate_refuses(run: Any, tmp_path: Path, words: tuple[str, ...]) -> N
 def test_validate(run: Any, twin: Path) -> None:
     ended = run("validate", twin, "--json")
     assert (ended.code, ended.json["errors"]) == (0, [])
+    assert "no errors" in run("validate", twin).stdout
     path = twin.parent / "points.csv"
     path.write_text(path.read_text("utf-8").replace("\n02,control", "\n01,control"), encoding="utf-8")
     ended = run("validate", twin, "--json")
     assert ended.code == 2
     assert "points.id_twice" in {e["code"] for e in ended.json["errors"]}
     assert len(ended.stderr.splitlines()) == len(ended.json["errors"])
+
+
+def test_validate_doubts_exchanged_columns_of_square_images(run: Any, twin: Path) -> None:
+    """All pixels are inside after the exchange, so no table has an error, but the images show it."""
+    path = twin.parent / "observations.csv"
+    path.write_text(path.read_text("utf-8").replace("line,sample,", "sample,line,", 1), encoding="utf-8")
+    ended = run("validate", twin)
+    assert ended.code == 4
+    doubts = [line for line in ended.stdout.splitlines() if line.startswith("doubt: ")]
+    assert ["line and sample exchanged" in line for line in doubts] == [True, True]
+    assert ended.stdout.startswith(doubts[0])
+    assert "no errors" not in ended.stdout
+    seen = run("validate", twin, "--json")
+    assert (seen.code, seen.json["errors"]) == (4, [])
+    assert [p["code"] for p in seen.json["remarks"] if p["severity"] == "doubt"] == ["solution.mix_up"] * 2
 
 
 @pytest.mark.parametrize(

@@ -149,6 +149,23 @@ def test_bad_cells_are_listed_together(run: Any, twin_source: Path, tmp_path: Pa
     assert found == [("table.not_a_number", "line 2, column line"), ("table.decimal_comma", "line 3, column sample")]
 
 
+@pytest.mark.behaviour
+def test_points_outside_the_image_are_named(run: Any, twin_source: Path) -> None:
+    """``project`` warns of points outside the image, and tells if exchanged longitude and latitude lie inside."""
+    image = twin_source / "left.DIM"
+    inside = run("locate", image, "--line", 6000, "--sample", 6000, "--height", 350, "--json").json["points"][0]
+    place = [str(inside[name]) for name in ("lon_deg", "lat_deg")]
+    for (lon, lat), words in ((place, None), (place[::-1], "with longitude and latitude exchanged 1 of these lie"),
+                              ([place[0], "45"], "1 of 1 point lies outside the image")):  # fmt: skip
+        ended = run("project", image, "--lon", lon, "--lat", lat, "--height", 350, "--json")
+        assert ended.code == 0
+        if words is None:
+            assert "outside" not in ended.stderr
+        else:
+            assert words.split(" of ")[0] in ended.stderr and "outside the image" in ended.stderr
+        assert ("exchanged 1 of these" in ended.stderr) == (lon == place[1])
+
+
 # --- intersection --------------------------------------------------------------------------------
 
 
@@ -173,6 +190,28 @@ def test_two_rays_miss_by_their_shortest_distance(run: Any, twin_source: Path) -
     # rounding of positions of 7e6 m, divided by the sine of the angle of the rays
     assert point["miss_m"] == pytest.approx(miss, abs=1e-6)
     assert point["pixels"][1] == {"image": "2", "line": 5990.5, "sample": 6010.0}
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize(("moved_px", "told"), [(0.0, False), (2.0, False), (40.0, True)])
+def test_rays_beyond_the_sigmas_of_pixels_are_told(
+    run: Any, twin: Path, twin_source: Path, tmp_path: Path, moved_px: float, told: bool
+) -> None:
+    """``intersect --result`` warns of rays that miss by more than 1 px allows; with the metadata it is a note."""
+    result = tmp_path / "result"
+    assert run("adjust", twin, "--out", result).code == 0
+    images = [twin_source / "left.DIM", twin_source / "right.DIM"]
+    with (twin.parent / "observations.csv").open(encoding="utf-8", newline="") as stream:
+        table = [row for row in csv.DictReader(line for line in stream if not line.startswith("#"))]
+    point = next(row["id"] for row in table if sum(other["id"] == row["id"] for other in table) == 2)
+    (l0, s0), (l1, s1) = ((float(r["line"]), float(r["sample"])) for r in table if r["id"] == point)
+    pixels = (f"--pixel={l0},{s0}", f"--pixel={l1 + moved_px},{s1 + moved_px}")
+    ended = run("intersect", *images, *pixels, "--result", result, "--json")
+    assert (ended.code, "standard deviations (limit" in ended.stderr) == (0, told)
+    assert ("warning: 1 of 1 point" in ended.stderr) == told
+    if told:
+        plain = run("intersect", *images, *pixels, "--json")
+        assert "note: 1 of 1 point" in plain.stderr and "--result" in plain.stderr
 
 
 @pytest.mark.behaviour

@@ -235,9 +235,11 @@ def test_overwrite_spares_foreign_files_in_a_result(run: Any, twin: Path, result
 def test_file_or_link_is_no_output_folder(run: Any, twin: Path, result: Path, tmp_path: Path) -> None:
     link = tmp_path / "link"
     link.symlink_to(result, target_is_directory=True)
-    for out in (twin, link):
+    file = tmp_path / "file"
+    file.touch()
+    for out, code in ((twin, "output.is_input"), (file, "output.not_a_folder"), (link, "output.not_a_folder")):
         ended = run("adjust", twin, "--out", out, "--overwrite", "--json")
-        assert (ended.code, ended.json["errors"][0]["code"]) == (2, "output.not_a_folder")
+        assert (ended.code, ended.json["errors"][0]["code"]) == (2, code)
 
 
 @pytest.mark.behaviour

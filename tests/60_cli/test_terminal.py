@@ -184,7 +184,7 @@ def test_long_compilation_is_noted_once(monkeypatch: pytest.MonkeyPatch, capsys:
         report_compilation("first")
         assert capsys.readouterr().err == ""
         report_compilation("second")
-        assert re.fullmatch(r"note: compiling kernels, .*\n", capsys.readouterr().err)
+        assert re.fullmatch(r"note: compiling the kernels of this command, .*\n", capsys.readouterr().err)
         report_compilation("third")
         assert capsys.readouterr().err == ""
 

@@ -10,7 +10,9 @@ from typing import Any
 import pytest
 
 import fg_orient as fg
+from fg_orient.cli.adjust import _reason
 from fg_orient.formats.project import read_project
+from fg_orient.model.errors import as_record, finding
 from fg_orient.result.summary import summary
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
 from tests.support.command import in_process
@@ -52,6 +54,7 @@ def test_record_table_and_report(project: Path, tmp_path: Path) -> None:
     assert found["rounds"][1]["sigma0"] == record["sigma0"]
     assert found["found"][0]["error"] == pytest.approx([8.0, 0.0], abs=1.0)
     assert any("snooping left out 1 observation " in text for text in record["warnings"])
+    assert not any("tie points now" in text for text in record["warnings"])
     assert (record["outlier_tests"]["test"], record["outlier_tests"]["multiple_testing"]) == ("t", "sidak")
     assert record["suspicious_observations"] == []
     assert record["global_test"]["accepted"]
@@ -119,3 +122,27 @@ def test_where_nothing_is_tested_it_is_said_why(
     record = summary(fg.adjust(read_project(project), **options))
     assert [record[name] for name in none] == [None] * len(none)
     assert none in [found["data"]["figures"] for found in record["findings"] if found["code"] == code]
+
+
+def test_a_control_point_with_a_wrong_height_is_a_tie_point(project: Path, tmp_path: Path) -> None:
+    """``adjust --snoop`` says that it leaves out all coordinates of the point."""
+    points = project.parent / "points.csv"
+    rows = list(csv.reader(points.read_text("utf-8").splitlines()))
+    name, place = next((row[0], k) for k, row in enumerate(rows) if row[1:2] == ["control"])
+    rows[place][4] = repr(float(rows[place][4]) + 60.0)
+    points.with_name("high.csv").write_text("\n".join(",".join(row) for row in rows) + "\n", "utf-8")
+    high = project.with_name("high.toml")
+    high.write_text(project.read_text("utf-8").replace('"points.csv"', '"high.csv"'), "utf-8")
+    warnings = run(high, tmp_path / "snooped", "--snoop").json["warnings"]
+    (sentence,) = (text for text in warnings if "snooping left out" in text)
+    assert f"height of point {name}" in sentence
+    assert f"these control points are tie points now: {name}" in sentence
+
+
+def test_the_last_line_of_a_command_names_flags() -> None:
+    """The reason of the status in a record names "option accept", and the printed line the flag."""
+    doubt = finding("verdict.check_far", points=["7"], size=6.25, n=9, limit=4.0)
+    record = as_record([finding("search.conditional"), doubt]) | {"reason": str(doubt)}
+    assert 'or option accept "check_far<=6.25"' in record["reason"]
+    assert _reason(record) == str(doubt).replace("option accept", "--accept")
+    assert _reason({"findings": [], "reason": "not converged"}) == "not converged"

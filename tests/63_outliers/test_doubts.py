@@ -12,9 +12,9 @@ from scipy.stats import binom, chi2, norm
 
 import fg_orient as fg
 from fg_orient.model.block import Block
-from fg_orient.model.errors import DECISIVE, InputError
+from fg_orient.model.errors import DECISIVE, InputError, finding
 from fg_orient.model.names import Role, Status
-from fg_orient.quality.doubts import BUDGET
+from fg_orient.quality.doubts import BUDGET, require_acceptances, with_accepted
 from fg_orient.simulate.block import BlockOptions, grid_block
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak, zonguldak_block
 from tests.support.command import in_process as run
@@ -105,6 +105,35 @@ def test_a_wrong_control_point_is_named_first(tmp_path: Path) -> None:
     assert f"gross_error:{name}" in accepted.stdout
 
 
+@pytest.mark.oracle
+def test_an_error_that_explains_all_is_first_and_no_sigma_is_doubted() -> None:
+    """One wrong control height is named before sigma0, with the sigma0 of an adjustment of a block without it."""
+    block = clean("twin 15", 3)
+    j, ecef = int(block.points.where(Role.CONTROL)[4]), block.points.known.ecef_m.copy()
+    name, ecef[j] = block.points.ids[j], ecef[j] * (1.0 + 300.0 / 6.37e6)  # 300 m up
+    block = replace(block, points=replace(block.points, known=replace(block.points.known, ecef_m=ecef)))
+    solution = fg.adjust(block)
+    first = solution.findings[0]
+    assert (first.code, solution.verdict) == ("verdict.gross_error", first) and f"point {name}" in first.place
+    assert codes(solution)[1] == "verdict.sigma0" and "verdict.sigmas" not in codes(solution)
+    roles = tuple(
+        Role.TIE if one == name else role for one, role in zip(block.points.ids, block.points.roles, strict=True)
+    )
+    ecef = block.points.known.ecef_m.copy()
+    ecef[block.points.ids.index(name)] = np.nan
+    points = replace(block.points, roles=roles, known=replace(block.points.known, ecef_m=ecef))
+    assert first.data["without"] == pytest.approx(fg.adjust(replace(block, points=points)).sigma0, rel=0.02)
+
+
+@pytest.mark.behaviour
+def test_two_errors_leave_sigma0_first() -> None:
+    """If the largest error does not explain all, sigma0 is the first doubt, and no sigma0 without it is stated."""
+    block = with_shifted_control(with_shifted_control(clean("twin 15", 3), 4, 300.0)[0], 9, -200.0)[0]
+    findings = fg.adjust(block).findings
+    assert findings[0].code == "verdict.sigma0"
+    assert all(one.data.get("without") is None for one in findings if one.code == "verdict.gross_error")
+
+
 @pytest.mark.behaviour
 def test_an_acceptance_has_object_and_limit() -> None:
     block, name = with_shifted_control(zonguldak_block(ZonguldakOptions())[0], 3, 9.0)
@@ -189,3 +218,29 @@ def test_an_error_that_the_sigmas_allow_is_not_a_doubt() -> None:
     assert tests[0].probability < BUDGET["gross_error"] / tests.n_tested
     assert tests.quadratic[0] < chi2.isf(0.001, tests[0].dimension)
     assert solution.status is Status.CONVERGED
+
+
+@pytest.mark.behaviour
+@pytest.mark.parametrize("code", ["sigmas", "accuracy", "check_far", "check_beyond"])
+def test_the_acceptance_that_a_remedy_names_accepts_its_doubt(code: str) -> None:
+    sizes = [
+        835.003,
+        27.949,
+        1.4616,
+        101.00007,
+        999.6,
+        1000.0,
+        5.0,
+        *10.0 ** np.random.default_rng(1).uniform(-6, 9, 200),
+    ]
+    for size in sizes:
+        given = round(size) + 1 if code == "check_beyond" else size
+        doubt = finding(
+            f"verdict.{code}", place="control points" if code == "sigmas" else "", size=given, words="", level=0.1,
+            more="", n=9, of=9, required=1.0, points=[], limit=4.0, expected=0.1,
+        )  # fmt: skip
+        text = doubt.remedy.split('"')[1]
+        require_acceptances([text])
+        assert with_accepted([doubt], [text])[0].severity == "note", text
+        limit = float(text.partition("<=")[2])
+        assert limit <= given * 1.01  # a limit that is rounded up is not much larger

@@ -11,10 +11,11 @@ from pathlib import Path
 import pyproj
 import pytest
 
+from fg_orient.formats.faults import did_you_mean
 from fg_orient.formats.project import checked_project, read_project
 from fg_orient.model.errors import Finding, InputError
 from tests.support.command import in_process
-from tests.support.project_folder import ProjectFolder
+from tests.support.project_folder import ProjectFolder, install_stand_in
 
 pytestmark = pytest.mark.behaviour
 
@@ -158,6 +159,38 @@ def swap_easting_and_northing(folder):
     folder.change(T, "EPSG:4979", "EPSG:32636")
 
 
+def in_zone(folder, coordinates, stated):
+    """Write the points with known coordinates in a CRS, and state a CRS in the project file."""
+    to_plane = pyproj.Transformer.from_crs("EPSG:4326", coordinates, always_xy=True)
+    lines = [line.split(",") for line in folder.points.read_text().splitlines()[2:]]
+    rows = []
+    for cells in lines:
+        if cells[2]:
+            cells[2:4] = [f"{one:.3f}" for one in to_plane.transform(float(cells[2]), float(cells[3]))]
+        rows.append(",".join(cells))
+    folder.points.write_text("\n".join([HEADER.replace("lon_deg,lat_deg", "easting_m,northing_m"), *rows]) + "\n")
+    folder.change(T, "EPSG:4979", stated)
+
+
+def wrong_zone(folder):
+    in_zone(folder, "EPSG:32636", "EPSG:32635")
+
+
+def wrong_zone_on_another_datum(folder):
+    in_zone(folder, "EPSG:23036", "EPSG:23037")
+
+
+def no_zone_fits(folder):
+    text = folder.points.read_text()
+    for lon in ("31.60", "32.05", "31.62", "32.00", "31.80", "31.85"):
+        text = text.replace(f"{lon},41", f"{lon},51")
+    folder.points.write_text(text)
+
+
+def heights_above_a_geoid_without_grid(folder):
+    folder.change(T, "EPSG:4979", "EPSG:4326+EGM96")
+
+
 def sigmas_along_the_axes(folder):
     rows = "01,control,4078323.8,2515180.6,4195881.4,1,1,1\n"
     folder.points.write_text("id,role,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m\n" + rows)
@@ -200,6 +233,11 @@ def folder_in_place_of_a_file(folder):
 SPOILT = [
     (swap_all, "points.swapped", {"message": "6 of 6", "remedy": "exchange"}),
     (swap_easting_and_northing, "points.swapped", {"message": "easting_m and northing_m"}),
+    (wrong_zone, "points.other_zone", {
+        "value": "EPSG:32635", "message": "EPSG:32636 (WGS 84 / UTM zone 36N) 6 of 6", "remedy": "EPSG:32636"}),
+    (wrong_zone_on_another_datum, "points.other_zone", {"message": "EPSG:23036 (ED50 / UTM zone 36N) 6 of 6"}),
+    (no_zone_fits, "points.far_most", {"place": "line 3", "message": "6 of 6 points are far from all images"}),
+    (heights_above_a_geoid_without_grid, "geodesy.no_operation", {"remedy": "give geoid under [points] a file"}),
     (sigmas_along_the_axes, "points.sigma_axes", {"remedy": "sigma_east_m"}),
     (outside_the_projection, "geodesy.outside", {"place": "line 2", "value": "1e+30 1 1"}),
     (no_control, "block.no_control", {"file": P}),
@@ -219,6 +257,30 @@ def test_what_is_spoilt_in_many_lines_is_one_fault(folder, spoil, code, said):
     assert found.code == code
     for name, part in said.items():
         assert part in getattr(found, name), name
+
+
+def test_the_right_zone_is_not_refused(folder):
+    in_zone(folder, "EPSG:32636", "EPSG:32636")
+    assert len(read_project(folder.project).observations) == 14
+
+
+def images_of_size(monkeypatch, n_lines, n_samples):
+    install_stand_in(monkeypatch, n_lines=n_lines, n_samples=n_samples)
+
+
+def test_exchange_of_line_and_sample_is_one_fault_for_all_pixels_outside(folder, monkeypatch):
+    images_of_size(monkeypatch, 12000, 10000)  # two samples of each image are above 10000; all lines are below
+    (found,) = refused(folder)
+    assert found.code == "observations.exchanged"
+    assert found.place == "line 4" and "4 of 14 image points are outside left, right" in found.message
+    assert "exchange line and sample" in found.remedy
+
+
+def test_pixels_outside_that_an_exchange_does_not_put_inside_are_listed(folder, monkeypatch):
+    images_of_size(monkeypatch, 11000, 10000)  # sample 11000.25 is outside as a line, too
+    assert {p.code for p in refused(folder)} == {"observations.outside"}
+    images_of_size(monkeypatch, 12000, 10900)  # one pixel of each image is outside, which may be a wrong digit
+    assert [p.code for p in refused(folder)] == ["observations.outside"] * 2
 
 
 @pytest.mark.parametrize(("name", "code"), [("", "project.folder"), ("nowhere.toml", "project.missing_file")])
@@ -242,6 +304,24 @@ def test_faults_of_all_files_come_together(folder):
         "table.not_a_number",
         "observations.outside",
     ]
+
+
+@pytest.mark.parametrize(("word", "known", "meant"), [
+    ("1", ("41", "01", "11"), "01"), ("p-007", ("P7", "P70", "p_7a"), "P7"), ("010", ("10", "100"), "10"),
+    ("G31", ("G13", "G32"), "G32"), ("0", ("00", "10"), "00"),
+])  # fmt: skip
+def test_an_id_in_another_form_is_suggested_first(word, known, meant):
+    assert did_you_mean(word, known) == f"did you mean {meant}?"
+
+
+def test_a_missing_column_is_named_with_those_found(folder):
+    text = folder.points.read_text().replace(",sigma_up_m", "").replace(",1.0\n", "\n")
+    folder.points.write_text(
+        text.replace(",fixed\n", "\n").replace(",0.5\n", "\n").replace("t1,tie,,,,,,", "t1,tie,,,,,")
+    )
+    (found,) = refused(folder)
+    assert found.message == "column sigma_up_m is missing"
+    assert found.value == HEADER.removesuffix(",sigma_up_m").replace(",", ", ")
 
 
 def test_suggestions(folder):

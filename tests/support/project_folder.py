@@ -76,11 +76,11 @@ class StandInSensor:
         return self.corners
 
 
-def install_stand_in(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Replace the reader of metadata files by one that returns a stand-in sensor."""
+def install_stand_in(monkeypatch: pytest.MonkeyPatch, **size: int) -> None:
+    """Replace the reader of metadata files by one that returns a stand-in sensor, of a size if it is given."""
     import fg_orient.formats.sensor
 
-    monkeypatch.setattr(fg_orient.formats.sensor, "read_sensor", lambda path, **options: StandInSensor())
+    monkeypatch.setattr(fg_orient.formats.sensor, "read_sensor", lambda path, **options: StandInSensor(**size))
 
 
 class ProjectFolder:

@@ -24,7 +24,7 @@ from fg_orient.formats.table_write import quoted
 from fg_orient.formats.tables import Row, number
 from fg_orient.formats.text_files import delimited, read_text, require_lines
 from fg_orient.model.errors import Finding, InputError, finding
-from fg_orient.model.limits import within_memory
+from fg_orient.model.limits import open_input, within_memory
 
 Separator = Literal["comma", "blank", "either"]
 #: Number of bytes that are unpacked together.
@@ -249,7 +249,7 @@ def read_packed(path: Path, code: str) -> bytes:
     """
     if not path.is_file():
         raise InputError.of(code, file=path.name, value="no such file")
-    with foreign_bytes(code, path.name), path.open("rb") as stream:
+    with foreign_bytes(code, path.name), open_input(path) as stream:
         head, size = stream.read(3), path.stat().st_size
         stream.seek(0)
         if head[:2] != b"\x1f\x8b" and head != b"BZh":

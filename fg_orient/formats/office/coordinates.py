@@ -10,7 +10,7 @@ import numpy as np
 from factors.arrays import Array
 from fg_orient.formats.exchange.survey import decided_crs
 from fg_orient.formats.faults import Faults
-from fg_orient.formats.office.candidates import scene_box
+from fg_orient.formats.office.candidates import scene_box, usual_first
 from fg_orient.formats.office.decisions import Choice, Decisions, Office, Question
 from fg_orient.formats.office.fit import Evidence, Fit, Reading
 from fg_orient.formats.office.ground import Triple, note_numbers
@@ -75,6 +75,11 @@ def read_coordinates(
     exchange = bool(parts) and not all(part.table.stated & {k for pair in part.pairs for k in pair} for part in parts)
     spread = [Spread.of(table, triple, row) for triple in triples]
     found = readings(spread, stated, labels, fit, exchange)
+    if not found and stated:
+        tried = readings(spread, "", labels, fit, exchange)
+        codes = sorted({one.crs for one in tried if one.evidence.believable}, key=usual_first)
+        raise InputError.of("office.nowhere_in_crs", file=table.file, place=table.sheet.name, option="crs",
+                            value=stated, others=codes)  # fmt: skip
     named = all(part.named for part in parts) if parts else True
     best = best_reading(table, triples, found, fit, named, decisions)
     coordinates = np.full((len(row), 3), np.nan)

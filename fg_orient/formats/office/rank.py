@@ -76,13 +76,9 @@ def best_reading(
     InputError
         No reading fits, or several fit and the question has no answer.
     """
-    given = decisions.given
     if not found:
-        crs = str(given.get("crs") or stated_crs(table))
-        kinds = sorted({triple.kind for triple in triples})
-        raise InputError.of(
-            "office.nowhere", file=table.file, place=table.sheet.name, option="crs", value=crs or ", ".join(kinds)
-        )
+        kinds = ", ".join(sorted({triple.kind for triple in triples}))
+        raise InputError.of("office.nowhere", file=table.file, place=table.sheet.name, option="crs", value=kinds)
     found = titled(table, found, decisions)
     found = _distinct(sorted(found, key=_preference))
     believable = [one for one in found if one.evidence.believable]

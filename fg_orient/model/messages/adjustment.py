@@ -263,6 +263,7 @@ verdict.sigma0_regularised (doubt): sigma0 = {size:.2f} lies above {limit:.2f}, 
 verdict.gross_error (doubt): gross error suspected
     + , of about {error} {unit}
     + ; {symbol} = {size:.1f}; fewer than {level:g} % of blocks without gross errors have such a large value
+    + ; without this observation sigma0 is {without:.2f}, inside its interval
     + ; the error may also be in {also:5}, which cannot be separated from it
     + ; {more} more observation(s) are above their limits, perhaps because of this error
     + ; among them are {crowd}: the measurements or the orientation of this image are wrong
@@ -270,7 +271,7 @@ verdict.gross_error (doubt): gross error suspected
 verdict.sigmas (doubt): the stated standard deviations are too small: {words}; if they were right, fewer than {level:g}
     % of blocks would have such large residuals. Standard deviations and coordinates must not be trusted
     + ; the standard deviations of {more} are too small, too
-    -> correct them, let <variance_components> estimate them, or <accept> "sigmas:{place}<={size:.3g}"
+    -> correct them, let <variance_components> estimate them, or <accept> "sigmas:{place}<={size:up3}"
 verdict.sigmas_large (note): the stated standard deviations are too large: {words}; the observations have too little
     weight, and the result looks less accurate than it is
     -> correct them, or let <variance_components> estimate them
@@ -281,12 +282,12 @@ verdict.beyond_prior (doubt): the adjusted value differs by {correction:+.3g} {u
        the metadata can have this error, or <accept> "beyond_prior:{place}"
 verdict.accuracy (doubt): {n} of {of} points have a standard deviation above the required {required:g} m; the largest
     is {size:.3g} m: {points:10}
-    -> add control points or images, or <accept> "accuracy<={size:.3g}"
+    -> add control points or images, or <accept> "accuracy<={size:up3}"
 verdict.accuracy_unknown (doubt): the required accuracy of {required:g} m is not verified, because there is no
     covariance
 verdict.check_far (doubt): check points contradict the adjusted points: {points:10}; the largest difference is
     {size:.1f} times its standard deviation; the limit for {n} coordinates is {limit:.1f}
-    -> check the coordinates and image points of these points, or <accept> "check_far<={size:.3g}"
+    -> check the coordinates and image points of these points, or <accept> "check_far<={size:up3}"
 verdict.check_beyond (doubt): check points contradict the adjusted points: {size} of {n} check coordinates differ by
     more than 3 standard deviations of the difference, {expected:.1f} are expected. According to their joint covariance,
     fewer than {level:g} % of blocks without mistakes have so many such coordinates: {points:10}
@@ -387,6 +388,7 @@ search.restless: the rejection by the median does not converge: the rejected ima
     iterations
     -> raise <median_rejection> or <max_iterations>, or search with <snoop>
 search.left_out (warning): snooping left out {n} observation(s) in {rounds} rounds: {names:5}
+    + ; all three coordinates of a point are left out together, so these control points are tie points now: {ties:5}
     + ; also left out, as the only remaining rays of their points: {with_them:5}
 search.conditional (note): standard deviations after the search are conditional: they are valid if exactly the wrong
     observations were left out

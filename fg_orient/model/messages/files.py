@@ -237,7 +237,7 @@ table.column_unknown: unknown column
     -> {hint}
 table.column_foreign: the column cannot be used together with the others
     -> the columns are {columns}
-table.column_missing: a column is missing
+table.column_missing: column {missing} is missing
     -> the columns are {columns}, in any order
 table.cell_count: the line does not have {count} cells, one for each column
     -> write an empty cell for a missing value and decimal points, not commas
@@ -279,6 +279,12 @@ points.swapped: {first} and {second} look swapped: after an exchange the points 
     -> exchange the two columns
 points.far: the point is {distance_km:.0f} km from the centre of the nearest image ({image}, {size_km:.0f} km across)
     -> check the coordinates, the columns and the crs of the project file
+points.far_most: {count} of {total} points are far from all images; this one is {distance_km:.0f} km from the centre of
+    the nearest image ({image}, {size_km:.0f} km across)
+    -> check that table and images belong to the same area, and check the columns and the crs of the project file
+points.other_zone: the points are far from all images, but in {zone} ({name}) {count} of {total} points lie in the
+    images
+    -> give the CRS {zone}
 points.changed: the file has changed since it was read
     -> run the adjustment again
 observations.image_unknown: the project has no image with this id{times}
@@ -287,6 +293,9 @@ project.unknown_key: unknown entry
     -> {hint}
 observations.twice: the point is measured twice in this image, first on {first}
     -> keep one measurement
+observations.exchanged: line and sample look exchanged: {outside} of {total} image points are outside {images:5}; after
+    an exchange all are inside
+    -> exchange line and sample of the image points in {images:5}
 observations.outside: the pixel is outside image {image}
     -> {axis} runs from -0.5 to {last:g}; (0, 0) is the centre of the first pixel
 observations.sigma_not_positive: the standard deviation is not above zero, or its size is impossible
@@ -296,6 +305,8 @@ observations.seen_once: {count} check or tie point(s) are measured in one image 
     -> measure them in a second image, or write points_seen_once = "drop" under [adjustment]
 observations.image_unused: the image has no measured point
     -> measure points in it, or remove it from the project
+project.no_observations: the project has no image points
+    -> measure tie points with fg-orient match, or add a table [observations] with file
 project.missing_file: the file does not exist
     -> check the path; it is relative to {folder}
 project.folder: this is a folder, not a project file

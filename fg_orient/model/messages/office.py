@@ -56,6 +56,10 @@ office.not_geocentric: these are not geocentric coordinates, in m, of points nea
     -> give the columns: <columns> E=HEADER,N=HEADER,H=HEADER
 office.nowhere: the points are not in any image, with any order of the columns and any CRS used in that area
     -> check that images and table belong to the same area; give <crs> and <columns>
+office.nowhere_in_crs: the points are not in any image in the stated CRS, with any order of the columns
+    + ; they are in {others:3}
+    -> check the CRS, and that images and table belong to the same area; without a statement the CRS used in that area
+       are tried
 office.no_fit: no interpretation of the table fits the images; the best interpretation is
     -> give <crs>, <columns> and <units>; check the ids, and check that lines and samples belong to these images
 office.outside: the image point is outside the image {image}

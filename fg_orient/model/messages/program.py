@@ -31,6 +31,10 @@ output.exists: the output exists already
     -> give another {option} or add <overwrite>
 output.busy: another run is writing this file
     -> wait until that run has ended
+output.not_a_file: this is a pipe, a device or a link without target, so it is not replaced
+    -> give the name of a file
+output.is_input: the output would replace an input of the same command
+    -> give another {option}
 output.not_a_folder: this is not a folder, or it is a link to one
 replay.same_folder: the repeated run would replace the result that it repeats
     -> give another <out>

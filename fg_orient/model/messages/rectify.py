@@ -121,6 +121,12 @@ ortho.other_sensor: the result was computed with another kind of model than this
     -> give the metadata file of the project
 rectify.gross_error (warning): {kind} {point}: gross error of about {error[0]:+.2f}, {error[1]:+.2f} {unit}; F =
     {statistic:.1f}, limit {limit:.1f}
+rectify.mirrored (warning): the transformation makes a mirror image: two columns look exchanged, line and sample or
+    easting and northing
+    -> exchange the two columns; if lines are counted from the bottom of the image, this is no mistake
+rectify.relief (warning): the residuals follow the heights of the points, so they show relief: with a term of the height
+    m0 is {after:.3g}, without it {before:.3g}
+    -> choose <model> affine-3d, or rectify the image by its orientation and a DEM
 rectify.rmse_after_pruning (warning): points were left out until the RMSE was small enough. The RMSE therefore does
     not measure the accuracy
 rectify.no_check (warning): there are no check points: residuals of control points are smaller than the errors at other

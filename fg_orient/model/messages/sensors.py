@@ -138,7 +138,8 @@ rpc.denominator_constant: the constant of a denominator must be 1
 rpc.pole: the denominator is not positive everywhere inside the image: the model fails near there
     -> fit it again with fewer or regularised coefficients; in Python RpcSensor(model, poles=True) accepts it
 rpc.outside: the point is outside the validity range of the model
-    -> valid: longitude {lon}, latitude {lat}, height {height} m; check the order of the coordinates
+    -> valid: longitude {lon}, latitude {lat}, height {height} m; {check},
+       or add <extrapolate>
 rpc.no_direct: the file contains no coefficients from image to ground
     -> use locate(), which inverts the projection by iteration
 rpc.no_ground: the pixel has no ground point at this height
@@ -222,8 +223,27 @@ rpc.extrapolated (warning): the {coordinate} is extrapolated: {used:.2f} of the 
 rpc.heights_beyond (warning): the heights are outside the validity range {low:g} .. {high:g} m
 rpc.too_many_left_out (doubt): {n} control points were left out and more are suspicious: too many for gross errors
     -> take another compensation, or check coordinates, heights and order of the file
-rpc.no_fit (doubt): sigma0 is {sigma0:.1f}: the points do not fit the model
+rpc.no_fit (doubt): the points do not fit the model: sigma0 = {sigma0:.2f}, the upper end of its 99.9 % interval is
+    {limit:.2f}; the residuals are {rms_px:.1f} px (RMS)
     -> check that the RPC belongs to this image, and check the pixel origin and the height system
+rpc.sigma0 (doubt): sigma0 = {sigma0:.2f} lies above {limit:.2f}, the upper end of its 99.9 % interval: the residuals
+    are {rms_px:.2f} px (RMS), the sigmas in the file {sigma_px:.2f} px
+    -> correct the sigmas, take a compensation with more terms, or correct wrong points
+rpc.sigma0_assumed (warning): sigma0 = {sigma0:.2f} px lies above {limit:.2f}, the upper end of its 99.9 % interval for
+    the assumed sigmas of 1 px
+    -> give the sigmas in the columns sigma_line_px and sigma_sample_px, so that this is tested
+rpc.beyond_prior (doubt): the points change it by {value_px:+.1f} px, {size:.1f} times the standard deviation of such a
+    change; the prior standard deviation is {sigma:.3g} px ({source})
+    -> check that lines and samples count from the first pixel of the whole image, not of a part of it, and that the
+       RPC belongs to this image
+rpc.check_far (doubt): {n} of {of} check point(s) contradict the compensation: {points:10}; the residual of {worst} is
+    {line_px:+.1f} px in line, {sample_px:+.1f} px in sample, {size:.1f} standard deviations; the limit is {limit:.1f}
+    -> check the coordinates and pixels of these points and of the control points
+rpc.against (doubt): this model and {other} differ by up to {largest_px:.2f} px, at {where}; the limit is {limit:g} px
+    + ; RMS {rms_px[0]:.2f} px in line, {rms_px[1]:.2f} px in sample
+    + ; the difference is nearly constant, {constant_px[0]:+.2f} px in line, {constant_px[1]:+.2f} px in sample: another
+      pixel origin, or a bias that only one of the two contains
+    -> check that both belong to the same image, and the pixel origin (<first_pixel>)
 rpc.gross_error (warning): point {point}: gross error of about {line_px:+.2f} px in line, {sample_px:+.2f} px in
     sample; F = {statistic:.1f}, limit {limit:.1f}
 rpc.no_redundancy (warning): there is no redundancy: standard deviations are null and gross errors cannot be found
