@@ -173,14 +173,14 @@ def main() -> NoReturn:
 
 
 def _replace_closed_streams() -> None:
-    """Give the process an empty input and outputs without a reader in place of streams that it does not have."""
+    """Replace missing streams of the process: an empty input, and outputs that nobody reads."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))
 
 
 def _flushed(code: object) -> object:
-    """Write what standard output still holds; return the exit code, which changes if this fails."""
+    """Write the remaining text to standard output; return the exit code, which changes if this fails."""
     try:
         sys.stdout.flush()
     except BrokenPipeError:
@@ -191,9 +191,9 @@ def _flushed(code: object) -> object:
 
 
 def _unwritable(error: OSError, *, told: bool = False) -> int:
-    """Report that standard output cannot be written, unless a line says so already.
+    """Report that standard output cannot be written, unless a line has already reported this.
 
-    The interpreter would report it again at the end; it writes to nowhere instead.
+    The interpreter would report it again at the end; therefore its output is discarded.
     """
     problem = InputError.of("output.unwritable", file="standard output", value=error.strerror or type(error).__name__)
     if not told:

@@ -143,7 +143,7 @@ def project(
 
 
 def _outside(sensor: Any, records: list[dict[str, Any]], lon: Array, lat: Array, height_m: Array) -> list[Finding]:
-    """Return one warning for all points outside the image; it tells if an exchange of longitude and latitude helps."""
+    """Return one warning for all points outside the image; it states if an exchange of longitude and latitude helps."""
     import numpy as np
 
     from fg_orient.geodesy.bodies import ground_on

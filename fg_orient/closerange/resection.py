@@ -28,10 +28,10 @@ LEAST: Final = 4
 SPREAD: Final = 6
 #: The iteration begins at this number of best start values.
 TRIED: Final = 4
-#: Minimum number of points that test another reading of the image coordinates, and how much better it must fit.
+#: Minimum number of points that test another reading of the image coordinates, and factor by which it must fit better.
 LEAST_TESTED: Final = 6
 BETTER: Final = 10.0
-#: Smallest median distance that counts, as tangent.
+#: Smaller median distances (tangents) are ignored.
 TINY: Final = 1e-12
 #: Code and place of the error for points that do not determine a photo.
 REFUSED: Final = ("closerange.pose", "resection")
@@ -248,7 +248,7 @@ def other_readings(photos: Iterable[tuple[str, PhotoInterior, Array, Array, Sequ
     """Return findings on photos whose points fit far better with other image coordinates.
 
     The other direction of y differs from exchanged columns x and y by a rotation of the photo, so both are named.
-    Otherwise points are named that an exchange of their own x and y makes fit.
+    Otherwise the findings name points that fit only after an exchange of their own x and y.
 
     Parameters
     ----------

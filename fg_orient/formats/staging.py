@@ -169,7 +169,7 @@ def _take(descriptor: int) -> bool | None:
 
 
 def _is_lock(descriptor: int) -> bool:
-    """Return whether an open file can be a lock: a regular file with one name, which is not somebody's other file."""
+    """Return whether an open file can be a lock: a regular file with one name, which is not another file of a user."""
     found = os.fstat(descriptor)
     return stat.S_ISREG(found.st_mode) and found.st_nlink == 1
 

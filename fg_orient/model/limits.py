@@ -74,7 +74,7 @@ def _given(text: str) -> dict[str, float]:
 
 
 def open_input(path: str | os.PathLike[str]) -> BufferedReader:
-    """Open a regular file for reading; a pipe or a device could give bytes without end, or none.
+    """Open a regular file for reading. A pipe or a device could give endless data, or no data.
 
     Raises
     ------

@@ -133,8 +133,8 @@ def wrong_sigmas(sigmas: Sequence[StatedSigma]) -> list[Finding]:
 def gross_errors(tests: OutlierTests, accept: Sequence[str] = (), chi2: float | None = None) -> list[Finding]:
     """Return the doubts on accepted observations, then the doubt on the most suspicious other observation.
 
-    ``chi2`` is that of the adjustment; with it, the finding states sigma0 without the observation if it is inside its
-    interval.
+    ``chi2`` is the weighted sum of squares of the adjustment. If it is given, the finding states sigma0 without the
+    observation, provided that this sigma0 is inside its interval.
 
     A gross error makes other observations suspicious, too; these are only counted. An error that the given sigmas allow
     (Baarda's test of this observation alone) is not a doubt, although it is large relative to a small sigma0.

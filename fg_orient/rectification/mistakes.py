@@ -19,7 +19,7 @@ from fg_orient.rectification.fit import STEP, TransformationFit
 LEVEL: Final = 0.001
 #: Smallest sine of the angle between the images of the two axes at which their order is determined.
 LEAST_SINE: Final = 0.1
-#: Heights that a linear function of the other columns gives up to this share contain no information.
+#: Heights contain no information if they differ from a linear function of the other columns by less than this share.
 LEAST_REST: Final = 1e-6
 
 
@@ -43,10 +43,10 @@ def mistakes_in(fit: TransformationFit, heights: Array | None) -> list[Finding]:
 
 
 def handedness(fit: TransformationFit) -> float:
-    """Return 1 if the ground has the same orientation in image and map at the centre of the points, -1 if mirrored.
+    """Return 1 if image and map have the same orientation at the centre of the points, -1 if one is mirrored.
 
-    It is 0 if the points do not determine this, and for Helmert's transformation, which cannot mirror. Lines run down
-    and samples to the right; eastings run to the right and northings up.
+    The result is 0 if the points do not determine this, and for Helmert's transformation, which cannot mirror. Lines run
+    down and samples to the right; eastings run to the right and northings up.
     """
     if fit.model.shared_scale or any(reach.is_unknown for reach in fit.reaches[: fit.model.dimension - 1]):
         return 0.0

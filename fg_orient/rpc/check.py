@@ -198,7 +198,7 @@ def differences(model: RpcModel, other: Path, heights_m: Range) -> dict[str, Any
 
 
 def _disagreement(other: dict[str, Any]) -> list[Finding]:
-    """Report a doubt if the pixels of two models differ by more than their files' models to ground and image may."""
+    """Report a doubt if the pixels of two models differ by more than the limit for the two models of one file."""
     worst, figures = other["worst"], other["statistics"]
     largest = max(abs(worst["line_px"]), abs(worst["sample_px"]))
     if largest <= AGREEMENT_PX:

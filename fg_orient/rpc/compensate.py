@@ -114,7 +114,7 @@ class Compensation:
 def compensate(model: RpcModel, control: MeasuredPoints, kind: str = "shift", *, level: float = LEVEL) -> Compensation:
     """Adjust and test; leave out the worst point and adjust again until no point is suspicious.
 
-    If sigma0 then lies above its interval, the points that are far from the fit of most points are left out together.
+    If sigma0 is then above its interval, all points that are far from the fit of most points are left out together.
 
     Parameters
     ----------

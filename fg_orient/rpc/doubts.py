@@ -1,7 +1,7 @@
 """Reasons to doubt an RPC or its compensation, from measured points.
 
-The tests are those of an adjustment (``fg_orient.quality.doubts``, ``verdict``, ``mix_ups``) for one image: interval of
-sigma0, prior of the compensation, largest difference at check points, and another reading of the pixels.
+The tests are the same as in an adjustment (``fg_orient.quality.doubts``, ``verdict``, ``mix_ups``), for one image:
+interval of sigma0, prior of the compensation, largest difference at check points, and another reading of the pixels.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from fg_orient.rpc.points import MeasuredPoints
 from fg_orient.sensors.rpc import RpcModel
 from fg_orient.sensors.rpc_sensor import RpcSensor
 
-#: Largest plausible sigma0 in pixels. With a larger one the points were not measured in this image.
+#: Largest plausible sigma0 in pixels. If sigma0 is larger, the points were not measured in this image.
 LARGEST_SIGMA0_PX: Final = 5.0
 #: Step on the ground for the size of a pixel, degrees: about 10 m.
 _STEP_DEG: Final = 1e-4
@@ -51,8 +51,8 @@ def prior_of_adjustment() -> Prior:
 def of_points(model: RpcModel, measured: MeasuredPoints) -> list[Finding]:
     """Return the findings on an RPC from points: one shift must explain their residuals.
 
-    The prior of the shift is the vendor's ERR_BIAS if the file states it, otherwise that of an adjustment. The vendor's
-    ERR_RAND is added to the sigmas of the points. Points without a pixel are not used.
+    The prior of the shift is the vendor's ERR_BIAS if the file states it, otherwise the prior of an adjustment. The
+    vendor's ERR_RAND is added to the sigmas of the points. Points without a pixel are not used.
     """
     projected = np.stack(model.project(*measured.ground.T), axis=1)
     points = measured.take(np.asarray(np.isfinite(projected).all(axis=1)))
@@ -157,7 +157,7 @@ def misfit(fit: Compensation) -> list[Finding]:
 def beyond_prior(fit: Compensation, prior: Prior) -> list[Finding]:
     """Report a doubt on the term that is farthest beyond its prior standard deviation.
 
-    The value has the variance of the prior plus that of the estimate.
+    The variance of the value is the variance of the prior plus the variance of the estimate.
     """
     codes = np.array(fit.codes)
     variance = prior.sigma_px[codes] ** 2 + np.diag(fit.cofactors)[codes]
@@ -181,9 +181,9 @@ def beyond_prior(fit: Compensation, prior: Prior) -> list[Finding]:
 def of_check_points(model: RpcModel, check: MeasuredPoints, v: Array, fit: Compensation) -> list[Finding]:
     """Return the doubt on check points whose residuals v (n, 2) are too large for chance.
 
-    The limit of the largest of n points is that of chi2(2) if the file states the sigmas and sigma0 allows them,
-    otherwise that of F(2, f) with the sigma0 of the control points. If 1 px is only assumed, the limit is at most that
-    of chi2(2) with sigmas of 5 px.
+    The limit of the largest of n points follows from chi2(2) if the file states the sigmas and sigma0 allows them,
+    otherwise from F(2, f) with the sigma0 of the control points. If 1 px is only assumed, the limit is at most the
+    limit of chi2(2) with sigmas of 5 px.
     """
     if not len(check):
         return []

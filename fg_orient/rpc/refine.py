@@ -38,7 +38,7 @@ def refine(model: RpcModel, measured: MeasuredPoints, kind: str, *, extrapolate:
     Raises
     ------
     InputError
-        A denominator changes its sign inside the image, points outside the validity range, too few points.
+        A denominator changes its sign inside the image, points are outside the validity range, or there are too few.
     NoSolutionError
         The points do not determine the terms.
     """

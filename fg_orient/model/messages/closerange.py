@@ -22,7 +22,7 @@ closerange.needs_sigma: this needs standard deviations of the image points, and 
     -> give <sigma>, or columns of standard deviations in {points}
 closerange.not_converged: the adjustment does not converge: {reason}
     -> search for gross errors in the points, and check their distribution
-closerange.other_reading: y of the image coordinates points the other way, or x and y are exchanged: with this the
+closerange.other_reading: y of the image coordinates has the other direction, or x and y are exchanged: then the
     points fit {times:.0f} times better (median)
     + ; photos {photos:5}
     -> check y_axis in the photo file, and the columns x and y of the image points

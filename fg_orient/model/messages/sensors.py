@@ -232,8 +232,8 @@ rpc.sigma0 (doubt): sigma0 = {sigma0:.2f} lies above {limit:.2f}, the upper end 
 rpc.sigma0_assumed (warning): sigma0 = {sigma0:.2f} px lies above {limit:.2f}, the upper end of its 99.9 % interval for
     the assumed sigmas of 1 px
     -> give the sigmas in the columns sigma_line_px and sigma_sample_px, so that this is tested
-rpc.beyond_prior (doubt): the points change it by {value_px:+.1f} px, {size:.1f} times the standard deviation of such a
-    change; the prior standard deviation is {sigma:.3g} px ({source})
+rpc.beyond_prior (doubt): the points change this term by {value_px:+.1f} px, {size:.1f} times the standard deviation of
+    such a change; the prior standard deviation is {sigma:.3g} px ({source})
     -> check that lines and samples count from the first pixel of the whole image, not of a part of it, and that the
        RPC belongs to this image
 rpc.check_far (doubt): {n} of {of} check point(s) contradict the compensation: {points:10}; the residual of {worst} is
