@@ -45,8 +45,8 @@ def mistakes_in(fit: TransformationFit, heights: Array | None) -> list[Finding]:
 def handedness(fit: TransformationFit) -> float:
     """Return 1 if image and map have the same orientation at the centre of the points, -1 if one is mirrored.
 
-    The result is 0 if the points do not determine this, and for Helmert's transformation, which cannot mirror. Lines run
-    down and samples to the right; eastings run to the right and northings up.
+    The result is 0 if the points do not determine this, and for Helmert's transformation, which cannot mirror. Lines
+    run down and samples to the right; eastings run to the right and northings up.
     """
     if fit.model.shared_scale or any(reach.is_unknown for reach in fit.reaches[: fit.model.dimension - 1]):
         return 0.0
