@@ -244,7 +244,7 @@ def singular_values(matrix: Array) -> Array:
 
 
 def numerical_rank(values: Array, size: int) -> int:
-    """Count the singular values above size * eps(largest), eps(x) the spacing of doubles at x (MATLAB's rank).
+    """Count the singular values above size * eps(largest). eps(x) is the spacing of doubles at x (MATLAB's rank).
 
     Parameters
     ----------

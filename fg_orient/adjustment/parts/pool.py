@@ -1,8 +1,8 @@
 """Pools that run tasks in this process, or on the workers of a dask cluster, with identical results to the last bit.
 
-A pool runs one function over many arguments. Sums follow a binary tree of the numbers of
-the parts. So neither the number of workers nor the order in which tasks end changes the
-last bit.
+A pool runs one function over many arguments. A sum adds the results of the parts
+pairwise, in a binary tree of the part numbers. So neither the number of workers nor the
+order in which tasks end changes the last bit.
 """
 
 from __future__ import annotations
