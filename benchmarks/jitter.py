@@ -30,11 +30,10 @@ import fg_orient as fg
 from fg_orient.formats.atomic import write_bytes
 from fg_orient.geodesy import geodetic_to_ecef
 from fg_orient.model.block import Block
-from fg_orient.model.distributions import beta_quantile
+from fg_orient.model.distributions import INSIDE_95, beta_quantile
 from fg_orient.model.names import COMPONENTS, Role
 from fg_orient.orientation.jitter import adjust_with_jitter
 from fg_orient.orientation.solution import Solution
-from fg_orient.quality.jitter import QUANTILE
 from fg_orient.quality.jitter_system import without_quadratic
 from fg_orient.sensors.correction import Correction, Wave
 from fg_orient.simulate import zonguldak
@@ -131,7 +130,7 @@ def run(seed: int, jitter: bool) -> dict[str, Any]:
         true = np.zeros(len(tau)) if wave is None else without_quadratic(tau, wave.at(tau)) * angle.px_per_rad
         covered = None
         if angle.band is not None:
-            covered = float(np.mean(np.abs(angle.band.value - true) <= QUANTILE * angle.band.sd))
+            covered = float(np.mean(np.abs(angle.band.value - true) <= INSIDE_95 * angle.band.sd))
         angles.append({
             "angle": f"{angle.angle} of {angle.image}", "verdict": angle.verdict,
             "cycles": None if wave is None else wave.cycles,

@@ -30,8 +30,8 @@ sys.path.insert(0, str(ROOT))
 import fg_orient as fg  # noqa: E402
 from fg_orient.formats.sensor import read_sensor  # noqa: E402
 from fg_orient.geodesy import geodetic_to_ecef  # noqa: E402
+from fg_orient.model.distributions import INSIDE_95  # noqa: E402
 from fg_orient.model.names import COMPONENTS  # noqa: E402
-from fg_orient.quality.jitter import QUANTILE  # noqa: E402
 from fg_orient.quality.jitter_system import without_quadratic  # noqa: E402
 from fg_orient.report import chart, paper  # noqa: E402
 from fg_orient.report.graph import write_graph  # noqa: E402
@@ -351,7 +351,7 @@ def jitter(out: Path) -> None:
         band = angle.band
         assert band is not None
         panel = figure.add_subplot(1, len(found), k + 1)
-        half = QUANTILE * band.sd
+        half = INSIDE_95 * band.sd
         panel.fill_between(angle.line, band.value - half, band.value + half, color=chart.GREY, alpha=0.35, lw=0)
         panel.plot(angle.line, band.value, color=chart.BLUE, label="estimate")
         waves = truth.corrections[block.images.index(next(i for i in block.images if i.id == angle.image))].waves

@@ -13,9 +13,10 @@ from scipy import stats
 import fg_orient as fg
 from benchmarks import jitter as pairs
 from fg_orient.model.block import Block
+from fg_orient.model.distributions import INSIDE_95
 from fg_orient.model.errors import InputError
 from fg_orient.orientation.solution import Solution
-from fg_orient.quality.jitter import QUANTILE, choose, step
+from fg_orient.quality.jitter import choose, step
 from fg_orient.quality.jitter_system import JitterSystem, Strength, without_quadratic
 from fg_orient.simulate.simulation import Truth
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
@@ -61,7 +62,7 @@ def test_planted_jitter_is_found_where_it_is(made: tuple[Block, Truth], solution
     wave = truth.corrections[0].waves[0]
     true = without_quadratic(band.tau, wave.at(band.tau)) * own.px_per_rad
     assert own.amplitude_px == pytest.approx(np.sqrt(2.0 * np.mean(true**2)), rel=0.15)
-    assert np.mean(np.abs(band.value - true) <= QUANTILE * band.sd) > 0.8  # of one pair; the proof has 1000
+    assert np.mean(np.abs(band.value - true) <= INSIDE_95 * band.sd) > 0.8  # of one pair; the proof has 1000
     in_solution = without_quadratic(band.tau, solution.correction("left").eop_at(band.tau)[:, 7]) * own.px_per_rad
     assert np.abs(in_solution - band.value).max() < 1e-3
     plain = fg.adjust(block)
@@ -173,7 +174,7 @@ def test_command_writes_table_section_and_record(tmp_path: Path) -> None:
     assert set(table.words["image"]) == {"right"} and set(table.words["component"]) == {"roll"}
     line, value, sd, low, high = table.numbers("line", "value_px", "sd_px", "lower_px", "upper_px").T
     assert line[0] == 0.0 and line[-1] == 11999.0
-    np.testing.assert_allclose([low, high], [value - QUANTILE * sd, value + QUANTILE * sd])
+    np.testing.assert_allclose([low, high], [value - INSIDE_95 * sd, value + INSIDE_95 * sd])
     page = (out / "report.html").read_text("utf-8")
     assert "Test for jitter of roll and pitch" in page and "jitter of roll of image right over the lines" in page
     assert in_process("replay", out).code == 0
