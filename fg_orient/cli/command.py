@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import inspect
+import math
 import re
 import sys
 import traceback
@@ -20,6 +21,7 @@ from fg_orient.cli.log import opened, session
 from fg_orient.cli.output import emit_errors, fault, flag, folded, note, tell
 from fg_orient.cli.progress import COMPILING, COMPILING_IN_VAIN
 from fg_orient.model.declaration import Names, Option, Three, declared
+from fg_orient.model.digits import decimal
 from fg_orient.model.errors import FgOrientError, Finding, InputError, NoSolutionError, finding
 from fg_orient.model.options import MAX_EXTRAPOLATION_S, Reading
 
@@ -35,6 +37,8 @@ PLUGINS: Final = ("plugin.failed", "sensor.own_reader")
 #: A command prints a note if compilation takes longer than this, s.
 NOTED_S: Final = 0.5
 _NAMED: Final = re.compile("`([a-z_]+)`")
+#: Number of lines or samples of an image: 1 to 999 999 999, because other programs store it in 32 bits.
+_SIZE: Final = re.compile("0*[1-9][0-9]{0,8}")
 
 
 def option(help: str, metavar: str | None = None, *, flag: str = "", **more: Any) -> Any:
@@ -102,6 +106,7 @@ def command(
                 values[GIVEN] = {name: value for name, value in given.items() if value is not None}
             with outcome(as_json, debug, quiet, log, flags):
                 _require_distinct(values, log)
+                _require_finite(values)
                 for name, one in joined.items():
                     values[name] = one.make(**{part: values.pop(part) for part in one.options})
                 function(**values)
@@ -297,9 +302,18 @@ def _value(option: Option, values: dict[str, Any]) -> Any:
         return value
     parts = tuple(part.strip() for part in value.split(",") if part.strip())
     try:
-        return parts if option.kind is Names else tuple(map(float, parts))
+        return parts if option.kind is Names else tuple(map(decimal, parts))
     except ValueError:
         return parts  # the parts are not numbers; the later check of all values reports this
+
+
+def _require_finite(values: Mapping[str, Any]) -> None:
+    """Refuse an option with a number that is not finite; declared options have their own limits."""
+    for name, value in values.items():
+        numbers = value if isinstance(value, tuple) else (value,)
+        if not all(math.isfinite(one) for one in numbers if isinstance(one, float)):
+            shown = " ".join(map(str, numbers))
+            raise InputError.of("options.value", option=name, value=shown, expected="finite numbers")
 
 
 LIGHT = declared(Reading)["light"]
@@ -346,7 +360,7 @@ def image_sizes(words: list[str] | None) -> dict[str, tuple[int, int]]:
     for word in words or []:
         name, _, size = word.rpartition("=")
         parts = size.split(",")
-        if not name or len(parts) != 2 or not all(part.isdecimal() and int(part) > 0 for part in parts):
+        if not name or len(parts) != 2 or not all(map(_SIZE.fullmatch, parts)):
             raise InputError.of("interchange.image_size", option="image_size", value=word)
         sizes[name] = int(parts[0]), int(parts[1])
     return sizes

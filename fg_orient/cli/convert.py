@@ -23,7 +23,7 @@ from fg_orient.cli.command import (
     image_sizes,
     option,
 )
-from fg_orient.cli.new import LEVEL, OFFICE, crs_code
+from fg_orient.cli.new import LEVEL, LEVEL_FLAGS, OFFICE, crs_code
 from fg_orient.cli.output import answer, flag, number, say, table, tell
 from fg_orient.model.errors import Finding, InputError
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from fg_orient.formats.registry import Format
 
 
-@command(several=OFFICE | LEVEL | SENSORS)
+@command(several=OFFICE | LEVEL | SENSORS, named=LEVEL_FLAGS)
 def convert(
     files: Annotated[
         list[Path] | None, argument("IN [IN2]", "File to read, or both files of a format that has two.")

@@ -126,9 +126,11 @@ LEVEL: Final = {"level": Several({
         None,
     ),
 }, _level)}  # fmt: skip
+#: Flags of these options that differ from the names of the library's arguments.
+LEVEL_FLAGS: Final = {"undulation_m": "--undulation"}
 
 
-@command(several=OFFICE | LEVEL)
+@command(several=OFFICE | LEVEL, named=LEVEL_FLAGS)
 def new(
     sources: Annotated[
         list[Path], argument("FOLDER_OR_FILES...", "Images or their metadata, tables, or their folder.")

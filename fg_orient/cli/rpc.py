@@ -98,7 +98,7 @@ def convert(
     Tags go into an existing GeoTIFF, so they need --overwrite, or into a copy of --image;
     pixels are not changed.
     """
-    from fg_orient.rpc.files import describe, target_of, write_as
+    from fg_orient.rpc.files import describe, disagreement, target_of, write_as
     from fg_orient.rpc.handover import hand_over, model_of, models_of
 
     if program and to is not None:
@@ -107,7 +107,8 @@ def convert(
     if source is not None and not program:
         target, raster = target_of(to, out), Path(image[-1].rpartition("=")[2]) if image else None
         written = write_as(source.model, out, target, overwrite=overwrite, image=raster)
-        _end({**judged(source.model.notes), "source": describe(source), "out": written}, _show_convert)
+        status = judged((*source.model.notes, *disagreement([written])))
+        _end({**status, "source": describe(source), "out": written}, _show_convert)
         return
     models, notes = models_of(file) if source is None else (model_of(file, source.model), source.model.notes)
     if not program and to is None:
@@ -115,7 +116,8 @@ def convert(
     target = "" if program else target_of(to, out)
     images = _images(image or [], list(models))
     files, remarks = hand_over(models, out, program, target=target, images=images, overwrite=overwrite)
-    record = {**judged((*notes, *remarks)), "source": str(file), "program": program, "files": files}
+    status = judged((*notes, *remarks, *disagreement(files)))
+    record = {**status, "source": str(file), "program": program, "files": files}
     _end(record, _show_handover)
 
 

@@ -36,6 +36,7 @@ from fg_orient.geodesy.geoid import LIMIT_M, GeoidFile, world_undulation_m
 from fg_orient.geodesy.heights import found_grid, vertical_reference
 from fg_orient.model.block import GroundSystem
 from fg_orient.model.errors import Finding, InputError, finding
+from fg_orient.model.names import MAX_UNDULATION_M
 
 #: Semi-major axis and flattening: an ellipsoid with these values is treated as WGS84; the difference is below 0.1 mm.
 _WGS84: Final = (6378137.0, 1.0 / 298.2572)
@@ -58,6 +59,11 @@ class ZeroLevel:
     geoid: Path | None = None
     undulation_m: float | None = None
     both_heights: Path | None = None
+
+    def __post_init__(self) -> None:
+        if self.undulation_m is not None and not abs(self.undulation_m) <= MAX_UNDULATION_M:
+            expected = f"a number from {-MAX_UNDULATION_M:g} to {MAX_UNDULATION_M:g} in m"
+            raise InputError.of("options.value", option="undulation_m", value=self.undulation_m, expected=expected)
 
     @classmethod
     def of(cls, entry: object, folder: Path) -> Self:

@@ -22,7 +22,7 @@ from fg_orient.model import declaration as option_types
 from fg_orient.model.constraint import Constraint, place_of
 from fg_orient.model.declaration import Option, declared, toml
 from fg_orient.model.errors import Finding, InputError, finding
-from fg_orient.model.names import LARGEST, SMALLEST
+from fg_orient.model.names import LARGEST, MAX_UNDULATION_M, SMALLEST
 from fg_orient.model.options import Options, Reading
 
 Text = Annotated[str, Field(strict=True), StringConstraints(min_length=1, strip_whitespace=True)]
@@ -87,7 +87,10 @@ class PointsEntry(_Foreign):
     sigma_m: Three | None = Field(default=None, description="three numbers above zero: East, North, Up, m")
     height_m: Number | None = Field(default=None, description="a number, m")
     geoid: Text | None = Field(default=None, description="the path of a geoid file in quotes")
-    undulation_m: Number | None = Field(default=None, description="a number, m")
+    undulation_m: Number | None = Field(
+        default=None, ge=-MAX_UNDULATION_M, le=MAX_UNDULATION_M,
+        description=f"a number from {-MAX_UNDULATION_M:g} to {MAX_UNDULATION_M:g}, m",
+    )  # fmt: skip
     both_heights: Text | None = Field(default=None, description="the path of a table of both heights in quotes")
     check: tuple[Text, ...] = Field(default=(), description='ids in quotes, such as ["7", "12"]')
     latitudinal: Switch = Field(default=False, description="true or false: observed by latitude, longitude, radius")

@@ -24,9 +24,8 @@ from fg_orient.formats.columns import Cells, regular
 from fg_orient.formats.faults import MAX_FAULTS, Faults, did_you_mean
 from fg_orient.formats.table_write import cell_text, is_binary
 from fg_orient.formats.text_files import delimited, read_text
+from fg_orient.model.digits import NUMBER
 
-#: Pattern of texts that are read as numbers.
-NUMBER: Final = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 #: Pattern of numbers with a decimal comma.
 DECIMAL_COMMA: Final = re.compile(r"[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)?")
 

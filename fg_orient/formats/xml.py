@@ -24,7 +24,8 @@ from lxml import etree
 from factors.arrays import Array
 from fg_orient.formats.columns import finite
 from fg_orient.formats.load import load_bytes
-from fg_orient.formats.tables import DECIMAL_COMMA, NUMBER
+from fg_orient.formats.tables import DECIMAL_COMMA
+from fg_orient.model.digits import NUMBER
 from fg_orient.model.errors import InputError
 from fg_orient.model.limits import within_memory
 

@@ -15,6 +15,7 @@ from types import NoneType
 from typing import Any, Final, Literal, TypeVar, get_args, get_origin
 
 from fg_orient.model.errors import InputError, finding
+from fg_orient.model.names import LARGEST, SMALLEST
 
 Three = tuple[float, float, float]
 Names = tuple[str, ...]
@@ -48,7 +49,8 @@ class Option:
     help : str
         The help of the command line shows the first sentence, the reference page all sentences.
     within : (float, float) or None
-        Smallest and largest value. Without it a float must be above zero.
+        Smallest and largest value. Without it an int must be above zero, and a float is ``SMALLEST`` .. ``LARGEST``:
+        the squares of other numbers overflow in weights.
     below : float
         Exclusive upper bound.
     zero, left_out : str
@@ -129,9 +131,10 @@ class Option:
         """Description of the allowed values, for messages and the reference page."""
         within, such, unit = self.within, self.such or self.usual, f" in {self.unit}" if self.unit else ""
         example = f", such as {toml(such)}" if such else ""
-        bounds = "above zero" + (f" and below {self.below:g}" if self.below < math.inf else "")
-        if within is not None:
-            bounds = f"from {within[0]:g} to {within[1]:g}" if within[1] < math.inf else f"from {within[0]:g}"
+        if within is None:
+            within = (1, math.inf) if self.kind is int else (SMALLEST, LARGEST)
+        below = f" and below {self.below:g}" if self.below < math.inf else ""
+        bounds = f"from {within[0]:g}" + (below or (f" to {within[1]:g}" if within[1] < math.inf else ""))
         text = (
             " or ".join(f'"{word}"' for word in self.words)
             or {
@@ -171,9 +174,9 @@ class Option:
         whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
         if not whole and (self.kind is int or not isinstance(value, float | np.floating)):
             return False
-        if self.within is None:
-            return bool(0.0 < value < self.below)
-        return bool(self.within[0] <= value <= self.within[1] or (self.zero and value == 0))
+        least, most = self.within or ((1, math.inf) if self.kind is int else (SMALLEST, LARGEST))
+        inside = least <= value <= most and value < self.below
+        return bool(inside or (self.zero and value == 0))
 
 
 def option(default: Any, group: Group, help: str, **more: Any) -> Any:

@@ -1,8 +1,9 @@
-"""Comparison of numbers with printed numbers, by digits."""
+"""Numbers as texts: reading, and comparison with printed numbers by digits."""
 
 from __future__ import annotations
 
 import math
+import re
 from typing import Final, Literal
 
 Agreement = Literal["equal", "rounding", "sigma", "differs"]
@@ -11,8 +12,21 @@ MEANING: Final[dict[Agreement, str]] = {
     "equal": "all printed digits", "rounding": "one unit of the last digit", "sigma": "within one standard deviation",
     "differs": "differs by more than one standard deviation",
 }  # fmt: skip
+#: Pattern of texts that are read as numbers.
+NUMBER: Final = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 #: Largest relative difference between a double and its decimal print.
 SLACK: Final = 1e-9
+
+
+def decimal(text: str) -> float:
+    """Return the finite number that a text of ASCII digits states; raise ValueError for any other text.
+
+    Unlike ``float``, digits of other scripts, ``1_000``, ``inf``, ``nan`` and numbers that overflow are refused.
+    """
+    value = float(text) if NUMBER.fullmatch(text) else math.nan
+    if not math.isfinite(value):
+        raise ValueError(text)
+    return value
 
 
 def last_digit(text: str, significant: int | None = None) -> float:

@@ -15,6 +15,7 @@ from functools import cache
 from io import BufferedReader
 from typing import Final
 
+from fg_orient.model.digits import decimal
 from fg_orient.model.errors import InputError
 from fg_orient.model.machine import in_gb
 
@@ -64,7 +65,7 @@ def _given(text: str) -> dict[str, float]:
         if not word:
             continue
         try:
-            value = float(number)
+            value = decimal(number)
         except ValueError:
             value = 0.0
         if name not in LIMITS or not value > 0.0:

@@ -10,6 +10,11 @@ from typing import Final, Literal, NamedTuple
 LARGEST: Final = 1e12
 #: No measurement has a standard deviation or focal length below this, in any unit.
 SMALLEST: Final = 1e-12
+#: Range of the coordinate of the first pixel's centre: 0, 0.5 or 1 in known programs, and -1 for the opposite shift.
+FIRST_PIXELS: Final = (-1.0, 1.0)
+#: Largest height of a zero level above or below the ellipsoid, m. Geoids have at most 120 m; local levels can be
+#: thousands of metres apart.
+MAX_UNDULATION_M: Final = 10_000.0
 #: Forms (file extensions) of the tables of a result or a simulated block, and the default form.
 TableForm = Literal["csv", "parquet", "arrow"]
 TABLE_FORM: Final = "csv"

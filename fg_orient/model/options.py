@@ -154,6 +154,7 @@ class Options(Checked):
     kappa: float | None = option(
         None, REGULARISATION,
         "Regularisation parameter: weight of the squared penalty, with one prior sigma as unit.",
+        within=(1e-100, 1e100),
         left_out="the parameter of `kappa_rule`",
     )
     kappa_rule: str = option(
@@ -175,7 +176,7 @@ class Options(Checked):
         1e-9, REGULARISATION,
         "Singular values up to this share of the largest are not counted in the rank. Without a gap of 100 around the "
         "cut the rank is ambiguous, which the result reports as a doubt.",
-        below=1.0,
+        within=(1e-100, 0.9),
     )
     regularised_units: RegularisedUnits = option(
         "prior_sigmas", REGULARISATION,

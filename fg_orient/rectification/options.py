@@ -9,6 +9,7 @@ from typing import Final, Literal
 
 from fg_orient.model.declaration import Checked, Group, Names, documented, option, require_allowed
 from fg_orient.model.errors import InputError
+from fg_orient.model.names import LARGEST
 
 FIT: Final = Group("Transformation")
 STUDY: Final = Group("Study")
@@ -67,7 +68,7 @@ class AccuracyOptions:
         STANDARDS, ACCURACY, "NMAS, CMAS, NSSDA, ASPRS-1990, ASPRS-2014, ASPRS-2023.", spelled="standard",
     )
     check_point_rmse_m: float = option(
-        0.0, ACCURACY, "Radial RMSE of the check points' own coordinates (ASPRS 2023).", within=(0.0, math.inf),
+        0.0, ACCURACY, "Radial RMSE of the check points' own coordinates (ASPRS 2023).", within=(0.0, LARGEST),
         unit="m",
     )
 

@@ -12,6 +12,7 @@ polynomial is fitted to it. The denominators are not changed, so there is no new
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -27,7 +28,7 @@ from fg_orient.formats.registry import formats
 from fg_orient.formats.rpc import read_rpc, rpc_writer
 from fg_orient.formats.rpc.fields import USUAL_ORDER
 from fg_orient.formats.rpc.gdal import write_rpc_copy
-from fg_orient.model.errors import InputError, finding
+from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.rpc.points import statistics
 from fg_orient.sensors.rpc import RpcModel
 from fg_orient.sensors.rpc_sensor import RpcSensor
@@ -41,6 +42,8 @@ SIDECARS: Final = ("_RPC.TXT", "_rpc.txt", ".RPB", ".rpb")
 IMAGES: Final = {"geotiff-tags": ".tif", "vrt": ".vrt"}
 #: Two models are compared on a cube of normalised coordinates with this number of values per axis.
 CUBE: Final = 7
+#: A written file that differs by this from its model is wrong: formats store all digits.
+ROUND_TRIP_PX: Final = 1e-3
 
 
 @dataclass(frozen=True)
@@ -145,6 +148,13 @@ def write_alone(model: RpcModel, out: Path, target: str, *, image: Path | None =
         "round_trip_sample_px": float(sample),
         "not_kept": not_kept(model, back.model),
     }
+
+
+def disagreement(written: Iterable[Mapping[str, Any]]) -> list[Finding]:
+    """Return a doubt for each written file that, read again, differs from its model by ``ROUND_TRIP_PX`` or more."""
+    names = ("round_trip_line_px", "round_trip_sample_px")
+    largest = [float(np.max([one[name] for name in names])) for one in written if names[0] in one]
+    return [finding("rpc.round_trip", largest_px=value) for value in largest if not value < ROUND_TRIP_PX]
 
 
 def projected_differences(one: RpcModel, other: RpcModel) -> Array:

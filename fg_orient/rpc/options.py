@@ -9,6 +9,7 @@ from typing import Final, Literal
 
 from fg_orient.model.declaration import Group, documented, option, require_allowed
 from fg_orient.model.errors import InputError
+from fg_orient.model.names import FIRST_PIXELS
 
 Denominators = Literal["separate", "common", "one"]
 Penalty = Literal["beyond_affine", "identity"]
@@ -31,7 +32,7 @@ class FileOptions:
 
     order: str = option("RPC00B", MODEL, "Order of the coefficients in FILE: RPC00B, RPC00A or T2.54.")
     first_pixel: float | None = option(
-        None, MODEL, "Coordinate of the first pixel's centre in FILE.", within=(-math.inf, math.inf),
+        None, MODEL, "Coordinate of the first pixel's centre in FILE.", within=FIRST_PIXELS,
         left_out="the convention of the format",
     )
 
@@ -66,7 +67,7 @@ class FitOptions:
         EVALUATIONS, POINTS, "Models that a genetic or particle-swarm search evaluates at most.", within=(1, math.inf),
     )
     kappa: float | None = option(
-        None, POINTS, "Penalty on squared normalised coefficients, instead of `select`.", within=(0.0, math.inf),
+        None, POINTS, "Penalty on squared normalised coefficients, instead of `select`.", within=(0.0, 1e100),
     )
     penalty: Penalty = option("beyond_affine", POINTS, "Coefficients that kappa keeps near zero.")
     solver: str | None = option(None, POINTS, "Solver of the linear form, such as svd_scaled.")

@@ -12,6 +12,7 @@ from fg_orient.formats.schema import Adjustment, Orientation, ProjectFile, valid
 from fg_orient.model.block import Coordinates
 from fg_orient.model.declaration import declared
 from fg_orient.model.errors import Finding, InputError
+from fg_orient.model.names import SMALLEST
 from fg_orient.model.options import Options
 
 pytestmark = pytest.mark.behaviour
@@ -47,7 +48,7 @@ def test_all_wrong_options_are_named_at_once() -> None:
 @pytest.mark.parametrize(
     ("name", "value"),
     [("eop_set", 1), ("eop_set", 20), ("eop_set", np.int64(7)), ("look_polynomial", 0), ("look_polynomial", 5),
-     ("max_iterations", 1), ("max_iterations", 10_000), ("look_sigma_rad", 5e-324), ("position_sigma_m", (1, 2, 3))],
+     ("max_iterations", 1), ("max_iterations", 10_000), ("look_sigma_rad", SMALLEST), ("position_sigma_m", (1, 2, 3))],
 )  # fmt: skip
 def test_the_ends_of_the_ranges_are_allowed(name: str, value: object) -> None:
     assert getattr(fg.Options(**{name: value}), name) == value

@@ -107,8 +107,8 @@ def test_locate_on_a_dem(run: Any, twin_source: Path, tmp_path: Path) -> None:
         ("locate", ("--sample", 5, "--points", "x.csv"), "cli.two_ways"),
         ("locate", ("--frame", "--points", "x.csv"), "cli.two_ways"),
         ("locate", ("--line", 12000, "--sample", 1, "--height", 1), "sensor.pixel_outside"),
-        ("locate", ("--line", "nan", "--sample", 1, "--height", 1), "sensor.pixel_outside"),
-        ("locate", ("--line", 1, "--sample", 1, "--height", "nan"), "cli.height_range"),
+        ("locate", ("--line", "nan", "--sample", 1, "--height", 1), "options.value"),
+        ("locate", ("--line", 1, "--sample", 1, "--height", "nan"), "options.value"),
         ("locate", ("--line", 1, "--sample", 1, "--height", "9e9"), "cli.height_range"),
         ("locate", ("--line", 1, "--sample", 1, "--dem", "none.tif"), "dem.missing"),
         ("locate", ("--points", "none.csv"), "table.missing_file"),
@@ -116,8 +116,8 @@ def test_locate_on_a_dem(run: Any, twin_source: Path, tmp_path: Path) -> None:
         ("project", ("--lon", 31.8, "--points", "x.csv"), "cli.two_ways"),
         ("project", ("--lat", 41.3, "--points", "x.csv"), "cli.two_ways"),
         ("project", ("--height", 0, "--points", "x.csv"), "cli.two_ways"),
-        ("project", ("--lon", "nan", "--lat", 41, "--height", 0), "geodesy.outside"),
-        ("project", ("--lon", 31.8, "--lat", "inf", "--height", 0), "geodesy.outside"),
+        ("project", ("--lon", "nan", "--lat", 41, "--height", 0), "options.value"),
+        ("project", ("--lon", 31.8, "--lat", "inf", "--height", 0), "options.value"),
     ],
 )
 def test_locate_and_project_refuse(

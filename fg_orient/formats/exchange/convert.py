@@ -24,7 +24,7 @@ from fg_orient.geodesy import area_of_use, crs_kind, to_ecef, to_ecef_with_opera
 from fg_orient.geodesy.crs import WGS84, from_ecef
 from fg_orient.model.block import ImagePoints
 from fg_orient.model.errors import Finding, InputError, finding
-from fg_orient.model.names import Role
+from fg_orient.model.names import LARGEST, SMALLEST, Role
 
 if TYPE_CHECKING:
     from fg_orient.formats.frame_model import FrameModel
@@ -102,6 +102,10 @@ def filled(
     check : sequence of str
         Ids of points with coordinates that become check points.
     """
+    for name, values in (("sigma_ground", sigma_ground_m), ("sigma_image", sigma_image_px)):
+        if values is not None and not all(SMALLEST <= value <= LARGEST for value in values):
+            expected = f"numbers from {SMALLEST:g} to {LARGEST:g}"
+            raise InputError.of("options.value", option=name, value=" ".join(map(str, values)), expected=expected)
     known = survey.located
     roles = list(survey.roles)
     for name in check:

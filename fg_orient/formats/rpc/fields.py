@@ -21,8 +21,9 @@ from factors.arrays import Array
 from factors.cameras.rfm import EXPONENTS, N_TERMS, permutation
 from factors.cameras.rfm_project import RANGE
 from fg_orient.formats.load import load_bytes
-from fg_orient.formats.tables import NUMBER
+from fg_orient.model.digits import NUMBER
 from fg_orient.model.errors import InputError
+from fg_orient.model.names import FIRST_PIXELS
 from fg_orient.sensors.rpc import RpcModel
 
 #: Axes in the order of ``RpcModel``: line, sample, longitude, latitude, height.
@@ -54,6 +55,10 @@ class Reading:
     def __post_init__(self) -> None:
         if self.order not in EXPONENTS:
             raise InputError.of("rpc.unknown_order", value=self.order, known=", ".join(EXPONENTS))
+        low, high = FIRST_PIXELS
+        if self.first_pixel is not None and not low <= self.first_pixel <= high:
+            expected = f"a number from {low:g} to {high:g}"
+            raise InputError.of("options.value", option="first_pixel", value=self.first_pixel, expected=expected)
 
 
 @dataclass

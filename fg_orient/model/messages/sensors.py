@@ -218,6 +218,8 @@ rpc.near_zero_inside (doubt): a denominator comes near zero inside the image: {l
 rpc.near_zero (doubt): a denominator comes near zero: {least:.3g}
 rpc.pixels_without_ground (doubt): {n} of {pixels} pixels have no ground point at their height
 rpc.directions_disagree (doubt): the file's models to the ground and to the image differ by up to {largest_px:.1f} px
+rpc.round_trip (doubt): the written file, read again, differs from the model by up to {largest_px:.2g} px
+    -> do not use this file; choose another format
 rpc.points_outside (doubt): {n} point(s) lie outside the validity range: {points:5}
 rpc.extrapolated (warning): the {coordinate} is extrapolated: {used:.2f} of the model's range is used
 rpc.heights_beyond (warning): the heights are outside the validity range {low:g} .. {high:g} m
