@@ -2,7 +2,9 @@
 
 In CSV, a number has the fewest digits from which the same double can be read again. A
 value that is not finite becomes an empty cell. If a spreadsheet would interpret a text as
-a formula, an apostrophe is written before it. Our readers remove this apostrophe.
+a formula, an apostrophe is written before it. Our readers remove this apostrophe. The user
+may let a spreadsheet split at semicolons, tabs or line breaks, too. Therefore each part of
+a text is treated like this.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ import numpy.typing as npt
 from factors.arrays import Array
 from fg_orient.formats.atomic import in_all_forms, staged_file
 from fg_orient.formats.columns import ROWS, rows_of_numbers
+from fg_orient.model.errors import InputError
 
 #: Type of a column's values: an array of numbers, or a sequence of texts, numbers, truth values and None.
 Column = npt.NDArray[Any] | Sequence[Any]
@@ -33,9 +36,14 @@ WORDS: Final = frozenset((
 WHOLE: Final = frozenset(("degree", "n_rays", "round", "dimension", "readmitted"))
 #: Cells are joined with NUL between them. If the result contains one of these marks, a
 #: cell may need quotes or an apostrophe.
-_ODD: Final = (*',"#\r\n', "\0=", "\0+", "\0@", "\0-", "\0\t", "\0'")
-#: Spreadsheets interpret a text that begins like this as a formula. Signed numbers are excluded.
-_FORMULA: Final = re.compile(r"'*(?:[=@\t]|[+-](?![0-9.]+(?:e[+-]?[0-9]+)?\Z))")
+_ODD: Final = (*',;"#\r\n\t', "\0=", "\0+", "\0@", "\0-", "\0 ", "\0'")
+#: Spreadsheets interpret a text as a formula if it begins like this. Signed numbers are excluded. Blanks and quotes
+#: are included, because spreadsheets remove them depending on the separator.
+_BEGIN: Final = r"""[ "']*(?:[=@\t]|[+-](?![0-9.]+(?:e[+-]?[0-9]+)?\Z))"""
+#: Beginnings of a text and of its parts.
+_PART: Final = r"(?:\A|(?<=[;\t\r\n]))"
+_FORMULA: Final = re.compile(f"{_PART}(?={_BEGIN})")
+_ESCAPED: Final = re.compile(f"{_PART}'(?={_BEGIN})")
 
 
 def write_table(path: Path, columns: Mapping[str, Column], comments: Sequence[str] = ()) -> None:
@@ -53,6 +61,8 @@ def write_table(path: Path, columns: Mapping[str, Column], comments: Sequence[st
     ------
     ValueError
         Columns have different lengths, or a comment has several lines.
+    InputError
+        A text of a CSV table contains NUL, which spreadsheets remove.
     """
     if len(set(map(len, columns.values()))) > 1:
         raise ValueError("the columns have different lengths")
@@ -158,7 +168,9 @@ def _text(value: Any, whole: bool = False) -> str:
 def _quoted(cells: list[str]) -> list[bytes]:
     joined = "\0".join(cells)
     together = [] if _is_odd(joined) else joined.encode().split(b"\0")
-    return together if len(together) == len(cells) else [own_cell(cell).encode() for cell in cells]
+    if joined.count("\0") >= max(len(cells), 1):
+        raise InputError.of("table.nul_in_text", value=repr(next(cell for cell in cells if "\0" in cell)))
+    return together or [own_cell(cell).encode() for cell in cells]
 
 
 def _is_odd(cells: str) -> bool:
@@ -177,9 +189,9 @@ def own_cell(cell: str) -> str:
 
     See :func:`cell_text`.
     """
-    return quoted(f"'{cell}" if _FORMULA.match(cell) else cell)
+    return quoted(_FORMULA.sub("'", cell))
 
 
 def cell_text(cell: str) -> str:
-    """Remove the apostrophe that :func:`own_cell` adds before a formula; quotes are not changed."""
-    return cell[1:] if cell[:1] == "'" and _FORMULA.match(cell, 1) else cell
+    """Remove the apostrophes that :func:`own_cell` adds before formulas; quotes are not changed."""
+    return _ESCAPED.sub("", cell) if "'" in cell else cell

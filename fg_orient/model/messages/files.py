@@ -201,6 +201,8 @@ table.unreadable: the file cannot be read
     -> give a readable file
 table.utf16: the file is UTF-16
     -> save it as UTF-8 text with commas (in Excel: CSV UTF-8), or make a project of it: fg-orient new
+table.nul_in_text: a text of the table contains the character NUL
+    -> remove it from the id or name
 table.nul: the file contains NUL bytes and is not text
     -> save the table as UTF-8 text with commas
 table.not_utf8: the file is not UTF-8, perhaps Latin-1
