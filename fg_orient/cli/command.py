@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import functools
 import inspect
-import math
 import re
 import sys
 import traceback
@@ -20,7 +19,7 @@ from factors._preparation import on_compilation, preparing_seconds
 from fg_orient.cli.log import opened, session
 from fg_orient.cli.output import emit_errors, fault, flag, folded, note, tell
 from fg_orient.cli.progress import COMPILING, COMPILING_IN_VAIN
-from fg_orient.model.declaration import Names, Option, Three, declared
+from fg_orient.model.declaration import Names, Option, Three, declared, require_finite
 from fg_orient.model.digits import decimal
 from fg_orient.model.errors import FgOrientError, Finding, InputError, NoSolutionError, finding
 from fg_orient.model.options import MAX_EXTRAPOLATION_S, Reading
@@ -106,7 +105,7 @@ def command(
                 values[GIVEN] = {name: value for name, value in given.items() if value is not None}
             with outcome(as_json, debug, quiet, log, flags):
                 _require_distinct(values, log)
-                _require_finite(values)
+                require_finite(values)
                 for name, one in joined.items():
                     values[name] = one.make(**{part: values.pop(part) for part in one.options})
                 function(**values)
@@ -305,15 +304,6 @@ def _value(option: Option, values: dict[str, Any]) -> Any:
         return parts if option.kind is Names else tuple(map(decimal, parts))
     except ValueError:
         return parts  # the parts are not numbers; the later check of all values reports this
-
-
-def _require_finite(values: Mapping[str, Any]) -> None:
-    """Refuse an option with a number that is not finite; declared options have their own limits."""
-    for name, value in values.items():
-        numbers = value if isinstance(value, tuple) else (value,)
-        if not all(math.isfinite(one) for one in numbers if isinstance(one, float)):
-            shown = " ".join(map(str, numbers))
-            raise InputError.of("options.value", option=name, value=shown, expected="finite numbers")
 
 
 LIGHT = declared(Reading)["light"]

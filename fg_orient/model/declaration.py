@@ -211,6 +211,15 @@ def require_allowed(record: Any) -> None:
         )
 
 
+def require_finite(values: Mapping[str, Any]) -> None:
+    """Refuse an option without a declaration whose number, or one of whose numbers, is not finite."""
+    for name, value in values.items():
+        numbers = value if isinstance(value, tuple) else (value,)
+        if not all(math.isfinite(one) for one in numbers if isinstance(one, float)):
+            shown = " ".join(map(str, numbers))
+            raise InputError.of("options.value", option=name, value=shown, expected="finite numbers")
+
+
 class Checked:
     """Base class for dataclasses of options: it checks the values of a record at its creation."""
 
