@@ -125,6 +125,15 @@ def is_earth(major_m: float, minor_m: float) -> bool:
     return max(abs(major_m - ellipsoid.A_M), abs(minor_m - ellipsoid.B_M)) <= SAME_AXIS_M
 
 
+def require_on_earth(crs: str, file: object) -> None:
+    """Raise InputError if the CRS of a DEM is local, or its ellipsoid differs by more than 1 % from the Earth's."""
+    known = known_crs(crs)
+    if known.ellipsoid is None:
+        raise InputError.of("dem.local_crs", file=file, value=known.name)
+    if abs(known.ellipsoid.semi_major_metre / ellipsoid.A_M - 1.0) > 0.01:
+        raise InputError.of("body.dem", file=file, value=known.ellipsoid.name)
+
+
 def spheroid(name: str, major_m: float, minor_m: float, *, file: object, place: str) -> Body:
     """Return the body with two semi-axes of a file; InputError, with file and place, if they are impossible."""
     try:

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from factors.arrays import Array
 from fg_orient.geodesy import from_geographic, known_crs
 from fg_orient.model.errors import InputError
-from fg_orient.model.raster_limits import open_bounded
+from fg_orient.model.raster_limits import invertible, open_bounded
 
 #: File suffixes of geoid files.
 GRID_SUFFIXES: Final = (".gtx", ".tif", ".tiff", ".byn", ".isg")
@@ -99,7 +99,7 @@ class GeoidFile:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
         with self._opened() as source:
-            if source.transform.is_degenerate:
+            if not invertible(source.transform):
                 raise InputError.of("geoid.unreadable", file=self.path, value="size of a cell")
             self._to_cell, (self._rows, self._columns) = ~source.transform, source.shape
             self._crs = source.crs.to_wkt() if source.crs else "EPSG:4326"

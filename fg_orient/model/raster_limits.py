@@ -7,7 +7,9 @@ samples took 8.6 GB and 29 s; a strip of 1.6 GB of zeros, compressed to 1.6 MB, 
 
 from __future__ import annotations
 
+import html
 import os
+import re
 import struct
 import warnings
 from collections.abc import Iterator
@@ -16,6 +18,7 @@ from typing import Any, BinaryIO, Final
 
 import numpy as np
 
+from fg_orient.model.errors import InputError
 from fg_orient.model.limits import exceeded, limit, within, within_memory
 
 #: Memory that GDAL needs for each block that it does not decode, bytes.
@@ -26,6 +29,11 @@ _TIFF: Final = {
     b"II*\0": ("<", "H", 12, "I"), b"MM\0*": (">", "H", 12, "I"),
     b"II+\0": ("<", "Q", 20, "Q"), b"MM\0+": (">", "Q", 20, "Q"),
 }  # fmt: skip
+#: Attributes and text of the elements of a virtual raster that name a file; attribute of a name relative to its folder.
+_SOURCE: Final = re.compile(rb"<Source(?:Filename|Dataset)\b([^>]*)>([^<\0]*)</")
+_BESIDE: Final = re.compile(rb"""relativeToVRT\s*=\s*["']1""", re.IGNORECASE)
+#: Maximum number of virtual rasters that contain a file.
+MAX_NESTED: Final = 32
 #: Position in the file of the link to the first directory, by the format of the link.
 _FIRST: Final = {"I": 4, "Q": 8}
 
@@ -43,9 +51,11 @@ def open_bounded(rasterio: Any, path: str | os.PathLike[str], mode: str = "r") -
     Raises
     ------
     InputError
-        The raster exceeds a limit. All other errors come from rasterio.
+        The raster exceeds a limit; or it is a virtual raster that contains itself or refers to a pipe or device.
+        All other errors come from rasterio.
     """
     _require_bounded_file(path)
+    _require_sources(Path(path), (), set())
     source = rasterio.open(path, mode)
     try:
         _require_bounded(rasterio, source, path)
@@ -67,6 +77,49 @@ def _require_bounded_file(path: str | os.PathLike[str]) -> None:
         for count, _ in enumerate(_directories(stream), start=1):
             if count > most:
                 raise exceeded("tiff_directories", f"more than {most}", file=os.fspath(path), unit="directories")
+
+
+def _require_sources(path: Path, above: tuple[str, ...], done: set[str]) -> None:
+    """Raise InputError if a virtual raster contains itself, is nested too deeply, or refers to a pipe or device.
+
+    GDAL waits for a pipe without end. Missing files, other rasters and names with a prefix of GDAL are not read.
+
+    Parameters
+    ----------
+    path : Path
+    above : tuple of str
+        Virtual rasters that contain this one, the outermost first.
+    done : set of str
+        Files that were examined. They are added.
+    """
+    name = os.path.realpath(path)
+    if name in above or len(above) > MAX_NESTED:
+        what = "itself" if name in above else f"more than {MAX_NESTED} nested virtual rasters"
+        raise InputError.of("raster.source", file=above[0], value=path, what=what)
+    if name in done or not path.exists():
+        return
+    done.add(name)
+    if not path.is_file():
+        if above and not path.is_dir():  # some formats are folders
+            raise InputError.of("raster.source", file=above[-1], value=path, what="a pipe or device")
+        return
+    with path.open("rb") as stream:
+        if b"<VRTDataset" not in stream.read(1024):
+            return
+        within("xml_bytes", path.stat().st_size, file=path)
+        stream.seek(0)
+        content = stream.read()
+    for attributes, text in _SOURCE.findall(content):
+        source = Path(html.unescape(text.decode("utf-8", "replace")).strip())
+        _require_sources(path.parent / source if _BESIDE.search(attributes) else source, (*above, name), done)
+
+
+def invertible(transform: Any) -> bool:
+    """Return whether the geotransform of a raster can be inverted: cells with a size in the range of double numbers."""
+    area = transform.determinant
+    if not np.isfinite([*transform, area]).all() or transform.is_degenerate:
+        return False
+    return bool(np.isfinite([*~transform]).all())
 
 
 def _directories(stream: BinaryIO) -> Iterator[int]:

@@ -19,7 +19,7 @@ import numpy as np
 from factors.arrays import Array
 from fg_orient.geodesy import from_geographic, to_geographic
 from fg_orient.model.errors import Finding, InputError, finding
-from fg_orient.model.raster_limits import open_bounded
+from fg_orient.model.raster_limits import invertible, open_bounded
 from fg_orient.sensors.cliffs import cliff_of
 from fg_orient.sensors.dem_cells import bilinear, groups, share
 
@@ -97,8 +97,9 @@ class RasterDem:
             if source.crs is None:
                 raise InputError.of("dem.no_crs", file=path)
             self.crs, unit = str(source.crs.to_wkt()), source.units[0] or ""
-        if source.transform.is_degenerate or not source.dtypes[0].startswith(("int", "uint", "float")):
-            wrong = "size of a cell" if source.transform.is_degenerate else f"values of type {source.dtypes[0]}"
+        has_cells = invertible(source.transform)
+        if not has_cells or not source.dtypes[0].startswith(("int", "uint", "float")):
+            wrong = f"values of type {source.dtypes[0]}" if has_cells else "size of a cell"
             raise InputError.of("dem.unreadable", file=path, value=wrong)
         self.shape: tuple[int, int] = (source.height, source.width)
         self._pixel_from_crs, self._from_values = ~source.transform, (source.scales[0], source.offsets[0])
@@ -126,10 +127,12 @@ class RasterDem:
 
         The vertical part of the raster's CRS is removed.
         """
+        from fg_orient.geodesy.bodies import require_on_earth
         from fg_orient.geodesy.crs import vertical_code
         from fg_orient.geodesy.geoid import GRID_SUFFIXES, GeoidFile
         from fg_orient.geodesy.heights import undulation_m, vertical_reference, with_vertical
 
+        require_on_earth(self.crs, self.path)
         stated, axis_unit = vertical_reference(self.crs)
         wrong = [u for u in (axis_unit, unit) if u.strip().lower() not in METRES]
         if wrong:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 import zlib
 from collections.abc import Callable, Sequence
@@ -20,6 +21,7 @@ from fg_orient.formats.rpc import read_rpc
 from fg_orient.geodesy.geoid import GeoidFile
 from fg_orient.model.errors import InputError
 from fg_orient.model.limits import VARIABLE
+from fg_orient.model.raster_limits import MAX_NESTED
 from fg_orient.sensors.dem import RasterDem
 from tests.fuzz.harness import outcome
 
@@ -86,10 +88,17 @@ def _tile(path: Path) -> None:
 def _virtual(path: Path) -> None:
     """Write a virtual raster of the strip."""
     _strip(path.with_name("source.tif"))
-    path.write_text(f'<VRTDataset rasterXSize="{EDGE}" rasterYSize="{EDGE}"><SRS>EPSG:4326</SRS>'
-                    '<GeoTransform>31.5, 0.01, 0, 41.6, 0, -0.01</GeoTransform><VRTRasterBand dataType="Float32" '
-                    'band="1"><SimpleSource><SourceFilename relativeToVRT="1">source.tif</SourceFilename>'
+    _virtual_of(path, "source.tif")
+
+
+def _virtual_of(path: Path, source: str, *, crs: str = "EPSG:4326", origin: str = "31.5", cell: str = "0.01") -> Path:
+    """Write a virtual raster of a file beside it."""
+    path.write_text(f'<VRTDataset rasterXSize="{EDGE}" rasterYSize="{EDGE}"><SRS>{crs}</SRS>'
+                    f'<GeoTransform>{origin}, {cell}, 0, 41.6, 0, -{cell}</GeoTransform>'
+                    '<VRTRasterBand dataType="Float32" band="1"><SimpleSource>'
+                    f'<SourceFilename relativeToVRT="1">{source}</SourceFilename>'
                     "<SourceBand>1</SourceBand></SimpleSource></VRTRasterBand></VRTDataset>", "utf-8")  # fmt: skip
+    return path
 
 
 def _small(*more: Entry, directories: int = 1) -> Callable[[Path], object]:
@@ -139,6 +148,66 @@ def test_virtual_raster_does_not_hide_its_source(tmp_path: Path) -> None:
     _virtual(path)
     for read in (_pixels, READERS["DEM"][0]):
         assert outcome(lambda read=read: read(path), path.stat().st_size) == "limits.memory"  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("sources", [("a.vrt",), ("b.vrt", "a.vrt"), ("b.vrt", "b.vrt")])
+def test_virtual_raster_that_contains_itself_is_refused(tmp_path: Path, sources: tuple[str, ...]) -> None:
+    """a.vrt and b.vrt have these sources."""
+    pytest.importorskip("rasterio")
+    for name, source in zip(("a.vrt", "b.vrt"), sources, strict=False):
+        _virtual_of(tmp_path / name, source)
+    for reader in ("DEM", "geoid", "pixels"):
+        read = READERS[reader][0]
+        assert outcome(lambda read=read: read(tmp_path / "a.vrt"), 1000) == "raster.source", reader  # type: ignore[misc]
+
+
+def test_virtual_raster_of_a_pipe_is_refused(tmp_path: Path) -> None:
+    """GDAL would wait for the pipe without end."""
+    pytest.importorskip("rasterio")
+    if not hasattr(os, "mkfifo"):
+        pytest.skip("no named pipes")
+    os.mkfifo(tmp_path / "&pipe")
+    with pytest.raises(InputError, match="pipe or device"):
+        RasterDem(_virtual_of(tmp_path / "a.vrt", "&amp;pipe"))
+
+
+def test_nested_virtual_rasters_are_limited(tmp_path: Path) -> None:
+    pytest.importorskip("rasterio")
+    _small()(tmp_path / "0.tif")
+    _virtual_of(tmp_path / "0.vrt", "0.tif")
+    for k in range(MAX_NESTED + 1):
+        _virtual_of(tmp_path / f"{k + 1}.vrt", f"{k}.vrt")
+    assert RasterDem(tmp_path / "2.vrt").shape == (EDGE, EDGE)
+    with pytest.raises(InputError, match="nested"):
+        RasterDem(tmp_path / f"{MAX_NESTED + 1}.vrt")
+
+
+@pytest.mark.parametrize("cell", ["1e300", "1e-300", "nan", "inf"])
+def test_cells_of_an_impossible_size_are_refused(tmp_path: Path, cell: str) -> None:
+    pytest.importorskip("rasterio")
+    _small()(tmp_path / "a.tif")
+    path = _virtual_of(tmp_path / "a.vrt", "a.tif", cell=cell)
+    for read in (RasterDem, GeoidFile):
+        with pytest.raises(InputError, match="size of a cell"):
+            read(path)
+
+
+@pytest.mark.parametrize(
+    ("crs", "code"),
+    [('LOCAL_CS["x",UNIT["metre",1]]', "dem.local_crs"), ("+proj=longlat +R=1737400 +no_defs", "body.dem"),
+     ("EPSG:4230", ""), ("EPSG:4314", ""), ("EPSG:4326", "")],
+)  # fmt: skip
+def test_a_dem_lies_on_the_earth(tmp_path: Path, crs: str, code: str) -> None:
+    """The remedy is not a geoid grid. Other ellipsoids of the Earth are read."""
+    pytest.importorskip("rasterio")
+    _small()(tmp_path / "a.tif")
+    path = _virtual_of(tmp_path / "a.vrt", "a.tif", crs=crs)
+    if not code:
+        assert RasterDem(path).shape == (EDGE, EDGE)
+        return
+    with pytest.raises(InputError) as caught:
+        RasterDem(path)
+    assert [p.code for p in caught.value.problems] == [code]
 
 
 def test_damaged_pixels_are_refused(tmp_path: Path) -> None:

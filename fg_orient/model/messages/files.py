@@ -15,6 +15,8 @@ xml.unreadable: the file cannot be read
     -> check its permissions
 limits.variable: the environment variable must contain NAME=NUMBER with a known name and a positive number
     -> known names: {known}
+raster.source: the virtual raster refers to {what}
+    -> let it refer to regular files of other rasters
 limits.exceeded: this exceeds the limit of {limit}
     -> if you trust the file, raise the limit by the environment variable FG_ORIENT_LIMITS="{name}=NUMBER"
 limits.memory: reading this file would need too much memory for its size, more than {allowed} ({factor:g} times its size
@@ -117,6 +119,8 @@ dem.no_rasterio: reading a DEM needs rasterio
     -> install the extra: pip install 'fg-orient[geo]'
 dem.no_crs: the DEM has no coordinate reference system
     -> assign one, for instance with gdal_edit -a_srs
+dem.local_crs: the DEM has a local coordinate system without a place on the Earth
+    -> transform the DEM to a geographic or projected CRS
 dem.vertical_crs: the DEM states another vertical CRS than the given vertical CRS
     -> leave the option out, or correct the file
 dem.geoid: the DEM's heights cannot be transformed to ellipsoidal heights: {reason}
