@@ -30,6 +30,8 @@ from fg_orient.model.machine import is_out_of_memory
 PROGRAM: Final = "fg-orient"
 #: The completion script of a shell sets this environment variable.
 VARIABLE: Final = "_FG_ORIENT_COMPLETE"
+#: numpy reads this environment variable when scipy is imported.
+EPOCH: Final = "SOURCE_DATE_EPOCH"
 SHELLS: Final = ("bash", "zsh", "fish")
 #: For each command its module in this package, in the order of the help. A command is a
 #: function or a group with this name, or the group ``app`` of the module.
@@ -122,6 +124,12 @@ def root(
     ] = None,
 ) -> None:
     """Orient optical images, from satellites to close range, by bundle adjustment on a factor graph."""
+    epoch = os.environ.get(EPOCH, "0")
+    if not (epoch.isascii() and epoch.isdigit()):
+        with outcome(as_json="--json" in sys.argv):
+            raise InputError.of(
+                "environment.value", place=EPOCH, value=repr(epoch), expected="seconds since 1970-01-01"
+            )
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
     if plugin:
@@ -209,6 +217,13 @@ def _usage_error(error: Exception) -> int:
     Raise other exceptions again.
     """
     explain = getattr(error, "format_message", None)
+    if (
+        VARIABLE in os.environ and isinstance(error, KeyError) and "COMP_WORDS" in error.args
+    ):  # typer looks up the words of the shell
+        wrong = InputError.of("environment.value", place=VARIABLE, value=os.environ[VARIABLE],
+                              expected="the value of a completion script, and the words of its shell")  # fmt: skip
+        note(f"error: {wrong}")
+        return wrong.exit_code
     if explain is None:
         if not is_out_of_memory(error):
             raise error

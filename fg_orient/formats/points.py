@@ -139,6 +139,10 @@ def _coordinates(table: Table, kind: Kind, measured: Mask, filled: Mask, incompl
         table.refuse(beyond & ~swapped, "points.latitude", "lat_deg")
         table.refuse(whole & ~beyond & (lon > 180.0), "points.longitude", "lon_deg")
         values[beyond | (whole & (lon > 180.0))] = np.nan
+    large = np.abs(values) > LARGEST  # the squares of such numbers can overflow
+    for name, column in zip(columns, large.T, strict=True):
+        table.refuse(column & (name not in ("lon_deg", "lat_deg")), "points.too_large", name, limit=LARGEST)
+    values[large.any(axis=1)] = np.nan
     return values
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import fg_orient as fg
+from fg_orient.cli.app import VARIABLE as COMPLETION
+from fg_orient.cli.app import _usage_error
 from fg_orient.cli.command import _value, image_sizes
 from fg_orient.formats.exchange.convert import filled
 from fg_orient.formats.exchange.survey import Survey
+from fg_orient.formats.faults import Faults
 from fg_orient.formats.heights import ZeroLevel
+from fg_orient.formats.points import read_points
 from fg_orient.formats.rpc import read_rpc
 from fg_orient.model.declaration import declared
 from fg_orient.model.digits import decimal
@@ -115,6 +120,35 @@ def test_an_image_size_that_no_file_can_store_is_refused(word: str) -> None:
     with pytest.raises(InputError):
         image_sizes([word])
     assert image_sizes(["a=12000,999999999"]) == {"a": (12000, 999_999_999)}
+
+
+@pytest.mark.parametrize("height", ["1e160", "-1e308", "1.1e12"])
+def test_a_height_whose_square_overflows_is_refused_at_its_line(tmp_path: Path, height: str) -> None:
+    """There is no warning of numpy with lines of source code."""
+    head = "id,role,lon_deg,lat_deg,height_m,sigma_east_m,sigma_north_m,sigma_up_m"
+    path = tmp_path / "p.csv"
+    path.write_text(f"{head}\na,control,31,41,5,1,1,1\nb,control,31,41,{height},1,1,1\n", encoding="utf-8")
+    faults = Faults(str(path))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        read_points(path, "EPSG:4979", faults)
+    assert [(p.code, p.place) for p in faults.problems] == [("points.too_large", "line 3, column height_m")]
+
+
+@pytest.mark.parametrize("text", ["abc", "", "1e9", "-1"])
+def test_a_wrong_time_of_the_environment_is_named(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+    """numpy reads this variable when scipy is imported."""
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", text)
+    ended = in_process("convert", "--formats")
+    assert ended.code == 2
+    assert "SOURCE_DATE_EPOCH" in ended.stderr and len(ended.stderr.splitlines()) == 1
+
+
+def test_completion_without_the_words_of_a_shell_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(COMPLETION, "complete_bash")
+    assert _usage_error(KeyError("COMP_WORDS")) == 2
+    with pytest.raises(KeyError):
+        _usage_error(KeyError("other"))
 
 
 @pytest.mark.parametrize("number", ["inf", "1e400", "nan", "1_000", "-1"])

@@ -279,6 +279,8 @@ points.latitude: the latitude is outside -90 .. 90 degrees
     -> check the value
 points.longitude: the longitude is outside -180 .. 180 degrees
     -> check the value; 190 is written -170
+points.too_large: the coordinate is larger than {limit:g} m
+    -> correct it
 points.swapped_range: longitude and latitude look swapped
     -> exchange the values of lon_deg and lat_deg
 points.swapped: {first} and {second} look swapped: after an exchange the points lie in the images ({count} of {total})

@@ -95,6 +95,8 @@ cli.no_schema: there is no command of this name that prints JSON
     -> {hint}
 cli.shell: completion is not available for this shell
     -> choose one of {known}
+environment.value: the environment variable has an impossible value
+    -> unset it, or give {expected}
 cli.usage: {text}
     -> see the command's <help>
 report.no_result: the folder contains no result of an adjustment
