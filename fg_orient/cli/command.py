@@ -23,6 +23,7 @@ from fg_orient.model.declaration import Names, Option, Three, declared, require_
 from fg_orient.model.digits import decimal
 from fg_orient.model.errors import FgOrientError, Finding, InputError, NoSolutionError, finding
 from fg_orient.model.options import MAX_EXTRAPOLATION_S, Reading
+from fg_orient.model.paths import path_fault
 
 if TYPE_CHECKING:
     from fg_orient.model.block import Block, Image
@@ -104,6 +105,7 @@ def command(
                 given = {one.name: _value(one, values) for one in options}
                 values[GIVEN] = {name: value for name, value in given.items() if value is not None}
             with outcome(as_json, debug, quiet, log, flags):
+                _require_paths(values, log)
                 _require_distinct(values, log)
                 require_finite(values)
                 for name, one in joined.items():
@@ -121,12 +123,18 @@ def command(
     return decorate
 
 
-def _require_distinct(values: Mapping[str, Any], log: Path | None) -> None:
-    """Raise InputError if an output of a command is an input, a file of an input result, or another output."""
+def _require_paths(values: Mapping[str, Any], log: Path | None) -> None:
+    """Raise InputError if no file can have a path, or if an output of a command would replace an input.
+
+    An output must not be an input, a file of an input result, or another output.
+    """
     named = [
         (name, path) for name, value in {**values, "log": log}.items()
         for path in (value if isinstance(value, list | tuple) else [value]) if isinstance(path, Path)
     ]  # fmt: skip
+    faults = [fault for name, path in named if name != "log" and (fault := path_fault(path)) is not None]
+    if faults:
+        raise InputError(*faults)
     for k, (name, out) in enumerate(named):
         others = [path for other, (_, path) in enumerate(named) if other != k]
         if name in OUTPUTS and any(_would_replace(out, path) for path in others):
@@ -340,8 +348,8 @@ Overwrite = Annotated[bool, option("Replace an existing output once the new one 
 
 
 def command_line() -> list[str]:
-    """Return the words of this command line for the record of a result."""
-    return ["fg-orient", *sys.argv[1:]]
+    """Return the words of this command line for the record of a result, with escapes for bytes that are not UTF-8."""
+    return ["fg-orient", *(word.encode(errors="backslashreplace").decode() for word in sys.argv[1:])]
 
 
 def image_sizes(words: list[str] | None) -> dict[str, tuple[int, int]]:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, ValidationError, create_model
 from pydantic.fields import FieldInfo
+from pydantic_core import PydanticCustomError
 
 from fg_orient.formats.faults import did_you_mean
 from fg_orient.formats.toml import parse_toml
@@ -24,6 +25,7 @@ from fg_orient.model.declaration import Option, declared, toml
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import LARGEST, MAX_UNDULATION_M, SMALLEST
 from fg_orient.model.options import Options, Reading
+from fg_orient.model.paths import path_fault
 
 Text = Annotated[str, Field(strict=True), StringConstraints(min_length=1, strip_whitespace=True)]
 Positive = Annotated[float, Field(strict=True, gt=0.0, allow_inf_nan=False)]
@@ -52,6 +54,19 @@ def _with_codes(crs: str) -> str:
 Crs = Annotated[Text, AfterValidator(_with_codes)]
 
 
+def _possible(name: str) -> str:
+    """Refuse a path that no file can have."""
+    fault = path_fault(name)
+    if fault is not None:
+        raise PydanticCustomError(_PATH, "not a path")
+    return name
+
+
+#: Kind of pydantic's error for a path that no file can have.
+_PATH: Final = "path"
+FilePath = Annotated[Text, AfterValidator(_possible)]
+
+
 class Table(BaseModel):
     """Table of a TOML file; unknown keys, nan and infinity are refused."""
 
@@ -62,9 +77,9 @@ class ImageEntry(Table):
     """One ``[[images]]`` table."""
 
     id: Text = Field(description='a name in quotes, such as "left"')
-    metadata: Text = Field(description="the path of the metadata file in quotes")
+    metadata: FilePath = Field(description="the path of the metadata file in quotes")
     held: Switch = Field(default=False, description="true or false: the orientation stays as in the metadata")
-    pixels: Text | None = Field(default=None, description="the path of the raster with the pixels in quotes")
+    pixels: FilePath | None = Field(default=None, description="the path of the raster with the pixels in quotes")
     pixels_origin: tuple[Number, Number] | None = Field(
         default=None, description="two numbers: line and sample of the raster's first pixel in the scene"
     )
@@ -82,16 +97,16 @@ class _Foreign(Table):
 class PointsEntry(_Foreign):
     """The ``[points]`` table."""
 
-    file: Text | None = Field(default=None, description="the path of the point table in quotes")
+    file: FilePath | None = Field(default=None, description="the path of the point table in quotes")
     crs: Crs | None = Field(default=None, description='an EPSG code in quotes, such as "EPSG:4979"')
     sigma_m: Three | None = Field(default=None, description="three numbers above zero: East, North, Up, m")
     height_m: Number | None = Field(default=None, description="a number, m")
-    geoid: Text | None = Field(default=None, description="the path of a geoid file in quotes")
+    geoid: FilePath | None = Field(default=None, description="the path of a geoid file in quotes")
     undulation_m: Number | None = Field(
         default=None, ge=-MAX_UNDULATION_M, le=MAX_UNDULATION_M,
         description=f"a number from {-MAX_UNDULATION_M:g} to {MAX_UNDULATION_M:g}, m",
     )  # fmt: skip
-    both_heights: Text | None = Field(default=None, description="the path of a table of both heights in quotes")
+    both_heights: FilePath | None = Field(default=None, description="the path of a table of both heights in quotes")
     check: tuple[Text, ...] = Field(default=(), description='ids in quotes, such as ["7", "12"]')
     latitudinal: Switch = Field(default=False, description="true or false: observed by latitude, longitude, radius")
 
@@ -99,7 +114,7 @@ class PointsEntry(_Foreign):
 class ObservationsEntry(_Foreign):
     """The ``[observations]`` table."""
 
-    file: Text = Field(description="the path of the observation table in quotes")
+    file: FilePath = Field(description="the path of the observation table in quotes")
     crs: Crs | None = Field(default=None, description='an EPSG code in quotes, such as "EPSG:4979"')
     sigma_px: tuple[Positive, Positive] | None = Field(default=None, description="two numbers above zero, px")
     images: dict[str, Text] = Field(default_factory=dict, description='a table such as { "a.tif" = "left" }')
@@ -118,7 +133,7 @@ def _rotation(value: tuple[Row, Row, Row] | None) -> tuple[Row, Row, Row] | None
 class NavigationEntry(Table):
     """The ``[navigation]`` table: positions and attitudes observed on board for frame images."""
 
-    file: Text = Field(description="the path of the navigation table in quotes")
+    file: FilePath = Field(description="the path of the navigation table in quotes")
     crs: Crs = Field(description='an EPSG code in quotes, such as "EPSG:4979"')
     lever_m: Row = Field(default=(0.0, 0.0, 0.0), description="three numbers, m: receiver to projection centre")
     camera_from_body: Annotated[tuple[Row, Row, Row] | None, AfterValidator(_rotation)] = Field(
@@ -135,8 +150,8 @@ class NavigationEntry(Table):
 class LinesEntry(Table):
     """The ``[lines]`` table: control by lines and splines."""
 
-    file: Text = Field(description="the path of the table or GeoPackage of the features in quotes")
-    observations: Text = Field(description="the path of the table of the image points on them in quotes")
+    file: FilePath = Field(description="the path of the table or GeoPackage of the features in quotes")
+    observations: FilePath = Field(description="the path of the table of the image points on them in quotes")
     crs: Crs = Field(description='an EPSG code in quotes, such as "EPSG:4979"')
 
 
@@ -251,6 +266,8 @@ def _problem(kind: str, loc: tuple[int | str, ...], value: object, file: str, ro
     if kind == "extra_forbidden":
         hint = did_you_mean(path.rpartition(".")[2], siblings)
         return finding("project.unknown_key", file=file, place=path, value=value, hint=hint)
+    if kind == _PATH and (fault := path_fault(str(value))) is not None:
+        return replace(fault, file=file, place=path, value=str(value))
     expected = field.description if field is not None else "a value of the right type"
     if path == "schema" and kind != "missing":
         return finding("project.schema", file=file, place=path, value=value)

@@ -8,6 +8,7 @@ from typing import Any, Final
 from fg_orient.formats.registry import Format, format_claiming, formats
 from fg_orient.formats.toml import parse_toml
 from fg_orient.model.errors import FgOrientError, InputError
+from fg_orient.model.paths import require_path
 from fg_orient.model.plugins import raised_in, told
 
 MODELS: Final = ("auto", "rigorous", "rpc")
@@ -49,6 +50,7 @@ def read_sensor(
         file, line, value and remedy.
     """
     path = Path(path)
+    require_path(path)
     if model not in MODELS:
         raise InputError.of("sensor.model", file=path, place="model", value=model, known=", ".join(MODELS))
     form = format_claiming(path, "image")

@@ -96,7 +96,7 @@ def claimed(target: Path) -> Iterator[None]:
     OSError
         The lock cannot be made.
     """
-    path = target.with_name(f".{target.name[:LONGEST]}.{_CLAIM}.lock")
+    path = _lock_of(target, _CLAIM)
     for _ in range(TRIES):
         descriptor = os.open(path, os.O_CREAT | os.O_RDWR | _SAFE, 0o666)
         if _take(descriptor) is not False and _is(path, descriptor):
@@ -128,10 +128,17 @@ def scratch_folder(parent: Path) -> Iterator[Path]:
         yield folder
 
 
+def _lock_of(target: Path, token: str) -> Path:
+    """Return the path of a lock file; IsADirectoryError for a target without a name, such as ``.`` or ``/``."""
+    if not target.name:
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(target))
+    return target.with_name(f".{target.name[:LONGEST]}.{token}.lock")
+
+
 def _locked(target: Path) -> tuple[Path, int]:
     """Create a lock file, lock it, and return its path and descriptor."""
     for _ in range(TRIES):
-        path = target.with_name(f".{target.name[:LONGEST]}.{secrets.token_hex(6)}.lock")
+        path = _lock_of(target, secrets.token_hex(6))
         descriptor = os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o666)
         try:
             if not _take(descriptor) or _is(path, descriptor):

@@ -13,6 +13,7 @@ from fg_orient.formats.load import load_bytes
 from fg_orient.model.declaration import toml
 from fg_orient.model.errors import FgOrientError, InputError
 from fg_orient.model.limits import exceeded, limit
+from fg_orient.model.paths import require_path
 
 #: Part of a dotted key and the blanks after it. The number of parts is limited: the time
 #: and memory to read a key grow with the square of this number.
@@ -35,11 +36,8 @@ def parse_toml(path: Path) -> dict[str, Any]:
     InputError
         The file cannot be read, is not TOML, or exceeds a limit.
     """
-    try:
-        is_file = path.is_file()
-    except OSError as error:  # the name is too long
-        raise InputError.of("project.unreadable", file=path, value=error.strerror) from None
-    if not is_file:
+    require_path(path)
+    if not path.is_file():
         raise no_project_file(path)
     try:
         text = load_bytes(path, "toml_bytes", "project.unreadable").decode("utf-8-sig")

@@ -13,6 +13,7 @@ from pathlib import Path
 from types import ModuleType
 
 from fg_orient.model.errors import FgOrientError, Finding, InputError, finding
+from fg_orient.model.paths import require_path
 
 #: Loaded files, with the names that tracebacks contain.
 _LOADED: set[str] = set()
@@ -25,6 +26,7 @@ def load_plugin(path: str | Path) -> ModuleType:
     ``sys.path``, so that worker processes find the module. If the file cannot be imported, the InputError names the
     line.
     """
+    require_path(path)
     path = Path(path).resolve()
     if not path.is_file() or path.suffix != ".py" or not path.stem.isidentifier():
         raise InputError.of("plugin.file", file=path, option="plugin")

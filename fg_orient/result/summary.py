@@ -55,6 +55,8 @@ SCHEMA_VERSION: Final = 1
 MAX_NAMED: Final = 50
 #: Maximum number of singular values in the record; the smallest ones are kept.
 KEPT: Final = 1000
+#: Maximum length of a file name made from an image id, bytes; a number and the end of the name are added to it.
+LONGEST_STEM: Final = 150
 
 
 def result_of(
@@ -142,11 +144,12 @@ def _about(problem: Problem, folder: Path, out: str, command: Sequence[str]) -> 
 def file_stems(names: Iterable[str]) -> dict[str, str]:
     """Make a file name from each image id.
 
-    Unsafe characters become ``_``; equal names get numbers.
+    Unsafe characters become ``_``; long names are cut; equal names get numbers.
     """
     stems: dict[str, str] = {}
     for name in names:
-        stem = safe = re.sub(r"[^\w.-]", "_", name)
+        # letters of any script may have several bytes
+        stem = safe = re.sub(r"[^\w.-]", "_", name).encode()[:LONGEST_STEM].decode(errors="ignore")
         while stem.lower() in map(str.lower, stems.values()):
             stem = f"{safe}_{len(stems)}"
         stems[name] = stem

@@ -21,7 +21,7 @@ from pydantic import Field
 from factors.arrays import Array
 from fg_orient.formats.atomic import write_lines
 from fg_orient.formats.registry import Format
-from fg_orient.formats.schema import Number, Positive, Table, Text, read_toml, validate
+from fg_orient.formats.schema import FilePath, Number, Positive, Table, Text, read_toml, validate
 from fg_orient.formats.toml import entries, parse_toml
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, to_ecef
 from fg_orient.model.errors import InputError
@@ -167,7 +167,7 @@ class FrameFile(Table):
 
     schema_: Literal[1] = Field(alias="schema", description="schema = 1")
     kind: Literal["frame"] = Field(description='kind = "frame"')
-    camera: Text = Field(description="the path of the camera file in quotes")
+    camera: FilePath = Field(description="the path of the camera file in quotes")
     crs: Text = Field(description='an EPSG code in quotes, such as "EPSG:4979"')
     centre: Three = Field(description="three numbers: the projection centre in the order of a point table of this CRS")
     omega_phi_kappa_deg: Three | None = Field(default=None, description="three numbers, degrees")

@@ -20,7 +20,7 @@ from fg_orient.formats import dimap_checks as checks
 from fg_orient.formats.metadata.pushbroom import RADIUS_M, ImageTable, LightTable
 from fg_orient.formats.metadata.rpc_points import rpc_points
 from fg_orient.formats.registry import Format, xml_root
-from fg_orient.formats.schema import Table, Text, read_toml
+from fg_orient.formats.schema import FilePath, Table, Text, read_toml
 from fg_orient.formats.tables import read_numbers
 from fg_orient.formats.xml import XmlNode, read_xml
 from fg_orient.model.errors import InputError
@@ -43,8 +43,8 @@ _POSITIONS: Final = ("line", "x_m", "y_m", "z_m")
 class GridTable(Table):
     """The ``[lattice]`` table."""
 
-    directions: Text = Field(description="the path of the table of directions in quotes")
-    positions: Text = Field(description="the path of the table of positions in quotes")
+    directions: FilePath = Field(description="the path of the table of directions in quotes")
+    positions: FilePath = Field(description="the path of the table of positions in quotes")
     line_period_s: Annotated[float, Field(strict=True, ge=1e-6, le=10.0)] = Field(
         description="seconds from one line to the next, 1e-6 to 10"
     )

@@ -18,7 +18,7 @@ from factors.geometry import orbital
 from factors.geometry.interpolation import sign_aligned
 from fg_orient.formats.columns import finite
 from fg_orient.formats.registry import Format
-from fg_orient.formats.schema import Number, Positive, Switch, Table, Text, read_toml
+from fg_orient.formats.schema import FilePath, Number, Positive, Switch, Table, Text, read_toml
 from fg_orient.formats.tables import read_numbers
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.earth_rotation import DAY_S, EarthOrientation, EarthRotation, neglected
@@ -84,7 +84,7 @@ class CameraTable(Table):
     forward_m: Number = Field(default=0.0, description="the place of the line along camera X, m")
     delta_forward_m: Coefficients = Field(default=(0.0,), description="coefficients in brackets, m")
     delta_left_m: Coefficients = Field(default=(0.0,), description="coefficients in brackets, m")
-    directions: Text | None = Field(default=None, description="the path of the table of directions in quotes")
+    directions: FilePath | None = Field(default=None, description="the path of the table of directions in quotes")
 
 
 class MountingTable(Table):
@@ -99,14 +99,14 @@ class OrbitTable(Table):
     """The ``[orbit]`` table."""
 
     frame: Frame = Field(description='"ITRF", "GCRS" or "EME2000"')
-    file: Text = Field(description="the path of the table of states in quotes")
+    file: FilePath = Field(description="the path of the table of states in quotes")
 
 
 class AttitudeTable(Table):
     """The ``[attitude]`` table."""
 
     frame: AttitudeFrame = Field(description='"orbital", "ITRF", "GCRS" or "EME2000"')
-    file: Text = Field(description="the path of the table of attitudes in quotes")
+    file: FilePath = Field(description="the path of the table of attitudes in quotes")
     orbital_frame: OrbitalFrame = Field(
         default="earth-fixed velocity", description='"earth-fixed velocity", "inertial velocity" or "kepler"'
     )
@@ -115,7 +115,7 @@ class AttitudeTable(Table):
 class EarthTable(Table):
     """The ``[earth]`` table."""
 
-    orientation: Text = Field(description="the path of an IERS C04 file in quotes")
+    orientation: FilePath = Field(description="the path of an IERS C04 file in quotes")
 
 
 class LightTable(Table):

@@ -27,6 +27,14 @@ installation.user_file: this file hides the package 'factors' of fg_orient in {o
     -> give the file a name that is not the name of a package, such as {new}
 installation.user_folder: this folder hides the package 'factors' of fg_orient in {ours}
     -> rename or remove the folder, or start Python where it is not on the search path
+path.nul: the path contains NUL, so no file can have it
+    -> check the path
+path.encoding: the path is not UTF-8, so no record can name it
+    -> rename the folder or file, or start the program in that folder and give the rest of the path
+path.long_name: a name in the path is too long for a file
+    -> give a name of at most {limit} bytes
+path.long: the path is too long
+    -> give a path of at most {limit} bytes
 output.exists: the output exists already
     -> give another {option} or add <overwrite>
 output.busy: another run is writing this file
