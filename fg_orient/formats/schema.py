@@ -267,7 +267,7 @@ def _problem(kind: str, loc: tuple[int | str, ...], value: object, file: str, ro
         hint = did_you_mean(path.rpartition(".")[2], siblings)
         return finding("project.unknown_key", file=file, place=path, value=value, hint=hint)
     if kind == _PATH and (fault := path_fault(str(value))) is not None:
-        return replace(fault, file=file, place=path, value=str(value))
+        return finding(fault.code, file=file, place=path, value=value, **fault.data)
     expected = field.description if field is not None else "a value of the right type"
     if path == "schema" and kind != "missing":
         return finding("project.schema", file=file, place=path, value=value)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from fg_orient.formats.atomic import RESULT_TABLES
+from fg_orient.formats.recorded_run import require_repeatable
 from fg_orient.formats.table_write import is_binary
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.model.errors import Finding, InputError, finding
@@ -172,14 +173,8 @@ def replay(
 def _read(folder: Path) -> tuple[Record, Record]:
     """Return the record of a result, and its entry for the repetition."""
     record = read_record(folder)
-    try:
-        kept = record["provenance"]
-        if not all(kept[name] for name in ("inputs", "versions", "repeat", "command")):
-            raise KeyError("provenance")
-        return record, kept["repeat"]
-    except (KeyError, TypeError) as error:
-        file = folder / RESULT_FILE
-        raise InputError.of("replay.record", file=file, place="provenance", value=error) from None
+    require_repeatable(record, folder / RESULT_FILE)
+    return record, record["provenance"]["repeat"]
 
 
 def _project_file(folder: Path, old: Mapping[str, Any], given: Path | None) -> Path:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,8 @@ import pytest
 import fg_orient as fg
 from fg_orient.adjustment.loop import IterationRecord
 from fg_orient.cli.results import show_replay as show
-from fg_orient.model.errors import finding
+from fg_orient.formats.recorded_run import require_repeatable
+from fg_orient.model.errors import InputError, finding
 from fg_orient.orientation.replay import OCCASION, Replay, changed_sources, compare_records, compare_tables
 from fg_orient.orientation.run import run_project
 from tests.support.results import sealed
@@ -103,6 +105,48 @@ def test_records_that_cannot_be_repeated(run: Any, spoiled: Path, tmp_path: Path
     (result / "result.json").write_text(json.dumps(record), encoding="utf-8")
     ended = run("replay", sealed(result))
     assert ended.code == 2 and "does not contain the data to repeat its run" in ended.stderr
+
+
+DIGEST = 64 * "0"
+DEM = {"file": "dem.tif", "sha256": DIGEST, "sigma_m": 1.0, "vertical_crs": ""}
+START = {"folder": "earlier", "prior": True, "files": {"eop.csv": DIGEST}}
+
+
+def _changed(record: Any, place: str, value: object) -> Any:
+    """Return a record with another value at a place such as ``provenance.inputs.1.file``."""
+    name, _, rest = place.partition(".")
+    key = int(name) - 1 if isinstance(record, list) else name
+    changed = list(record) if isinstance(record, list) else dict(record)
+    changed[key] = _changed(record[key], rest, value) if rest else value
+    return changed
+
+
+@pytest.mark.behaviour
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        ("inputs", []), ("inputs", 1), ("inputs.1", "x"), ("inputs.1.file", None), ("inputs.1.file", 300 * "x"),
+        ("inputs.1.file", "a\0b"), ("inputs.2.sha256", 1), ("inputs.2.sha256", "x"), ("versions", "x"),
+        ("versions", {"numpy": 1}), ("command", 1), ("command", [1]), ("repeat", 1), ("repeat.options", []),
+        ("repeat.options", {"bogus": 1}), ("repeat.options", {"plugin": "x.py"}),
+        ("repeat.options", {"max_iterations": "x"}), ("repeat.parts", "x"), ("repeat.parts", 0),
+        ("repeat.in_parts", 1), ("repeat.dem_control", {}), ("repeat.dem_control", {"file": 1}),
+        ("repeat.dem_control", {**DEM, "sigma_m": "x"}), ("repeat.start", "x"), ("repeat.start", {**START, "files": 1}),
+        ("repeat.start", {**START, "folder": "a\0b"}),
+    ],
+)  # fmt: skip
+def test_a_record_with_another_provenance_is_refused_with_the_key(place: str, value: object, robust: Path) -> None:
+    """``DEM``, ``START`` and the record of a run are allowed; with one change, each is refused."""
+    record, file = record_of(robust / "result"), robust / "result" / "result.json"
+    for name, allowed in (("repeat.dem_control", DEM), ("repeat.start", START)):
+        record = _changed(record, f"provenance.{name}", allowed)
+    require_repeatable(record, file)
+    with pytest.raises(InputError) as caught:
+        require_repeatable(_changed(record, f"provenance.{place}", value), file)
+    for problem in caught.value.problems:
+        assert problem.code == "replay.record" and problem.file == str(file)
+        parts = [part for part in re.split(r"[.\[\]]+", problem.place) if part]
+        assert parts[: 1 + place.count(".") + 1] == ["provenance", *place.split(".")]
 
 
 @pytest.mark.behaviour

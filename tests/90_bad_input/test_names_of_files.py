@@ -61,6 +61,7 @@ def test_a_project_file_that_names_an_impossible_file(
     with pytest.raises(InputError) as caught:
         require_files(path)
     assert [(p.code, p.place) for p in caught.value.problems if p.place] == [(code, place)]
+    assert all(len(p.text()) < 400 for p in caught.value.problems)
 
 
 @pytest.mark.parametrize(
