@@ -26,7 +26,7 @@ import numpy.typing as npt
 from factors.arrays import Mask
 from fg_orient.formats.arrow_sizes import decoded_sizes
 from fg_orient.formats.columns import Cells, CodedCells, NumberCells
-from fg_orient.formats.faults import Faults
+from fg_orient.formats.faults import BREAKS, LONGEST, Faults
 from fg_orient.formats.parquet_sizes import largest_group_bytes
 from fg_orient.formats.table_write import WHOLE, WORDS, Column, are_numbers, comment_lines, texts
 from fg_orient.formats.text_files import read_data
@@ -50,10 +50,6 @@ ROW_GROUP: Final = 250_000
 DICTIONARY: Final = 16_000_000
 #: Minimum number of bytes that a cell needs in memory.
 PER_CELL: Final = 16
-#: Maximum number of characters of a text.
-LONGEST: Final = 10_000
-#: Characters that a text must not contain.
-BREAKS: Final = "\n\r\0"
 #: Kinds of columns that are converted to arrays of numbers.
 NUMBERS: Final = ("whole", "number")
 

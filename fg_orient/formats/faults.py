@@ -18,6 +18,11 @@ from fg_orient.model.errors import Finding, InputError, finding
 
 #: Maximum number of faults that are listed for a file; the other faults are only counted.
 MAX_FAULTS: Final = 20
+#: Maximum number of characters of a text in a cell, and characters that it must not contain.
+LONGEST: Final = 10_000
+BREAKS: Final = "\n\r\0"
+#: Text that a reader of tables does not change: it has no outer blanks and no line breaks.
+_ID: Final = re.compile(rf"(?!\s)[^{BREAKS}]+(?<!\s)")
 
 
 class Faults:
@@ -74,6 +79,11 @@ class Faults:
         """Raise one InputError with all faults, if there are any."""
         if self:
             raise InputError(*self.problems)
+
+
+def is_id(text: str) -> bool:
+    """Return whether a text can be the id of a point or image in a table: a reader neither changes nor refuses it."""
+    return len(text) <= LONGEST and _ID.fullmatch(text) is not None
 
 
 def sigma_remarks(

@@ -8,15 +8,14 @@ differ. They raise InputError if the file cannot be written.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 
 from factors.arrays import Array, Mask
 from fg_orient.formats.atomic import write_lines
+from fg_orient.formats.faults import is_id
 from fg_orient.formats.points import COLUMNS, FIXED, SIGMA_COLUMNS
 from fg_orient.formats.table_write import Column, comment_lines, save_table
 from fg_orient.formats.toml import entries
@@ -25,7 +24,6 @@ from fg_orient.model.block import Options
 from fg_orient.model.declaration import declared
 from fg_orient.model.names import Role
 
-_BREAK: Final = re.compile("[\n\r\0]")
 __all__ = ["write_observations", "write_points", "write_project"]
 
 
@@ -143,8 +141,10 @@ def write_project(
 def _require_readable(names: Sequence[str]) -> None:
     """Raise ValueError if a reader would change or refuse an id."""
     for name in set(names):
-        if not name or name != name.strip() or _BREAK.search(name):
-            raise ValueError(f"the id {name!r} cannot be written: it is empty, or has outer blanks or line breaks")
+        if not is_id(name):
+            raise ValueError(
+                f"the id {name!r} cannot be written: it is empty or too long, or has outer blanks or line breaks"
+            )
 
 
 def _triples(values: Array) -> Array:

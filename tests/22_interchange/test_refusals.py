@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from fg_orient.formats.exchange.convert import filled, read_survey, write_survey
 from fg_orient.formats.exchange.survey import Survey
+from fg_orient.formats.points_write import write_points
 from fg_orient.formats.registry import Settings, formats
 from fg_orient.formats.scenes import Scene
 from fg_orient.model.errors import InputError
@@ -153,3 +155,31 @@ def test_what_a_format_needs_is_asked_for_by_option(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="option height"):
         write_survey(points, out, formats()["csv"], Settings(crs="EPSG:4979"))
     assert not out[0].exists()
+
+
+def _geojson(*ids: str) -> str:
+    """Return the text of a GeoJSON file of points with these ids."""
+    point = {"type": "Point", "coordinates": [31.5, 41.5, 100.0]}
+    features = [{"type": "Feature", "geometry": point, "properties": {"id": one}} for one in ids]
+    return json.dumps({"type": "FeatureCollection", "features": features})
+
+
+@pytest.mark.parametrize(
+    ("name", "code"),
+    [("a\0b", "table.text"), ("a\nb", "table.text"), ("\0", "table.text"), (10_001 * "a", "table.text"),
+     ("  ", "points.id_missing"), ("", "points.id_missing")],
+)  # fmt: skip
+def test_an_id_that_no_table_can_contain_is_refused_by_every_reader(name: str, code: str, tmp_path: Path) -> None:
+    """A format cannot change such an id, or write a file that our readers refuse."""
+    with pytest.raises(InputError) as caught:
+        read(tmp_path, "geojson", _geojson("1", name))
+    assert [(p.code, p.place.partition(",")[0]) for p in caught.value.problems] == [(code, "line 2")]
+
+
+def test_outer_blanks_do_not_belong_to_an_id(tmp_path: Path) -> None:
+    """An id of a layer is read as from a table, whose cells have no outer blanks."""
+    survey, _ = read(tmp_path, "geojson", _geojson(" a", "b c\t", "d\u2028e"))
+    assert survey.ids == ("a", "b c", "d\u2028e")
+    table = tmp_path / "points.csv"
+    write_points(table, survey.ids, survey.roles, survey.coordinates, np.ones((3, 3)))
+    assert read(tmp_path, "csv", table.read_bytes(), crs="EPSG:4979")[0].ids == survey.ids

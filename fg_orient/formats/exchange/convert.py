@@ -16,7 +16,7 @@ import numpy as np
 from factors.arrays import Array, Index, Mask
 from fg_orient.formats.atomic import outputs, require_free_files
 from fg_orient.formats.exchange.survey import Survey
-from fg_orient.formats.faults import Faults
+from fg_orient.formats.faults import LONGEST, Faults, is_id
 from fg_orient.formats.heights import on_found_grid
 from fg_orient.formats.registry import Format, Holds, Settings
 from fg_orient.formats.scenes import Scene, check_positions
@@ -69,11 +69,25 @@ def read_survey(
         raise InputError.of("interchange.no_reader", file=file, option="from", value=format_.name)
     require_usable(paths, format_, accept_unverified)
     survey = format_.read(tuple(paths), settings)
+    _require_ids(survey, str(file))
     settings.require_images(survey.images, file)
     remarks = check_ground(survey, str(file), scenes) if survey.crs else ()
     if not format_.verified:
         remarks = (finding("remark.unverified", file=file, value=format_.name), *remarks)
     return survey, remarks
+
+
+def _require_ids(survey: Survey, file: str) -> None:
+    """Refuse ids that no table can contain, with the code of tables."""
+    faults = Faults(file)
+    for k, name in enumerate(survey.ids):
+        if not is_id(name):
+            place = survey.place(k) if survey.lines[k] else f"point {k + 1}"
+            faults.add("table.text", place=f"{place}, id", value=repr(name), limit=LONGEST)
+    for name in survey.images:
+        if not is_id(name):
+            faults.add("table.text", place="image", value=repr(name), limit=LONGEST)
+    faults.raise_if_any()
 
 
 def require_usable(paths: Sequence[Path], format_: Format, accept_unverified: bool) -> None:

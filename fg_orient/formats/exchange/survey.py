@@ -162,7 +162,8 @@ class Gathering:
         self, name: str, role: Role, coordinates: Sequence[float], sigma: Sequence[float] = UNKNOWN, *,
         line: int, fixed: bool = False,
     ) -> None:  # fmt: skip
-        """Add a ground point."""
+        """Add a ground point; outer blanks do not belong to its id."""
+        name = name.strip()
         if not name:
             self.faults.add("points.id_missing", place=f"line {line}")
         elif name in self._point:
@@ -174,7 +175,7 @@ class Gathering:
 
     def start(self, name: str, coordinates: Sequence[float]) -> None:
         """Add approximate coordinates of a tie point."""
-        self._starts[name] = coordinates
+        self._starts[name.strip()] = coordinates
 
     def feature(
         self, name: str, role: str, coordinates: Sequence[float], sigma: Sequence[float], *, number: int, fixed: bool
@@ -195,6 +196,7 @@ class Gathering:
         sigma: Sequence[float] = UNKNOWN[:2], *, line: int,
     ) -> None:  # fmt: skip
         """Add an image point with line, sample and their standard deviations; (0, 0) is the first pixel's centre."""
+        image, name = image.strip(), name.strip()
         if not image or not name:
             self.faults.add("interchange.name_missing", place=f"line {line}")
             return

@@ -225,7 +225,7 @@ table.memory: {rows} rows of {columns} columns need more memory than {allowed}
     -> use a machine with more memory, or give fewer rows
 table.column_type: the type of the column cannot be used
     -> write {expected}
-table.text: the text contains line breaks or NUL, or has more than {limit} characters
+table.text: the text contains line breaks, NUL or outer blanks, or has more than {limit} characters
     -> correct the text
 table.empty: the file has no header line
     -> begin with a line that names the columns: {columns}
