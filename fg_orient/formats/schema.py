@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, ValidationError, create_model
 from pydantic.fields import FieldInfo
-from pydantic_core import PydanticCustomError
 
 from fg_orient.formats.faults import did_you_mean
 from fg_orient.formats.toml import parse_toml
@@ -56,14 +55,13 @@ Crs = Annotated[Text, AfterValidator(_with_codes)]
 
 def _possible(name: str) -> str:
     """Refuse a path that no file can have."""
-    fault = path_fault(name)
-    if fault is not None:
-        raise PydanticCustomError(_PATH, "not a path")
+    if path_fault(name) is not None:
+        raise AssertionError
     return name
 
 
-#: Kind of pydantic's error for a path that no file can have.
-_PATH: Final = "path"
+#: Kind of pydantic's error after AssertionError, which only :func:`_possible` raises.
+_PATH: Final = "assertion_error"
 FilePath = Annotated[Text, AfterValidator(_possible)]
 
 
