@@ -35,6 +35,10 @@ EVERY_S: Final = 60.0
 RECORDS: Final = 50_000
 _NUMBERS: Final = tuple(f.name for f in fields(Carried) if f.name not in ("state", "log"))
 _WHOLE: Final = ("rejected", "rising", "begun_at")
+#: These numbers may have no value, which is nan or inf.
+_OPTIONAL: Final = ("control", "previous", "mu")
+#: Squares of larger numbers overflow. No iteration writes them.
+_LARGEST: Final = 1e150
 
 
 class Checkpoint:
@@ -98,7 +102,8 @@ class Checkpoint:
     def read(self, problem: Problem) -> tuple[str, Carried[State]] | None:
         """Return the backend and input of its next iteration; None without a file or without ``resume``.
 
-        InputError: the file is not a checkpoint, or belongs to another problem.
+        InputError: the file is not a checkpoint, belongs to another problem, or was changed so that no iteration can
+        have written it.
         """
         self._pending = None
         if not (self.resume and self.path.exists()):
@@ -108,11 +113,14 @@ class Checkpoint:
             if int(arrays["format"]) != FORMAT:
                 raise InputError.of("checkpoint.unreadable", file=self.path, value=f"format {arrays['format']}")
             belongs_to, backend, carried = str(arrays["fingerprint"]), str(arrays["backend"]), _carried(arrays)
-        except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        except (OSError, ValueError, TypeError, KeyError, EOFError, OverflowError, zipfile.BadZipFile) as error:
             raise InputError.of("checkpoint.unreadable", file=self.path, value=type(error).__name__) from error
         self._of, self._pending, self._fingerprint = problem, None, fingerprint(problem, self.scope)
         if belongs_to != self._fingerprint:
             raise InputError.of("checkpoint.other", file=self.path, option="resume")
+        wrong = _impossible(problem, backend, carried)
+        if wrong:
+            raise InputError.of("checkpoint.unreadable", file=self.path, value=wrong)
         return backend, carried
 
     def remove(self) -> None:
@@ -130,6 +138,24 @@ def _carried(arrays: dict[str, npt.NDArray[Any]]) -> Carried[State]:
     log = [dict(zip(names, row, strict=True)) for row in arrays["log"].tolist()]
     records = (IterationRecord(**r | {"iteration": int(r["iteration"]), "accepted": bool(r["accepted"])}) for r in log)
     return Carried(state, log=tuple(records), **numbers)
+
+
+def _impossible(problem: Problem, backend: str, carried: Carried[State]) -> str:
+    """Return the name of a part that no iteration of this problem can have written; "" if there is none."""
+    for name in ("image", "ground"):
+        values, start = getattr(carried.state, name), getattr(problem.start, name)
+        if values.shape != start.shape or values.dtype != start.dtype:
+            return name
+        if not np.all((np.abs(values) <= _LARGEST) | np.isnan(start)):
+            return name
+    for name in _NUMBERS:
+        value, n = getattr(carried, name), len(carried.log)
+        possible = 0 <= value <= n if name in _WHOLE else abs(value) <= _LARGEST
+        if not possible and (name not in _OPTIONAL or math.isfinite(value)):
+            return name
+    if any(r.iteration != k or not 0.0 <= r.seconds <= _LARGEST for k, r in enumerate(carried.log, start=1)):
+        return "log"
+    return "" if backend != "auto" and declared(Options)["backend"].allows(backend) else "backend"
 
 
 def fingerprint(problem: Problem, scope: str = "") -> str:

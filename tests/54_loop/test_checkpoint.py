@@ -230,6 +230,46 @@ def test_a_file_with_something_missing_is_no_checkpoint(tmp_path: Path, left_out
         Checkpoint(path, resume=True).read(problem)
 
 
+def _with_number(name: str, value: float) -> Any:
+    """Return a function that changes one of the numbers of a checkpoint."""
+    k = module._NUMBERS.index(name)
+    return lambda numbers: np.concatenate([numbers[:k], [value], numbers[k + 1 :]])
+
+
+@pytest.mark.behaviour
+@pytest.mark.parametrize(
+    ("array", "change", "part"),
+    [
+        ("image", lambda a: a[:, :-1], "image"), ("image", lambda a: a.astype(str), "image"),
+        ("image", lambda a: a + np.nan, "image"), ("image", lambda a: a.astype(complex), "image"),
+        ("ground", lambda a: a[:-1], "ground"), ("ground", lambda a: a.astype("f4"), "ground"),
+        ("ground", lambda a: np.full_like(a, 1e308), "ground"), ("log", lambda a: np.full_like(a, 1e308), "log"),
+        ("log", lambda a: np.full_like(a, np.inf), "OverflowError"), ("log", lambda a: a[::-1], "log"),
+        ("numbers", lambda a: np.full_like(a, 1e308), "control"), ("numbers", _with_number("growth", np.inf), "growth"),
+        ("numbers", _with_number("begun_at", 3.0), "begun_at"), ("numbers", _with_number("rejected", -1.0), "rejected"),
+        ("numbers", _with_number("rising", np.inf), "OverflowError"),
+        ("numbers", _with_number("image_scale", np.nan), "image_scale"),
+        ("backend", lambda _: np.array("auto"), "backend"), ("backend", lambda _: np.array("x"), "backend"),
+    ],
+)  # fmt: skip
+def test_a_changed_file_with_the_same_fingerprint_is_refused(
+    array: str, change: Any, part: str, tmp_path: Path
+) -> None:
+    path, problem = tmp_path / "file", spoiled(backend="schur")
+    log = tuple(IterationRecord(k, 9.0, 8.0, 1.0, 1.0, 1.0, np.inf, True, 0.1) for k in (1, 2))
+    keeper, resumed = Checkpoint(path), Checkpoint(path, resume=True)
+    keeper.keep(problem, "schur", Carried(problem.start, log=log))
+    keeper.write()
+    assert resumed.read(problem) is not None
+    with np.load(path) as content:
+        arrays = dict(content)
+    with path.open("wb") as stream:
+        np.savez(stream, **{**arrays, array: change(arrays[array])})
+    with pytest.raises(InputError, match="not a checkpoint of this version") as caught:
+        resumed.read(problem)
+    assert caught.value.problems[0].value == part
+
+
 @pytest.mark.behaviour
 def test_a_checkpoint_used_for_two_problems_belongs_to_the_second(tmp_path: Path) -> None:
     path, first, second = tmp_path / "file", spoiled(backend="schur"), spoiled(backend="schur", eop_set=2)
