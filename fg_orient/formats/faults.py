@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 
 from factors.arrays import Array
+from fg_orient.model.arrays import name_fault
 from fg_orient.model.errors import Finding, InputError, finding
 
 #: Maximum number of faults that are listed for a file; the other faults are only counted.
@@ -21,8 +22,6 @@ MAX_FAULTS: Final = 20
 #: Maximum number of characters of a text in a cell, and characters that it must not contain.
 LONGEST: Final = 10_000
 BREAKS: Final = "\n\r\0"
-#: Text that a reader of tables does not change: it has no outer blanks and no line breaks.
-_ID: Final = re.compile(rf"(?!\s)[^{BREAKS}]+(?<!\s)")
 
 
 class Faults:
@@ -83,7 +82,7 @@ class Faults:
 
 def is_id(text: str) -> bool:
     """Return whether a text can be the id of a point or image in a table: a reader neither changes nor refuses it."""
-    return len(text) <= LONGEST and _ID.fullmatch(text) is not None
+    return len(text) <= LONGEST and not name_fault(text)
 
 
 def sigma_remarks(

@@ -62,6 +62,8 @@ def array(
         given = np.asarray(values)
     except ValueError:  # numpy raises this for rows of different lengths
         raise wrong(place, "rows of unequal length", f"an array of {words}") from None
+    if np.ma.is_masked(values):  # numpy would use the numbers below the mask
+        raise wrong(place, "masked values", f"an array of {words} without masked values")
     if given.size and given.dtype.kind not in accepted:
         seen = type(values).__name__ if given.dtype == object and not given.ndim else given.dtype
         raise wrong(place, seen, f"an array of {words}")
@@ -126,8 +128,8 @@ def name_fault(name: object) -> str:
         return "text"
     if not name:
         return "a text that is not empty"
-    if name != name.strip() or any(mark in name for mark in "\r\n"):
-        return "a text without line breaks, and without blanks at its ends"
+    if name != name.strip() or any(mark in name for mark in "\r\n\0"):
+        return "a text without line breaks and NUL, and without blanks at its ends"
     return ""
 
 
@@ -143,7 +145,7 @@ def names(values: Sequence[str], place: str) -> tuple[str, ...]:
     try:
         joined = "\n".join(out)
         good = all(out) and tuple(map(str.strip, out)) == out
-        good = good and joined.count("\n") == max(len(out) - 1, 0) and "\r" not in joined
+        good = good and joined.count("\n") == max(len(out) - 1, 0) and "\r" not in joined and "\0" not in joined
     except TypeError:
         good = False
     if not good:

@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from factors.arrays import Array, Mask
 from factors.geometry import ellipsoid
+from fg_orient.model.arrays import array, wrong
 from fg_orient.model.errors import Finding, InputError, OutOfImage, finding
 from fg_orient.sensors.correction import HeightSurface
 from fg_orient.sensors.surface import landed
@@ -279,11 +280,28 @@ class Sensor(ABC):
         return line, np.array([self.first_sample, self.last_sample, self.last_sample, self.first_sample])
 
 
-def same_length(*values: npt.ArrayLike) -> list[Array]:
-    """Expand scalars and arrays to arrays (N,) of the same length in C order."""
-    return [
-        np.ascontiguousarray(a) for a in np.broadcast_arrays(*(np.atleast_1d(np.asarray(v, float)) for v in values))
-    ]
+def same_length(*values: npt.ArrayLike, place: str = "line, sample") -> list[Array]:
+    """Expand scalars and arrays to arrays (N,) of the same length in C order.
+
+    InputError: they are not numbers, have several dimensions, or have other lengths; ``place`` names them.
+    """
+    given = [np.atleast_1d(array(v, place)) for v in values]
+    lengths = {len(v) for v in given} - {1}
+    if len(lengths) > 1 or any(v.ndim > 1 for v in given):
+        seen = ", ".join(f"shape {v.shape}" for v in given)
+        raise wrong(place, seen, "numbers, or arrays (n,) of the same length")
+    return [np.ascontiguousarray(a) for a in np.broadcast_arrays(*given)]
+
+
+def ground_rows(ground_m: npt.ArrayLike) -> Array:
+    """Return ground points as an array (N, 3); a single point (3,) is one row.
+
+    InputError: they are not numbers or have another shape.
+    """
+    given = np.atleast_2d(array(ground_m, "ground_m"))
+    if given.ndim != 2 or given.shape[1] != 3:
+        raise wrong("ground_m", f"shape {given.shape}", "numbers of shape (n, 3)")
+    return given
 
 
 def placed(values: Mapping[str, float], names: tuple[str, ...]) -> Array:

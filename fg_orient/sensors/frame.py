@@ -30,7 +30,7 @@ from fg_orient.model.parameters import require_unknowns
 if TYPE_CHECKING:
     from factors._contract import Equation
     from fg_orient.model.block import ImagePoints, Options
-from fg_orient.sensors.base import ImageModel, Sensor, placed, same_length
+from fg_orient.sensors.base import ImageModel, Sensor, ground_rows, placed, same_length
 from fg_orient.sensors.frame_unknowns import FURTHER, INTERIOR, NAMES, UNKNOWNS, camera_parameters
 
 #: Names of the two distortion equations. The name states the direction of the polynomial.
@@ -325,7 +325,7 @@ class FrameSensor(Sensor):
 
     def project(self, ground_m: npt.ArrayLike, correction: npt.ArrayLike | None = None) -> tuple[Array, Array]:
         """Return line and sample of N ground points (N, 3), m; nan if a point is not in front of the camera."""
-        ground = np.atleast_2d(np.ascontiguousarray(ground_m, dtype=float))
+        ground = ground_rows(ground_m)
         line, sample, inverse = frame_corrections.pixels(self.camera.corrected(correction), ground).T
         seen = inverse > 0.0
         return np.where(seen, line, np.nan), np.where(seen, sample, np.nan)

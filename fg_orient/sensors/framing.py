@@ -21,7 +21,7 @@ from factors.arrays import Array, Mask
 from factors.cameras.frame_angles import FRAME_ANGLES, RECORD
 from fg_orient.model.errors import Finding, InputError
 from fg_orient.model.parameters import ImageParameters, require_unknowns
-from fg_orient.sensors.base import ImageModel, Sensor, placed, same_length
+from fg_orient.sensors.base import ImageModel, Sensor, ground_rows, placed, same_length
 from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation, not_a_rotation
 
 if TYPE_CHECKING:
@@ -179,7 +179,7 @@ class FramingSensor(Sensor):
     def project(self, ground_m: npt.ArrayLike, correction: npt.ArrayLike | None = None) -> tuple[Array, Array]:
         """Return line and sample of N body-fixed points (N, 3), m; nan if a point is not in front of the camera."""
         camera = self.camera.corrected(correction)
-        q = (np.atleast_2d(np.asarray(ground_m, float)) - camera.centre_m) @ camera.rotation.T
+        q = (ground_rows(ground_m) - camera.centre_m) @ camera.rotation.T
         seen = q[:, 2] * camera.focal_mm > 0.0
         with np.errstate(all="ignore"):
             ideal = camera.focal_mm * q[:, :2] / np.where(seen, q[:, 2], np.nan)[:, None]

@@ -32,7 +32,7 @@ from fg_orient.model.parameters import (
     parameter_name,
 )
 from fg_orient.sensors import projection
-from fg_orient.sensors.base import ImageModel, Sensor, same_length
+from fg_orient.sensors.base import ImageModel, Sensor, ground_rows, same_length
 from fg_orient.sensors.correction import Correction, correction_by_code, fit_eop
 from fg_orient.sensors.jitter import with_jitter
 from fg_orient.sensors.metadata import (
@@ -312,7 +312,7 @@ class PushbroomSensor(Sensor):
 
         See the module for points outside the image and for nan.
         """
-        return projection.project(self, np.atleast_2d(np.asarray(ground_m, float)), correction or Correction())
+        return projection.project(self, ground_rows(ground_m), correction or Correction())
 
     # --- adjustment --------------------------------------------------------------------------
 

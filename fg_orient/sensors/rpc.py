@@ -37,6 +37,8 @@ OTHER_BRANCH = 2.0
 #: A denominator below this value counts as near zero. In fitted models of satellite images, it is 0.9 to 1.1.
 NEAR_ZERO = 0.1
 NO_COMPENSATION = np.zeros(COMPENSATION.size)
+#: Names of the ground coordinates in messages.
+_GROUND = "lon_deg, lat_deg, height_m"
 
 
 class RpcValidity(NamedTuple):
@@ -134,14 +136,14 @@ class RpcModel:
         compensation: npt.ArrayLike | None = None,
     ) -> tuple[Array, Array]:  # fmt: skip
         """Return line and sample (pixels) of N points as two arrays (N,); nan where a denominator is zero."""
-        lon, lat, h = same_length(lon_deg, lat_deg, height_m)
+        lon, lat, h = same_length(lon_deg, lat_deg, height_m, place=_GROUND)
         return rfm_project.project(
             self.coefficients, self.offsets, self.scales, checked_compensation(compensation), lon, lat, h
         )
 
     def inside(self, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike, height_m: npt.ArrayLike) -> Mask:
         """Return a mask (N,) of the ground points in the validity range."""
-        lon, lat, h = same_length(lon_deg, lat_deg, height_m)
+        lon, lat, h = same_length(lon_deg, lat_deg, height_m, place=_GROUND)
         lon = lon - 360.0 * np.round((lon - self.offsets[RANGE.lon]) / 360.0)
         ranges = zip((lon, lat, h), self.validity[2:], strict=True)
         return np.asarray(np.all([(values >= low) & (values <= high) for values, (low, high) in ranges], axis=0))
@@ -155,7 +157,7 @@ class RpcModel:
         """
         bad = np.flatnonzero(~self.inside(lon_deg, lat_deg, height_m))
         if len(bad):
-            all_lon, all_lat, all_h = (a[bad] for a in same_length(lon_deg, lat_deg, height_m))
+            all_lon, all_lat, all_h = (a[bad] for a in same_length(lon_deg, lat_deg, height_m, place=_GROUND))
             lon, lat, h = all_lon[0], all_lat[0], all_h[0]
             v = self.validity
             only_height = self.inside(all_lon, all_lat, v.height_m[0]).all()
@@ -178,7 +180,7 @@ class RpcModel:
         Newton's method inverts the projection with analytic derivatives, to 1e-11 pixels.
         The result is nan if it does not converge within 1e-7 pixels.
         """
-        line, sample, h = same_length(line, sample, height_m)
+        line, sample, h = same_length(line, sample, height_m, place="line, sample, height_m")
         image = self._without_compensation(line, sample, checked_compensation(compensation))
         z = (h - self.offsets[RANGE.height]) / self.scales[RANGE.height]
         origin = np.zeros_like(image)
@@ -212,7 +214,7 @@ class RpcModel:
         """
         if self.direct is None:
             raise InputError.of("rpc.no_direct", file=self.file)
-        line, sample, h = same_length(line, sample, height_m)
+        line, sample, h = same_length(line, sample, height_m, place="line, sample, height_m")
         axes = [RANGE.sample, RANGE.line, RANGE.height]
         xy = rfm.values(self.direct, (np.stack([sample, line, h], axis=1) - self.offsets[axes]) / self.scales[axes])
         _, _, lon, lat, _ = self.offsets

@@ -29,7 +29,7 @@ from factors.geometry import ellipsoid
 from fg_orient.geodesy import geodetic_to_ecef
 from fg_orient.model.errors import InputError
 from fg_orient.model.parameters import ImageParameters, require_unknowns
-from fg_orient.sensors.base import ImageModel, Sensor, placed, same_length
+from fg_orient.sensors.base import ImageModel, Sensor, ground_rows, placed, same_length
 from fg_orient.sensors.correction import HeightSurface
 from fg_orient.sensors.rpc import RpcModel, span
 from fg_orient.sensors.surface import levels_below, on_surface
@@ -145,7 +145,8 @@ class RpcSensor(Sensor):
         height of its first hit. The model computes the ground point at the final height,
         so that its pixel is exact.
         """
-        line, sample, h = same_length(line, sample, 0.0 if height_m is None else height_m)
+        height = 0.0 if height_m is None else height_m
+        line, sample, h = same_length(line, sample, height, place="line, sample, height_m")
         if dem is not None:
             valid = self.model.validity.height_m
             levels = levels_below(*self.rays(line, sample, correction), dem)
@@ -164,7 +165,7 @@ class RpcSensor(Sensor):
         The rational function is also evaluated outside the image and outside the validity
         range; see :meth:`is_inside` and ``model.inside``.
         """
-        lon, lat, h = ellipsoid.geodetic_array(np.atleast_2d(np.ascontiguousarray(ground_m, dtype=float))).T
+        lon, lat, h = ellipsoid.geodetic_array(ground_rows(ground_m)).T
         return self.model.project(np.degrees(lon), np.degrees(lat), h, correction)
 
     def footprint(self) -> Array:

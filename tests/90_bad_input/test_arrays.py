@@ -17,7 +17,7 @@ import pytest
 import fg_orient as fg
 from fg_orient import closerange, rectification, rpc, simulate
 from fg_orient.model.block import Coordinates, WithheldCoordinates
-from fg_orient.model.errors import FgOrientError
+from fg_orient.model.errors import FgOrientError, InputError
 from fg_orient.rectification.fit import fit
 from tests.support.pinhole import pinhole_block
 
@@ -169,6 +169,7 @@ CASES: dict[str, tuple[Callable[[], object], str]] = {
     # image
     "image: id None": (lambda: fg.Image(None, block().images[0].sensor), "id"),  # type: ignore[arg-type]
     "image: line break in its id": (lambda: fg.Image("a\nb", block().images[0].sensor), "id"),
+    "image: NUL in its id": (lambda: fg.Image("a\0b", block().images[0].sensor), "id"),
     "image: sensor None": (lambda: fg.adjust(with_sensor(None)), "image 2"),
     "image: a path as sensor": (lambda: fg.adjust(with_sensor("rpc.txt")), "image 2"),
     "image: pixels_origin with nan": (
@@ -302,6 +303,39 @@ def test_a_wrong_value_is_refused_with_its_place(case: str) -> None:
     text = str(caught.value)
     assert "\n" not in text
     assert place in " ".join(one for p in caught.value.problems for one in (p.code, p.option, p.place)), text
+
+
+@cache
+def sensors() -> dict[str, Any]:
+    """Return a sensor of each kind by the name of its class."""
+    return {type(image.sensor).__name__: image.sensor for image in simulate.mixed_block()[0].images}
+
+
+#: Values that numpy converts to numbers, or that end inside numpy or numba.
+ODD: dict[str, Any] = {
+    "objects": np.array([None, "x"], object), "text": ["1", "2"], "truth values": [True, False], "complex": [1j, 2.0],
+    "dates": np.array(["2020-01-01"] * 2, "M8[D]"), "records": np.zeros(2, "f8,f8"), "ragged": [[1.0], [2.0, 3.0]],
+    "masked": np.ma.masked_array([1.0, 2.0], [True, False]), "two dimensions": np.ones((2, 2)), "None": None,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", ["PushbroomSensor", "FrameSensor", "RpcSensor"])
+@pytest.mark.parametrize("odd", ODD)
+def test_each_method_of_a_sensor_refuses_values_that_are_no_numbers(odd: str, kind: str) -> None:
+    sensor, one = sensors()[kind], np.array([5.0, 7.0])
+    for values in ((ODD[odd], one), (one, ODD[odd])):
+        for method in (sensor.rays, sensor.locate):
+            with pytest.raises(InputError, match="line, sample"):
+                method(*values)
+    for method in (sensor.rays, sensor.locate):
+        with pytest.raises(InputError, match=r"line, sample.*of the same length"):
+            method(one, [1.0, 2.0, 3.0])
+    with pytest.raises(InputError, match="ground_m"):
+        sensor.project(ODD[odd])
+    with pytest.raises(InputError, match=r"ground_m.*\(n, 3\)"):
+        sensor.project(sensor.locate(one, one).T)
+    assert sensor.rays([], [])[0].shape == (0, 3)
+    assert len(sensor.project(sensor.locate(5, 7)[0])[0]) == 1
 
 
 def as_given(values: Any) -> Any:
