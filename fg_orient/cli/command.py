@@ -106,7 +106,6 @@ def command(
                 values[GIVEN] = {name: value for name, value in given.items() if value is not None}
             with outcome(as_json, debug, quiet, log, flags):
                 _require_paths(values, log)
-                _require_distinct(values, log)
                 require_finite(values)
                 for name, one in joined.items():
                     values[name] = one.make(**{part: values.pop(part) for part in one.options})
@@ -124,10 +123,7 @@ def command(
 
 
 def _require_paths(values: Mapping[str, Any], log: Path | None) -> None:
-    """Raise InputError if no file can have a path, or if an output of a command would replace an input.
-
-    An output must not be an input, a file of an input result, or another output.
-    """
+    """Raise InputError if no file can have a path, or an output is an input, one of its files or another output."""
     named = [
         (name, path) for name, value in {**values, "log": log}.items()
         for path in (value if isinstance(value, list | tuple) else [value]) if isinstance(path, Path)
