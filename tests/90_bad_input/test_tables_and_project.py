@@ -199,7 +199,7 @@ def sigmas_along_the_axes(folder):
 
 def outside_the_projection(folder):
     header = HEADER.replace("lon_deg,lat_deg", "easting_m,northing_m")
-    folder.points.write_text(header + "\n01,control,1e30,1,1,1,1,1\n")
+    folder.points.write_text(header + "\n01,control,1e11,1,1,1,1,1\n")
     folder.observations.write_text("image,id,line,sample,sigma_line_px,sigma_sample_px\nleft,01,1,1,1,1\n")
     folder.change(T, "EPSG:4979", "EPSG:32636")
 
@@ -239,7 +239,7 @@ SPOILT = [
     (no_zone_fits, "points.far_most", {"place": "line 3", "message": "6 of 6 points are far from all images"}),
     (heights_above_a_geoid_without_grid, "geodesy.no_operation", {"remedy": "give geoid under [points] a file"}),
     (sigmas_along_the_axes, "points.sigma_axes", {"remedy": "sigma_east_m"}),
-    (outside_the_projection, "geodesy.outside", {"place": "line 2", "value": "1e+30 1 1"}),
+    (outside_the_projection, "geodesy.outside", {"place": "line 2", "value": "1e+11 1 1"}),
     (no_control, "block.no_control", {"file": P}),
     (unmeasured_control, "block.no_control", {"value": "4 control points in the file, 0 measured"}),
     (image_without_points, "observations.image_unused", {"value": "third"}),
