@@ -56,7 +56,16 @@ def _of_photos(folder: Path, out: Path) -> dict[str, tuple[object, ...]]:
 def _of_maps(folder: Path, out: Path) -> dict[str, tuple[object, ...]]:
     return {
         "check": ("rectify", "check", folder, "--standard", "nssda"),
-        "ortho": ("rectify", "ortho", out.parent / "source" / "IMAGE.tif", folder, "--out", out / "map.tif"),
+        "ortho": (
+            "rectify",
+            "ortho",
+            out.parent / "source" / "IMAGE.tif",
+            folder,
+            "--resolution",
+            100,
+            "--out",
+            out / "map.tif",
+        ),
     }
 
 

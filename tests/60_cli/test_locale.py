@@ -114,6 +114,7 @@ def test_files_and_words_do_not_depend_on_the_locale(plain: tuple[Path, str], tm
     assert len(of_work[0]) > 10_000 and of_work[0] == of_work[1]
 
 
+@pytest.mark.slow
 def test_numbers_keep_their_point_in_this_process(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

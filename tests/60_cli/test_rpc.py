@@ -453,6 +453,7 @@ def test_compensation_equals_the_bundle_of_one_image(kind: str) -> None:
 
 
 @pytest.mark.oracle
+@pytest.mark.slow
 def test_false_alarms_are_as_rare_as_promised() -> None:
     """Among 1500 good sets of 12 points the share with a suspect is 12 times the level, within 4 sigmas."""
     model, level, runs, n = synthetic_model(), 0.005, 1500, 12

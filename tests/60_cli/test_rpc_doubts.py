@@ -113,6 +113,7 @@ def test_a_check_point_is_judged_also_by_one_control_point() -> None:
 
 
 @pytest.mark.oracle
+@pytest.mark.slow
 def test_good_check_points_are_a_doubt_in_one_of_thousand_cases() -> None:
     """Among 400 good sets with sigmas hardly any has the doubt on check points; the level is 0.001 for each set."""
     model, measured, rng = synthetic_model(), points(noise=0.0), np.random.default_rng(2)

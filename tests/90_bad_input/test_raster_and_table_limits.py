@@ -268,7 +268,9 @@ def _points(path: Path) -> None:
     faults.raise_if_any()
 
 
-@pytest.mark.parametrize("name", TABLES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if "210 MB" in name else name for name in TABLES]
+)
 def test_table_is_refused_within_time_and_memory(tmp_path: Path, name: str) -> None:
     pa = pytest.importorskip("pyarrow")
     pytest.importorskip("pyarrow.parquet")

@@ -77,6 +77,7 @@ def test_factor_graph(repository: Path) -> None:
 
 
 @pytest.mark.behaviour
+@pytest.mark.slow
 def test_program_as_run(repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     out = run(repository, "program_as_run.py", "--only", "D5", "--out", "figures")
@@ -111,6 +112,7 @@ def test_rpc_bundle(repository: Path) -> None:
 
 
 @pytest.mark.behaviour
+@pytest.mark.slow
 def test_incremental(repository: Path) -> None:
     out = run(repository, "incremental.py")
     assert "30 images: 0 ground points wait" in out

@@ -65,6 +65,8 @@ SLOW: dict[tuple[str, str], float] = {
     ("README.md", "ortho"): 20,
     ("README.md", "--figures"): 20,
     ("README.md", "rpc fit"): 1,
+    ("README.md", "--jitter"): 2,
+    ("docs/how-to/two-images.md", ""): 8,
     ("README.md", "footprint"): 0.5,
     ("README.md", "--dem-control"): 0.5,
     ("docs/closerange.md", "reproduce"): 15,
