@@ -82,6 +82,8 @@ def _of_geopackage(path: Path, crs: str) -> tuple[list[str], list[str], Array, A
     require_plain_layers(path, (LAYER,), "interchange.gpkg")
     with foreign_bytes("interchange.gpkg", path), plain_case():
         meta, _, geometry, columns = pyogrio.raw.read(path, layer=LAYER)
+        if geometry is None or not len(geometry):
+            raise ValueError(f"the layer {LAYER} contains no lines")
         shapes = shapely.from_wkb(geometry)
     if meta["crs"] and not same_horizontal(meta["crs"], crs):
         raise InputError.of("interchange.crs_differs", file=path, place="CRS", value=meta["crs"], given=crs)
