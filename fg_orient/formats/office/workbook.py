@@ -17,7 +17,7 @@ from lxml import etree
 
 from fg_orient.formats.load import foreign_bytes
 from fg_orient.model.errors import InputError
-from fg_orient.model.limits import limit, within, within_memory
+from fg_orient.model.limits import limit, memory_for, within, within_memory
 
 _CHUNK: Final = 1 << 20
 #: Maximum memory for a cell, bytes.
@@ -97,11 +97,13 @@ def _trimmed(rows: Iterator[Any], path: Path, name: str) -> Rows:
     """Remove empty cells at the ends of rows, and empty rows at the end."""
     out: Rows = []
     cells, kept, size = 0, 0, path.stat().st_size
+    most = min(limit("workbook_cells"), memory_for(size) / _CELL)
     for row in rows:
         own = [_cell(value) for value in row]
         cells += max(len(own), 1)
-        within("workbook_cells", cells, file=path, place=f"sheet {name}", unit="cells")
-        within_memory(_CELL * cells, size, file=path, place=f"sheet {name}")
+        if cells > most:
+            within("workbook_cells", cells, file=path, place=f"sheet {name}", unit="cells")
+            within_memory(_CELL * cells, size, file=path, place=f"sheet {name}")
         while own and own[-1] == "":
             own.pop()
         out.append(own)
