@@ -380,6 +380,13 @@ def horizontal_part(crs: CRS) -> CRS:
     return crs.sub_crs_list[0] if crs.is_compound else crs.to_2d()
 
 
+def unprojected(source: CRS, first: Array, second: Array) -> Array:
+    """Return longitude, latitude (n, 2), degrees, of coordinates of a projected CRS on its own datum."""
+    flat = horizontal_part(source).to_2d()
+    back = offline_pyproj().Transformer.from_crs(flat, flat.geodetic_crs, always_xy=True)
+    return np.stack(back.transform(first, second), axis=1)
+
+
 def longitude_latitude(crs: str, source: CRS, kind: Kind, given: Array, labels: Sequence[str] | None) -> Array:
     """Return longitude, latitude (N, 2) degrees on the datum of the CRS itself, to choose an operation."""
     if kind == "geographic":
@@ -388,10 +395,7 @@ def longitude_latitude(crs: str, source: CRS, kind: Kind, given: Array, labels: 
         p = np.hypot(given[:, 0], given[:, 1])
         angles = np.stack([np.arctan2(given[:, 1], given[:, 0]), np.arctan2(given[:, 2], p)], axis=1)
         return np.asarray(np.degrees(angles))
-    proj = offline_pyproj()
-    flat = horizontal_part(source).to_2d()
-    back = proj.Transformer.from_crs(flat, flat.geodetic_crs, always_xy=True)
-    lonlat = np.stack(back.transform(given[:, 0], given[:, 1]), axis=1)
+    lonlat = unprojected(source, given[:, 0], given[:, 1])
     require_finite(crs, lonlat, given, labels)
     return np.asarray(lonlat, float)
 

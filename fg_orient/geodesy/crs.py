@@ -25,13 +25,13 @@ from fg_orient.geodesy import (
     ecef_to_geodetic,
     enu_from_ecef,
     geodetic_to_ecef,
-    horizontal_part,
     known_crs,
     offline_pyproj,
     operation_to_ecef,
     require_finite,
     same_crs,
     spatial_crs,
+    unprojected,
 )
 from fg_orient.geodesy.heights import with_vertical
 from fg_orient.model.errors import InputError
@@ -109,12 +109,8 @@ def on_own_datum(crs: str, first: Array, second: Array) -> Array:
 
     No operation between datums is searched. Impossible coordinates are nan.
     """
-    lonlat = np.stack([first, second], axis=1)
-    if crs_kind(crs) == "projected":
-        proj = offline_pyproj()
-        flat = horizontal_part(known_crs(crs)).to_2d()
-        back = proj.Transformer.from_crs(flat, flat.geodetic_crs, always_xy=True)
-        lonlat = np.stack(back.transform(first, second), axis=1)
+    is_projected = crs_kind(crs) == "projected"
+    lonlat = unprojected(known_crs(crs), first, second) if is_projected else np.stack([first, second], axis=1)
     possible = np.isfinite(lonlat).all(axis=1) & np.all(np.abs(lonlat) <= (360.0, 90.0), axis=1)
     return np.where(possible[:, None], lonlat, np.nan)
 
