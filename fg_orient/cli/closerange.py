@@ -10,11 +10,13 @@ from typing import Annotated, Any, Literal
 import typer
 
 from fg_orient.cli.command import ImageSize, Overwrite, Several, argument, command, command_line, image_sizes, option
-from fg_orient.cli.output import answer, number, say, show_components, table, tell, tell_findings
+from fg_orient.cli.log import session
+from fg_orient.cli.output import answer, flag, number, say, show_components, table, tell, tell_findings, verdict
 from fg_orient.cli.progress import progress
 from fg_orient.closerange.options import COMMON, DEFAULTS, BundleOptions, DltOptions, ImageOptions, SurfaceOptions
 from fg_orient.model.declaration import declared
-from fg_orient.model.errors import InputError, finding
+from fg_orient.model.errors import InputError, finding, findings_of
+from fg_orient.model.names import EXIT_CODE, Status
 from fg_orient.model.options import Options
 
 app = typer.Typer(help="Close range: DLT, resection, intersection, bundle, surfaces of the second degree.")
@@ -46,7 +48,7 @@ def dlt(points: Control, options: Mapping[str, Any], output: Any) -> None:
     from fg_orient.closerange.job import run_dlt
 
     record = run_dlt(points, DltOptions(**options), output=output)
-    answer(record, _show, record, _show_photos)
+    _end(record, _show, record, _show_photos)
 
 
 @app.command("resect")
@@ -56,7 +58,7 @@ def resect(points: Control, camera: Photos, options: Mapping[str, Any], output: 
     from fg_orient.closerange.job import run_resect
 
     record = run_resect(points, camera, ImageOptions(**options), output=output)
-    answer(record, _show, record, _show_photos)
+    _end(record, _show, record, _show_photos)
 
 
 @app.command("intersect")
@@ -66,7 +68,7 @@ def intersect(points: Measured, photos: Photos, options: Mapping[str, Any], outp
     from fg_orient.closerange.job import run_intersect
 
     record = run_intersect(points, photos, ImageOptions(**options), output=output)
-    answer(record, _show, record, _show_points)
+    _end(record, _show, record, _show_points)
 
 
 @app.command("relative")
@@ -85,7 +87,7 @@ def relative(
 
     output = _output(report=report, overwrite=overwrite)
     record = run_relative(points, photos, ImageOptions(**options), out=out, photos=photos_out, output=output)
-    answer(record, _show_orientation, record, "base", "")
+    _end(record, _show_orientation, record, "base", "")
 
 
 @app.command("absolute")
@@ -103,10 +105,18 @@ def absolute(
 
     output = _output(report=report, overwrite=overwrite)
     record = run_absolute(model, control, **options, out=out, output=output)
-    answer(record, _show_orientation, record, "shift", " m")
+    _end(record, _show_orientation, record, "shift", " m")
+
+
+def _end(record: dict[str, Any], show: Callable[..., None], *shown: Any) -> None:
+    """Print a result, and end the command with the exit code of its status."""
+    answer(record, show, *shown)
+    if record["status"] == Status.NOT_TRUSTWORTHY:
+        raise typer.Exit(EXIT_CODE[Status.NOT_TRUSTWORTHY])
 
 
 def _show_orientation(record: dict[str, Any], name: str, unit: str) -> None:
+    tell_findings(record)
     outer, used = record["exterior"], record.get("control", record["points"])
     say(f"{len(used)} points, redundancy {record['redundancy']}, m0 {_m0(record)}, condition {record['condition']:.3g}")
     rows = [("scale", f"{record['scale']:.8g}", _short(record["sigma_scale"]))] if "scale" in record else []
@@ -121,12 +131,12 @@ def _show_orientation(record: dict[str, Any], name: str, unit: str) -> None:
               [(c["id"], *(f"{c[f'residual_{axis}_m']:.4f}" for axis in "xyz")) for c in used])  # fmt: skip
     if record["left_out"]:
         tell("note", f"not in both: {', '.join(record['left_out'])}")
-    tell_findings(record)
     _relative_note(record)
     for written in filter(None, (record["out"], record["photos_out"])):
         say(f"written: {written}")
     if record["page"]:
         say(f"report: {record['page']}")
+    _say_status(record)
 
 
 @app.command("bundle")
@@ -165,7 +175,7 @@ def bundle(
             points, photos, own, control=control, start=start, constraints=constraints,
             stations=stations, check=check, output=output, callback=watch.iteration, stage=watch.stage, **common,
         )  # fmt: skip
-    answer(record, _show, record, _show_bundle)
+    _end(record, _show, record, _show_bundle)
 
 
 @app.command("import")
@@ -245,7 +255,7 @@ def surface(
     from fg_orient.closerange.job import run_surface
 
     record = run_surface(points, kind, SurfaceOptions(**options), priors=_priors(prior or []), output=output)
-    answer(record, _show, record, _show_surface)
+    _end(record, _show, record, _show_surface)
 
 
 def _priors(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
@@ -264,19 +274,26 @@ def _priors(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
 
 
 def _show(record: dict[str, Any], show: Callable[[dict[str, Any]], None]) -> None:
-    """Print a result by ``show``, then its doubts and files.
-
-    Doubts are also printed with ``--quiet``.
-    """
+    """Print the findings of a result, the most serious first, then the result by ``show``, its files and its status."""
+    tell_findings(record)
     show(record)
-    for text in record["doubts"]:
-        tell("warning", text)
     _relative_note(record)
     if record["out"]:
         say(f"written: {record['out']}")
     page = record["page"] or (record["out"] and str(Path(record["out"]) / "report.html"))
     if page:
         say(f"report: {page}")
+    _say_status(record)
+
+
+def _say_status(record: dict[str, Any]) -> None:
+    """Print the status, with the most serious finding if the result is not trustworthy."""
+    good = record["status"] != Status.NOT_TRUSTWORTHY
+    status = record["status"].replace("_", " ")
+    if session().quiet:  # the findings have been printed just before
+        verdict(status, good=good)
+    else:
+        say(status if good else f"{status}: {findings_of(record)[0].text(flag)}")
 
 
 def _relative_note(record: dict[str, Any]) -> None:
@@ -302,7 +319,6 @@ def _show_photos(record: dict[str, Any]) -> None:
         rows += _centre(outer)
         rows += [(f"{name}, deg", f"{outer[f'{name}_deg']:.5f}", "") for name in ("omega", "phi", "kappa")]
         table("", ("", "value", "sigma"), rows)
-        tell_findings(photo)
 
 
 def _numbers(parameters: Sequence[dict[str, Any]]) -> list[tuple[str, str, str]]:
@@ -330,13 +346,11 @@ def _show_bundle(record: dict[str, Any]) -> None:
     if record["check"] is not None:
         along = ", ".join(f"{v:.3f}" for v in record["check"]["rms_mm"])
         say(f"{record['check']['n']} check points: rms along X, Y, Z {along} mm")
-    tell_findings(record)
 
 
 def _show_points(record: dict[str, Any]) -> None:
     say(f"{len(record['points'])} points, redundancy {record['redundancy']}, m0 {_m0(record)}")
     _point_table(record)
-    tell_findings(record)
 
 
 def _point_table(record: dict[str, Any]) -> None:

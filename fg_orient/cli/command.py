@@ -253,6 +253,7 @@ def _parameters(option: Option) -> Iterator[inspect.Parameter]:
     Their default None means that the user did not give it.
     """
     kind: Any = option.kind if option.kind in (int, float) and not option.named else str
+    kind = list[str] if option.kind is Names else kind  # one list, or the option several times
     name, flag = option.name, option.flag
     if option.kind is bool:
         yield _parameter(option, name, bool, f"{flag}/--no-{flag[2:]}")
@@ -303,7 +304,8 @@ def _value(option: Option, values: dict[str, Any]) -> Any:
         return option.usual if usual else None
     if option.kind not in (Names, Three):
         return value
-    parts = tuple(part.strip() for part in value.split(",") if part.strip())
+    text = value if isinstance(value, str) else ",".join(value)
+    parts = tuple(part.strip() for part in text.split(",") if part.strip())
     try:
         return parts if option.kind is Names else tuple(map(decimal, parts))
     except ValueError:

@@ -97,8 +97,7 @@ def run_bundle(
     oriented = [] if result.beyond else result.oriented()
     parts = zip(oriented, result.interiors, result.rotations, strict=bool(oriented))
     texts = [photo_text(*part) for part in parts]
-    given_check = {name: at for name, (at, _) in withheld.items()}
-    record = {"weights": table.weights} | bundle_record(result, table, known, which, of, seen, given_check, doubts)
+    record = {"weights": table.weights} | bundle_record(result, table, known, which, of, seen, withheld, doubts)
     beside = (photos, control, check, start, constraints, stations)
     return job.finished(record, path, table, output, texts, beside)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -16,7 +17,9 @@ from fg_orient.closerange.bundle_result import Adjustment, BundleResult
 from fg_orient.closerange.fitting import compare_points
 from fg_orient.closerange.photo import NAMES, camera_of, profile
 from fg_orient.model.errors import Finding, NoSolutionError, as_record, finding
+from fg_orient.quality.accuracy import PointDifferences
 from fg_orient.quality.camera import ImageCofactors, inseparable
+from fg_orient.quality.doubts import of_check_points, with_accepted
 from fg_orient.quality.reliability import ALPHA, CHECKABLE, POWER, noncentrality
 from fg_orient.quality.significance import camera_significance
 from fg_orient.report.tables import correlations
@@ -26,6 +29,10 @@ from fg_orient.result.summary import robust_record
 
 Known = Mapping[str, tuple[Array, Array]]
 
+#: Codes, or their beginnings, of the findings of the adjustment that concern a close-range bundle.
+ASSESSED: Final = ("camera.direction", "verdict.", "solution.sigmas_large")
+#: Units of gross errors, in the words of close range.
+_UNITS: Final = {"px line, sample": "in y, x", "px line": "in y", "px sample": "in x"}
 #: Correlations of at least this size are listed.
 HIGH: Final = 0.9
 #: Maximum number of listed correlations.
@@ -45,7 +52,7 @@ def bundle_record(
     which: Index,
     of: Index,
     seen: Mapping[str, files.Station],
-    check: Mapping[str, Array],
+    check: Known,
     started: Sequence[Finding],
 ) -> job.Record:
     """Return the record of a bundle.
@@ -56,7 +63,7 @@ def bundle_record(
     table : files.Observed
         Image points. With relative weights m0 replaces the sigmas in tests.
     known, check : mappings
-        Coordinates and sigmas of control points; coordinates of check points.
+        Coordinates and sigmas of control points, and of check points.
     which, of : (m,) int arrays
         Photo and point of each image point.
     seen : mapping
@@ -102,7 +109,7 @@ def bundle_record(
         "correlations": _correlations(result),
         "directions": directions(result),
         "history": [{name: getattr(i, name) for name in HISTORY} for i in result.history],
-        **as_record([*_findings(result, known, seen, check), *started]),
+        **as_record(with_accepted([*_findings(result, table, known, seen, check), *started], options.accept)),
     }
 
 
@@ -173,13 +180,15 @@ def _distortion(result: BundleResult, table: files.Observed, which: Index) -> li
     return out
 
 
-def _points(result: BundleResult, known: Known, of: Index, check: Mapping[str, Array]) -> list[job.Record]:
+def _points(result: BundleResult, known: Known, of: Index, check: Known) -> list[job.Record]:
     n, kept = len(result.ids), ~result.rejected
     of = of[kept]
     rays = np.bincount(of, minlength=n)
     with np.errstate(invalid="ignore"):  # points without rays have no residual; the result is then nan
         misfit = np.sqrt(np.bincount(of, np.sum(result.residuals[kept] ** 2, axis=1), n) / rays)
-    given = np.array([known[i][0] if i in known else check.get(i, np.full(3, np.nan)) for i in result.ids])
+    given = np.array(
+        [known[i][0] if i in known else check[i][0] if i in check else np.full(3, np.nan) for i in result.ids]
+    )
     role = ["control" if i in known else "check" if i in check else "new" for i in result.ids]
     places = job.point_columns(result.points_m, result.sigma_m, result.point_cofactors, result.m0)
     return rows_of(
@@ -227,12 +236,15 @@ def _tested(residual: Array, sigma: Array | float, redundancy: Array) -> tuple[A
     return residual / (sigma * root), np.sqrt(noncentrality()) * sigma / root
 
 
-def _check(result: BundleResult, check: Mapping[str, Array]) -> job.Record | None:
+def _check(result: BundleResult, check: Known) -> job.Record | None:
     """Return the statistics of adjusted minus given coordinates of the check points; None without check points."""
     rows = [name for name in check if name in result.ids]
     if not rows:
         return None
-    given, ours = np.array([check[name] for name in rows]), result.points_m[[result.ids.index(name) for name in rows]]
+    given, ours = (
+        np.array([check[name][0] for name in rows]),
+        result.points_m[[result.ids.index(name) for name in rows]],
+    )
     measures = compare_points(given, ours, np.zeros(len(rows), bool)).other
     return {
         "n": len(rows),
@@ -322,11 +334,18 @@ def _words(direction: Array, labels: Sequence[str]) -> str:
 
 
 def _findings(
-    result: BundleResult, known: Known, seen: Mapping[str, files.Station], check: Mapping[str, Array]
+    result: BundleResult, table: files.Observed, known: Known, seen: Mapping[str, files.Station], check: Known
 ) -> list[Finding]:
-    """Return the warnings on the result."""
-    solution = result.solution
-    out = job.no_redundancy(result.m0)
+    """Return the findings on the result.
+
+    With relative weights the adjustment assumes 1 as the standard deviation of an image coordinate: then its tests are
+    not used, but those of :mod:`fg_orient.closerange.assessment`.
+    """
+    solution, absolute = result.solution, table.sigma is not None
+    of_adjustment = ASSESSED if absolute else ASSESSED[:1]
+    out = [of_photos(one) for one in solution.findings if one.code.startswith(of_adjustment)]
+    out += of_check_points(_check_points(result, check)) if absolute else []
+    out += job.no_redundancy(result.m0)
     out += solution.snooping.findings() if solution.snooping is not None else ()
     out += solution.components.findings if solution.components is not None else ()
     for code, names, measured in (
@@ -338,10 +357,28 @@ def _findings(
         if unseen:
             out.append(finding(code, names=unseen))
     out += inseparable(_cofactors(result))
-    out += [one for one in solution.findings if one.code == "camera.direction"]
     if result.beyond:
         out.append(finding("closerange.no_photo_file", parameters=result.beyond))
     return out
+
+
+def of_photos(found: Finding) -> Finding:
+    """Return a finding of the adjustment in the words of close range: x and y, in the unit of the image coordinates."""
+    data = dict(found.data)
+    if "unit" in data:
+        data["unit"] = _UNITS.get(data["unit"], data["unit"])
+    if found.code.startswith("verdict.sigmas"):
+        data["words"] = data["words"].replace(" px", "")
+    return replace(found, data=data)
+
+
+def _check_points(result: BundleResult, check: Known) -> PointDifferences:
+    """Return adjusted minus given coordinates of the check points, with the cofactors of the adjusted points."""
+    rows = np.array([k for k, name in enumerate(result.ids) if name in check], np.intp)
+    names = tuple(result.ids[k] for k in rows)
+    given, sigma = (np.array([check[name][k] for name in names]).reshape(-1, 3) for k in (0, 1))
+    difference = result.points_m[rows] - given
+    return PointDifferences(names, rows, difference, difference, result.point_cofactors[rows], sigma)
 
 
 def _cofactors(result: BundleResult) -> Iterator[ImageCofactors]:

@@ -75,6 +75,8 @@ class Fit:
     condition : float
         Condition number of the design with columns of unit length.
     iterations : int
+    redundancy_numbers : (n,) array
+        Redundancy number of each residual, in the order of the residuals.
     """
 
     cofactors: Array
@@ -82,6 +84,7 @@ class Fit:
     redundancy: int
     condition: float
     iterations: int
+    redundancy_numbers: Array
 
     @property
     def sigma(self) -> Array | None:
@@ -99,6 +102,7 @@ def statistics(whitened: Array, assessed: Determination, iterations: int, away: 
         "redundancy": redundancy,
         "condition": assessed.condition,
         "iterations": iterations,
+        "redundancy_numbers": 1.0 - assessed.leverage[: len(whitened)],
     }
 
 
@@ -149,12 +153,13 @@ class Determination:
     ``condition``: condition number of the design with columns of unit length, inf if
     singular; ``cofactors`` (u, u): None if the unknowns are not determined; ``weakest``
     (u,): change of the unknowns with the smallest effect on the rows, of unit length in
-    scaled unknowns.
+    scaled unknowns; ``leverage`` (n,): share of each row's variance that the unknowns take.
     """
 
     condition: float
     cofactors: Array | None
     weakest: Array
+    leverage: Array
 
 
 def determination(design: Array, sigma: Array | None = None) -> Determination:
@@ -167,17 +172,18 @@ def determination(design: Array, sigma: Array | None = None) -> Determination:
     # a column of rounding noise must not be scaled to unit length
     length = np.where(length > RANK_LIMIT * length.max(), length, np.inf)
     none = np.isinf(length)
-    _, values, right = np.linalg.svd(design / length, full_matrices=len(design) < design.shape[1])
+    left, values, right = np.linalg.svd(design / length, full_matrices=len(design) < design.shape[1])
     values = np.concatenate([values, np.zeros(design.shape[1] - len(values))])
     length = np.where(none, 1.0, length)
     weakest = np.asarray(right[-1] / length)
+    leverage = np.asarray(np.sum(left[:, : len(right)] ** 2, axis=1))
     if values[-1] <= RANK_LIMIT * values[0]:
-        return Determination(float("inf"), None, weakest)
+        return Determination(float("inf"), None, weakest, leverage)
     root = right.T / values / length[:, None]
     condition, cofactors = float(values[0] / values[-1]), np.asarray(root @ root.T)
     if sigma is not None and np.sqrt(np.diag(cofactors).max()) > UNDETERMINED * float(np.sqrt(np.mean(sigma**2))):
-        return Determination(condition, None, weakest)
-    return Determination(condition, cofactors, weakest)
+        return Determination(condition, None, weakest, leverage)
+    return Determination(condition, cofactors, weakest, leverage)
 
 
 def determined(design: Array, sigma: Array, code: str, place: str) -> Determination:

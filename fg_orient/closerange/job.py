@@ -12,15 +12,16 @@ import numpy as np
 from factors.arrays import Array
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.closerange import files
-from fg_orient.closerange.dlt import RECOVERED, fit_dlt
+from fg_orient.closerange.assessment import assessed, tests_of
+from fg_orient.closerange.dlt import RECOVERED, DltFit, fit_dlt
 from fg_orient.closerange.files import Observed
 from fg_orient.closerange.fitting import Fit, plain_rms
 from fg_orient.closerange.intersection import intersect_photos
 from fg_orient.closerange.options import DltOptions, ImageOptions, SurfaceOptions
-from fg_orient.closerange.photo import Photo, aerial_from_rotation, photo_text
+from fg_orient.closerange.photo import aerial_from_rotation, photo_text
 from fg_orient.closerange.report import CONTENTS, RECORD_FILE, REPORT_FILE, render
-from fg_orient.closerange.report_words import doubts, photo_rows
-from fg_orient.closerange.resection import resect
+from fg_orient.closerange.report_words import photo_rows
+from fg_orient.closerange.resection import Resection, resect
 from fg_orient.closerange.surface import Kind
 from fg_orient.closerange.surface_fit import Priors, fit_surface
 from fg_orient.formats.atomic import outputs, require_free, require_free_files, staged_folder, write_text, writing
@@ -73,7 +74,7 @@ def run_dlt(path: Path, options: DltOptions, output: Output = NONE) -> Record:
         See :func:`fg_orient.closerange.dlt.fit_dlt`.
     """
 
-    def one(name: str, ground: Array, image: Array, sigma: Array | None) -> tuple[Record, Photo, str]:
+    def one(name: str, ground: Array, image: Array, sigma: Array | None) -> tuple[Record, DltFit | Resection, str]:
         fit = fit_dlt(ground, image, sigma=sigma, distortion=options.distortion, name=name, iterate=not options.direct)
         little = fit.redundancy == 1 and sigma is None
         doubts = [fit.doubt, finding("closerange.little_redundancy") if little else None]
@@ -98,7 +99,7 @@ def run_dlt(path: Path, options: DltOptions, output: Output = NONE) -> Record:
             "interior": interior,
             "exterior": exterior_record(r.rotation, r.centre_m, sd[8:], sd[5:8]),
         }
-        return record, fit.photo, photo_text(fit.photo)
+        return record, fit, photo_text(fit.photo)
 
     return _each_photo("dlt", path, options.sigma, output, one)
 
@@ -113,13 +114,13 @@ def run_resect(path: Path, camera: Path, options: ImageOptions, output: Output =
     """
     cameras = files.interiors(read_photos(camera))
 
-    def one(name: str, ground: Array, image: Array, sigma: Array | None) -> tuple[Record, Photo, str]:
+    def one(name: str, ground: Array, image: Array, sigma: Array | None) -> tuple[Record, DltFit | Resection, str]:
         interior = of_name(cameras, name, camera)
         pose = resect(interior, ground, image, sigma=1.0 if sigma is None else sigma, name=name)
         sd = np.full(6, np.nan) if pose.sigma is None else pose.sigma
         exterior = exterior_record(pose.rotation, pose.centre_m, sd[:3], sd[3:])
         record = {"photo": name, **_fit_facts(pose, pose.second_pose()), "exterior": exterior}
-        return record, pose.photo, photo_text(pose.photo, interior, pose.rotation)
+        return record, pose, photo_text(pose.photo, interior, pose.rotation)
 
     return _each_photo("resection", path, options.sigma, output, one, [camera])
 
@@ -184,6 +185,7 @@ def run_surface(
     ratio = {}
     if sigma is not None and method == "geometric":
         ratio["distance_over_sigma"] = np.linalg.norm(fit.deviations_m / sigma, axis=1)
+    free = {"redundancy": fit.redundancy_numbers[: len(table.ids)]} if method == "geometric" else {}
     record: Record = {
         "kind": "surface",
         "weights": table.weights,
@@ -203,6 +205,7 @@ def run_surface(
                 "{}_m": table.ground,
                 "deviation_{}_m": fit.deviations_m,
                 "distance_m": fit.distances_m,
+                **free,
                 **ratio,
             }
         ),
@@ -226,15 +229,15 @@ def _each_photo(
     path: Path,
     sigma: float | None,
     output: Output,
-    one: Callable[[str, Array, Array, Array | None], tuple[Record, Photo, str]],
+    one: Callable[[str, Array, Array, Array | None], tuple[Record, DltFit | Resection, str]],
     beside: Sequence[Path] = (),
 ) -> Record:
     """Return the record of the photos in a table of control points, in its order; each photo has its points' residuals.
 
     Residuals are computed minus measured. Errors name the photo.
 
-    ``one`` returns record, photo and its photo-file table from the name, the ground (n,
-    3) and image coordinates (n, 2) of the control points and their sigmas (n, 2).
+    ``one`` returns record, fit and the table of the photo for the photo file from the name, the ground (n, 3) and image
+    coordinates (n, 2) of the control points and their sigmas (n, 2).
     """
     output.require_possible()
     table, texts, photos = files.read_control(path, sigma), list[str](), list[Record]()
@@ -243,19 +246,22 @@ def _each_photo(
             mine = np.flatnonzero(np.array(table.photos, dtype=object) == name)
             used = mine[~table.check[mine]]
             try:
-                record, photo, text = one(
+                record, fit, text = one(
                     name, table.ground[used], table.image[used], None if table.sigma is None else table.sigma[used]
                 )
             except InputError as error:
                 of = f"photo {name}, " if name else ""
                 raise InputError(*(replace(p, place=f"{of}{p.place}".rstrip(", ")) for p in error.problems)) from None
-            residual, check = photo.project(table.ground[mine]) - table.image[mine], table.check[mine]
+            residual, check = fit.photo.project(table.ground[mine]) - table.image[mine], table.check[mine]
+            free = np.full((len(mine), 2), np.nan)
+            free[~check] = fit.redundancy_numbers.reshape(-1, 2)
             sigmas = {} if table.sigma is None else {"sigma_{}": table.sigma[mine]}
             points = rows_of(
                 {
                     "id": [table.ids[k] for k in mine],
                     "role": np.where(check, "check", "control"),
                     "residual_{}": residual,
+                    "redundancy_{}": free,
                     "{}": table.image[mine],
                     "{}_m": table.ground[mine],
                     **sigmas,
@@ -346,7 +352,8 @@ def finished(
             "report": {"inputs": [{"file": one.name, "sha256": sha256_of(one)} for one in inputs]},
         }
     )
-    record["doubts"] = doubts(record)
+    by_adjustment = record["kind"] == "bundle" and record["weights"] == "absolute"
+    record = plain(assessed(record, () if by_adjustment else tests_of(record)))
     page = "" if out is None and report is None else render(record)
     if out is not None:
         with staged_folder(out, overwrite=output.overwrite, contents=CONTENTS) as folder, writing(out):

@@ -32,6 +32,7 @@ COMMON: Final = (
     "outlier_level",
     "multiple_testing",
     "variance_components",
+    "accept",
 )
 DEFAULTS: Final[dict[str, Any]] = {"optimizer": "levenberg-marquardt", "max_iterations": 100}
 RELATIVE: Final = "without this option weights are relative, and m0 is that standard deviation"

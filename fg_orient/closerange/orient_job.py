@@ -11,6 +11,7 @@ import numpy as np
 from factors.arrays import Index
 from fg_orient.adjustment.runtime import one_blas_thread
 from fg_orient.closerange import files
+from fg_orient.closerange.assessment import assessed, tests_of
 from fg_orient.closerange.job import NONE, Output, Record, exterior_record, no_redundancy, of_name
 from fg_orient.closerange.minima import BENT
 from fg_orient.closerange.options import ImageOptions
@@ -133,6 +134,7 @@ def run_absolute(
         fit = absolute_orientation(model[[row[ground.ids[k]] for k in known]].reshape(-1, 3), ground.ground[known],
                                    sigma_m=1.0 if ground.sigma is None else ground.sigma[known])  # fmt: skip
     sd = np.full(7, np.nan) if fit.sigma is None else fit.sigma
+    sigmas = {} if ground.sigma is None else {"sigma_{}_m": ground.sigma[known]}
     record = {
         "kind": "absolute",
         "weights": ground.weights,
@@ -144,7 +146,14 @@ def run_absolute(
         "scale": fit.scale,
         "sigma_scale": fit.scale * sd[3],
         "exterior": exterior_record(fit.rotation, fit.shift_m, sd[:3], sd[4:]),
-        "control": rows_of({"id": [ground.ids[k] for k in known], "residual_{}_m": fit.residuals_m}),
+        "control": rows_of(
+            {
+                "id": [ground.ids[k] for k in known],
+                "residual_{}_m": fit.residuals_m,
+                "redundancy_{}": fit.redundancy_numbers.reshape(-1, 3),
+                **sigmas,
+            }
+        ),
         "left_out": [name for name in ground.ids if name not in row],
         "points": rows_of({"id": ids, "{}_m": fit.apply(model)}),
         **as_record([*no_redundancy(fit.m0), *_bent(fit.bend)]),
@@ -178,7 +187,11 @@ def _written(
     """Return the plain record, after its points, the photo file with ``text`` and the report are written."""
     overwrite = output.overwrite
     record = plain(
-        {**record, "out": None if out is None else str(out), "photos_out": None if photos is None else str(photos)}
+        {
+            **assessed(record, tests_of(record)),
+            "out": None if out is None else str(out),
+            "photos_out": None if photos is None else str(photos),
+        }
     )
     with outputs(out, overwrite=overwrite), outputs(photos, overwrite=overwrite, option="photos_out"):
         if photos is not None:

@@ -7,10 +7,10 @@ from typing import Any
 
 from fg_orient.closerange.job import Output, Record
 from fg_orient.closerange.report import MANY, PACKAGE
-from fg_orient.closerange.report_words import m0_words, significant
+from fg_orient.closerange.report_verdict import problems, verdict
+from fg_orient.closerange.report_words import significant
 from fg_orient.formats.atomic import outputs, write_text
 from fg_orient.formats.text_files import sha256_of
-from fg_orient.model.errors import sentences
 from fg_orient.model.installation import stamp
 from fg_orient.report.page import environment
 
@@ -33,16 +33,12 @@ def render(record: dict[str, Any]) -> str:
     """Return the HTML text of a record of :mod:`fg_orient.closerange.orient_job` with its inputs."""
     shell = environment(PACKAGE)
     shell.filters |= {"significant": significant}
-    kind, words = m0_words(record)
-    doubts = sentences(record)
-    bad = kind == "warn" or bool(doubts)
-    title = "nothing stands out" if not bad else "unchecked" if record["m0"] is None else "with doubts"
     absolute = record["kind"] == "absolute"
     rows = record["control"] if absolute else record["points"]
     return shell.get_template("orientation.html.j2").render(
         r=record,
-        verdict={"kind": "warn" if bad else "good", "title": f"Adjusted, {title}", "text": [words]},
-        problems=doubts,
+        verdict=verdict(record),
+        problems=problems(record),
         absolute=absolute,
         rows=rows[:MANY],
         n=len(rows),

@@ -14,8 +14,10 @@ from typing import Any, Final
 import numpy as np
 
 from factors.arrays import Array
+from fg_orient.closerange.assessment import suspects
 from fg_orient.closerange.report_maps import columns, deviation_views, distance_histogram, scene_of, views_of
-from fg_orient.closerange.report_words import KINDS, photo_rows, problems, significant, suspects, unit_of, verdict
+from fg_orient.closerange.report_verdict import problems, verdict, with_status
+from fg_orient.closerange.report_words import KINDS, photo_rows, significant, unit_of
 from fg_orient.formats.atomic import Contents, write_text
 from fg_orient.formats.load import foreign_bytes
 from fg_orient.model.errors import InputError
@@ -288,7 +290,7 @@ def render(record: dict[str, Any]) -> str:
     record : dict
         Record of ``dlt``, ``resect``, ``intersect``, ``bundle`` or ``surface``.
     """
-    record = _used(record)
+    record = with_status(_used(record))
     lists = ("photos", "cameras", "points", "figures", "residuals", "observations", "distortion", "history")
     photo: dict[str, Any] = {"parameters": [], "interior": None, "observed": None}
     photos = [photo | one for one in record.get("photos", [])]
@@ -296,13 +298,12 @@ def render(record: dict[str, Any]) -> str:
     record = {name: [] for name in lists} | {"check": None, "significance": None} | record | {"photos": photos}
     shell = environment(PACKAGE)
     shell.filters |= {"significant": significant}
-    doubts = problems(record)
     is_surface, points = record["kind"] == "surface", record["points"]
     return shell.get_template("closerange.html.j2").render(
         r=record,
         kind=KINDS[record["kind"]],
-        verdict=verdict(record, doubts),
-        problems=doubts,
+        verdict=verdict(record),
+        problems=problems(record),
         many=MANY,
         accuracy=_accuracy(record),
         suspects=suspects(record)[:WORST],

@@ -223,6 +223,7 @@ def _adjusted(
     photo = Photo.of(name, interior, rotation, moved)
     residuals = minimum.residual.reshape(-1, 2)[:, ::-1] * sigma * interior.focal * [1.0, interior.sign]
     facts = fitting.statistics(minimum.residual, assessed, len(minimum.log), away)
+    facts["redundancy_numbers"] = facts["redundancy_numbers"].reshape(-1, 2)[:, ::-1].ravel()
     return Resection(
         photo, rotation, moved, residuals, minimum.squares, bend(rows, minimum.state, facts["m0"]), **facts
     )

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 import string
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from decimal import ROUND_CEILING, Decimal
 from functools import cache
@@ -202,6 +202,12 @@ def _plain(item: Any) -> Any:
     if isinstance(item, (list, tuple)):
         return [_plain(one) for one in item[:_MOST]]
     return item if item is None or type(item) in (bool, int, float) else _shown(str(item))
+
+
+def by_severity(findings: Iterable[Finding]) -> list[Finding]:
+    """Sort findings, the most serious first; those of one severity keep their order."""
+    order = (*reversed(DECISIVE), "warning", "note")
+    return sorted(findings, key=lambda one: order.index(one.severity))
 
 
 def as_record(findings: Sequence[Finding]) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import release
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.model.distributions import chi_square_tail, sidak
-from fg_orient.model.errors import DECISIVE, Finding, InputError, finding
+from fg_orient.model.errors import Finding, InputError, by_severity, finding
 from fg_orient.model.machine import MANY_ROWS, return_memory
 from fg_orient.model.messages import CATALOGUE
 from fg_orient.quality.accuracy import CHANCE, PointDifferences
@@ -146,14 +146,14 @@ def gross_errors(tests: OutlierTests, accept: Sequence[str] = (), chi2: float | 
     out: list[Finding] = []
     for rank, k in enumerate(above[first].tolist()):
         test = tests[k]
-        also, error = test.inseparable, [f"{value:+.2f}" for value in test.error]
+        also, places = test.inseparable, _decimals(float(np.abs(test.error).max(initial=0.0)))
         out.append(
             finding(
                 "verdict.gross_error",
                 place=test.name,
                 size=test.statistic,
                 symbol=test.symbol,
-                error=" ".join(error),
+                error=" ".join(f"{value:+.{places}f}" for value in test.error),
                 unit=test.unit,
                 also=list(also),
                 level=100.0 * level,
@@ -165,6 +165,11 @@ def gross_errors(tests: OutlierTests, accept: Sequence[str] = (), chi2: float | 
         if not _accepts(out[-1], accept):
             break
     return out
+
+
+def _decimals(size: float) -> int:
+    """Return the number of decimals of an error: two, or two significant digits of a small error."""
+    return max(2, 1 - int(np.floor(np.log10(size)))) if 0.0 < size < np.inf else 2
 
 
 def _sigma0_without(tests: OutlierTests, k: int, chi2: float) -> float | None:
@@ -306,5 +311,4 @@ def with_accepted(findings: Sequence[Finding], accept: Sequence[str]) -> list[Fi
     if accepted:
         names = [f"{f.code.removeprefix('verdict.')}{f':{f.place}' if f.place else ''}" for f in accepted]
         out.append(finding("verdict.accepted", names=names))
-    order = (*reversed(DECISIVE), "warning", "note")
-    return sorted(out, key=lambda f: order.index(f.severity))
+    return by_severity(out)

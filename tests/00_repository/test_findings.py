@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from fg_orient.cli.output import flag, tell_findings
-from fg_orient.closerange.report_words import problems
+from fg_orient.closerange.report_verdict import problems
 from fg_orient.model.errors import Finding, as_record, finding, findings_of, judged, read
 from tests.support.syntax import nodes
 

@@ -102,7 +102,10 @@ def test_surface(tmp_path: Path, land: Array) -> None:
     done = run("closerange", "surface", table, "--kind", "spheroid", "--sigma", "0.001", "--json")
     fit = fit_surface(land, "spheroid", sigma_m=0.001)
     assert {p["name"]: p["value"] for p in done.json["parameters"]} == fit.parameters
-    assert (done.code, done.json["m0"], done.json["warnings"]) == (0, fit.m0, [])
+    assert (done.code, done.json["m0"], done.json["status"]) == (4, fit.m0, "not_trustworthy")
+    (doubt,) = done.json["findings"]  # the points scatter more than 1 mm
+    assert (doubt["code"], doubt["data"]["size"]) == ("closerange.m0_large", fit.m0)
+    assert run("closerange", "surface", table, "--kind", "spheroid", "--sigma", "0.0015", "--json").code == 0
     assert done.json["weights"] == "absolute" and "weights are relative" not in done.stderr
     ended = run("closerange", "surface", table, "--kind", "sphere")
     text = ended.stdout

@@ -16,10 +16,12 @@ import pytest
 from fg_orient.closerange import report as plots
 from fg_orient.closerange import report_maps as maps
 from fg_orient.closerange import report_words as words
+from fg_orient.closerange.assessment import suspects
 from fg_orient.closerange.photo import NAMES, profile
 from fg_orient.closerange.report import render
+from fg_orient.closerange.report_verdict import problems, verdict, with_status
 from fg_orient.closerange.surface import Surface
-from fg_orient.model.errors import as_record, finding
+from fg_orient.model.errors import as_record, finding, findings_of
 from fg_orient.report.page import script
 from fg_orient.report.svg import svg
 from tests.support import page_files
@@ -47,11 +49,11 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def bundle(folder: Path, *more: object) -> Any:
-    """Run the bundle on the tables of a folder; its record."""
+def bundle(folder: Path, *more: object, code: int = 0) -> Any:
+    """Run the bundle on the tables of a folder; its record. ``code``: expected exit code."""
     given = [folder / w if isinstance(w, str) and w.endswith((".csv", ".toml")) else w for w in (*BUNDLE, *more)]
     done = run(*given, "--json")
-    assert done.code == 0, done.stderr
+    assert done.code == code, done.stderr
     return done.json
 
 
@@ -117,8 +119,8 @@ def test_first_page_says_the_accuracy_at_check_points(record: dict[str, Any]) ->
 @pytest.mark.parametrize(
     ("change", "kind", "said"),
     [
-        ({"m0": 1.0}, "good", "within their standard deviations: m0 is 1.00, chance leaves it between"),
-        ({"m0": 2.5}, "warn", "The residuals are 2.50 times as large as the given standard deviations"),
+        ({"m0": 1.0}, "good", "within their standard deviations: m0 is 1.00, and chance leaves it between"),
+        ({"m0": 2.5}, "bad", "m0 = 2.500 lies above"),
         ({"m0": 0.05}, "warn", "the given standard deviations are too large"),
         ({"m0": None}, "warn", "Without redundancy nothing was checked"),
         ({"m0": 0.02, "weights": "relative"}, "good", "standard deviation of one observation, is 0.0200, in the unit"),
@@ -127,35 +129,39 @@ def test_first_page_says_the_accuracy_at_check_points(record: dict[str, Any]) ->
 )  # fmt: skip
 def test_verdict(record: dict[str, Any], change: dict[str, Any], kind: str, said: str) -> None:
     quiet = {"residuals": [row | {"w_x": 0.0, "w_y": 0.0} for row in record["residuals"]], "observations": []}
-    found = words.verdict(record | quiet | change, words.problems(record | quiet | change))
+    given = {name: value for name, value in {**record, **quiet, **change}.items() if name != "status"}
+    found = verdict(with_status(given))  # as for a record of an earlier version, which has no status
     assert found["kind"] == kind and said in found["text"][0]
-    assert f'class="verdict {kind}"' in render(record | quiet | change)
+    assert f'class="verdict {kind}"' in render(given)
 
 
 @pytest.mark.behaviour
 def test_a_gross_error_is_the_first_problem(made: Path, tmp_path: Path, record: dict[str, Any]) -> None:
-    assert words.suspects(record) == []
+    assert suspects(record) == [] and record["status"] == "good"
     page_files.photos_and_control(tmp_path)
     lines = (tmp_path / "image.csv").read_text("utf-8").splitlines()
     k = next(j for j, line in enumerate(lines) if line.startswith("p3,right,"))
     name, photo, x, y = lines[k].split(",")
     lines[k] = f"{name},{photo},{x},{float(y) + 0.05!r}"
     (tmp_path / "image.csv").write_text("\n".join(lines) + "\n", "utf-8")
-    found = bundle(tmp_path, "--report", tmp_path / "page.html")
+    found = bundle(tmp_path, "--report", tmp_path / "page.html", code=4)
     text = (tmp_path / "page.html").read_text("utf-8")
-    problems = re.findall("<li>(.*?)</li>", text[text.index('id="problems"') : text.index("<nav")])
+    listed = re.findall("<li>(.*?)</li>", text[text.index('id="problems"') : text.index("<nav")])
     worst = max(found["residuals"], key=lambda row: abs(row["w_y"] or 0.0))
     assert (worst["id"], worst["photo"]) == ("p3", "right")
-    size = abs(worst["w_y"]) / found["m0"]
-    said = f"y of point p3 in photo right: its residual is {size:.1f} times its own standard deviation and m0"
-    assert found["m0"] > 2.0 and problems[0] == f"look at {said}"
+    assert found["m0"] > 2.0 and found["status"] == "not_trustworthy"
+    said = "point p3 in image right: gross error suspected, of about +0.05"
+    assert listed[0].startswith(said) and "; without this observation sigma0 is 0.7" in listed[0]
     tables = [tmp_path / w if w.endswith((".csv", ".toml")) else w for w in BUNDLE]
     done = run(*tables, "--quiet")
-    assert done.code == 0 and done.stdout == ""
-    first, second, *_ = done.stderr.splitlines()
-    assert first.startswith(f"warning: The residuals are {words.significant(found['m0'])} times as large")
-    assert second == f"warning: look at {said}" and "(y_axis)" in first
-    assert [f"warning: {text}" for text in json.loads(run(*tables, "--json").stdout)["doubts"][:2]] == [first, second]
+    assert done.code == 4 and done.stdout == ""
+    first, second, last = done.stderr.splitlines()
+    assert first.startswith(f"doubt: {said}") and '--accept "gross_error:point p3 in image right"' in first
+    assert second.startswith(f"doubt: sigma0 = {found['m0']:.3f} lies above") and last == "not trustworthy"
+    assert run(*tables).stdout.splitlines()[-1].startswith(f"not trustworthy: {said}")
+    accepted = run(*tables, "--accept", "gross_error", "--accept", "sigma0", "--json")
+    assert accepted.code == 0 and accepted.json["status"] == "good"
+    assert accepted.json["findings"][-1]["data"]["names"] == ["gross_error:point p3 in image right", "sigma0"]
     part = text[text.index("<h3>Largest residuals</h3>") :]
     assert re.search(r'<tr><td class="id">(.*?)</td><td class="id text">(.*?)</td>', part).groups() == ("right", "p3")  # type: ignore[union-attr]
 
@@ -239,12 +245,14 @@ def test_a_gross_error_is_named_and_its_residual_has_its_sign(command: str, made
     point, photo = cells[columns.index("id")], cells[columns.index("photo")]
     others = {"dlt": [], "resect": ["cameras.toml"], "intersect": [Path("out", "photos.toml")]}
     words_ = ["closerange", command, folder / name, *(folder / w for w in others.get(command, []))]
-    record = bundle(folder) if command == "bundle" else run(*words_, "--sigma", "0.001", "--json").json
+    ended = run(*words_, "--sigma", "0.001", "--json")
+    record = bundle(folder, code=4) if command == "bundle" else ended.json
     rows = record.get("residuals") or [{"photo": p["photo"]} | r for p in record["photos"] for r in p["points"]]
     (row,) = (r for r in rows if (r["photo"], r["id"]) == (photo, point))
     assert row[f"residual_{axis}"] < -0.005
-    told = " ".join(words.doubts({"warnings": [], "photos": []} | record))
-    named = {"dlt": "times as large as", "intersect": f"look at point {point}: the misfit of its rays"}
+    assert record["status"] == "not_trustworthy"
+    told = " ".join(str(one) for one in findings_of(record) if one.severity == "doubt")
+    named = {"dlt": "m0 = ", "intersect": f"point {point}: the misfit of its rays", "bundle": f"point {point} in image"}
     assert named.get(command, f"{axis} of point {point} in photo {photo}") in told
 
 
@@ -264,16 +272,18 @@ def test_a_point_off_a_surface_is_a_problem(sigma: float | None, tmp_path: Path)
     path = tmp_path / "points.csv"
     given = [] if sigma is None else ["--sigma", sigma]
     fitted = ["closerange", "surface", path, "--kind", "spheroid", *given, "--json"]
-    assert words.problems(run(*fitted).json | {"photos": []}) == []
+    assert problems(run(*fitted).json) == []
     lines = path.read_text("utf-8").splitlines()
     name, *at = lines[8].split(",")
     moved = np.array(at, float) + 0.017 * np.array([float(at[0]), 0.0, float(at[2])]) / np.hypot(
         *np.array(at, float)[::2]
     )
     path.write_text("\n".join([*lines[:8], ",".join([name, *map(repr, moved.tolist())]), *lines[9:]]) + "\n", "utf-8")
-    (told,) = words.problems(run(*fitted).json | {"photos": []})
+    done = run(*fitted)
+    (told,) = problems(done.json)
+    assert done.code == 4
     found = re.fullmatch(
-        rf"look at point {name}: its normal distance, (.*) mm, is (.*) times the standard deviation .* show", told
+        rf"point {name}: its normal distance, (.*) mm, is (.*) times (?:its|the) standard deviation.*: a gross .*", told
     )
     assert found is not None and float(found[1]) > 10.0 and 8.0 < float(found[2]) < 25.0
 

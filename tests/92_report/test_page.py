@@ -404,7 +404,7 @@ def test_a_folder_without_arrays_has_no_heat_map(result: Result, folder: Path) -
 
 @pytest.mark.behaviour
 def test_first_page_names_what_a_test_suspects_and_repeats_no_verdict(result: Result) -> None:
-    said = "sigma0 = 51.14 lies above 1.19"
+    said = "sigma0 = 51.140 lies above 1.190"
     suspects = [{"sentence": f"point {k} in image right: gross error"} for k in ("a<b", "c", "d", "e", "f")]
     decided = finding("verdict.sigma0", size=51.14, limit=1.19)
     told = as_record([decided, finding("solution.no_check")])

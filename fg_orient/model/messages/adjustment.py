@@ -253,10 +253,10 @@ verdict.free_datum (doubt): the datum is free: position, orientation and scale o
     only its shape is determined
 verdict.weak_control (doubt): without priors the control points determine some directions too weakly for a
     covariance: coordinates must not be trusted
-verdict.sigma0 (doubt): sigma0 = {size:.2f} lies above {limit:.2f}, the upper end of its 99.9 % interval: the
+verdict.sigma0 (doubt): sigma0 = {size:.3f} lies above {limit:.3f}, the upper end of its 99.9 % interval: the
     observations do not fit the model within their sigmas. The model lacks unknowns for the errors present, or the
     sigmas are too small, or there are gross errors. Standard deviations and coordinates must not be trusted
-verdict.sigma0_regularised (doubt): sigma0 = {size:.2f} lies above {limit:.2f}, the upper end of its 99.9 % interval;
+verdict.sigma0_regularised (doubt): sigma0 = {size:.3f} lies above {limit:.3f}, the upper end of its 99.9 % interval;
     {share:.0%} of the weighted sum of squares comes from the penalty. If this is a large part, kappa is too large for
     the deviations from the metadata; else the observations do not fit the model within their sigmas
     -> give a smaller <kappa> or another <kappa_rule>; search for gross errors

@@ -148,6 +148,15 @@ closerange.no_place: the point is seen in one photo only and has no coordinates
 closerange.prior_text: this is not an observed parameter
     -> write it as name=value:sigma, for instance b=0.845:0.001
 closerange.no_redundancy (warning): there is no redundancy, so there are no standard deviations
+closerange.m0_large (doubt): m0 = {size:.3f} lies above {limit:.3f}, the upper end of its 99.9 % interval: the
+    observations do not fit the model within their standard deviations. These are too small, or the model lacks
+    something, or there are gross errors
+    + , or y of the image coordinates points the other way ({axis})
+closerange.m0_small (warning): m0 = {size:.3f} lies below {limit:.3f}, the lower end of its 99.9 % interval: the given
+    standard deviations are too large, and the result looks less accurate than it is
+closerange.large_residual (doubt): {what} is {size:.1f} times {over}: a gross error is suspected
+    + ; {more} more residual(s) are too large, perhaps because of this error
+    -> check the measurement and the coordinates of this point
 closerange.little_redundancy (warning): with redundancy 1, m0 and the standard deviations are ten times too small in 8
     of 100 cases. In one of 15 cases, points that are flat within the noise are not detected
     -> give <sigma>

@@ -228,10 +228,10 @@ rpc.too_many_left_out (doubt): {n} control points were left out and more are sus
 rpc.no_fit (doubt): the points do not fit the model: sigma0 = {sigma0:.2f}, the upper end of its 99.9 % interval is
     {limit:.2f}; the residuals are {rms_px:.1f} px (RMS)
     -> check that the RPC belongs to this image, and check the pixel origin and the height system
-rpc.sigma0 (doubt): sigma0 = {sigma0:.2f} lies above {limit:.2f}, the upper end of its 99.9 % interval: the residuals
+rpc.sigma0 (doubt): sigma0 = {sigma0:.3f} lies above {limit:.3f}, the upper end of its 99.9 % interval: the residuals
     are {rms_px:.2f} px (RMS), the sigmas in the file {sigma_px:.2f} px
     -> correct the sigmas, take a compensation with more terms, or correct wrong points
-rpc.sigma0_assumed (warning): sigma0 = {sigma0:.2f} px lies above {limit:.2f}, the upper end of its 99.9 % interval for
+rpc.sigma0_assumed (warning): sigma0 = {sigma0:.3f} px lies above {limit:.3f}, the upper end of its 99.9 % interval for
     the assumed sigmas of 1 px
     -> give the sigmas in the columns sigma_line_px and sigma_sample_px, so that this is tested
 rpc.beyond_prior (doubt): the points change this term by {value_px:+.1f} px, {size:.1f} times the standard deviation of
