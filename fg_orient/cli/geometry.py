@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from fg_orient.cli.command import SENSORS, Dem, Overwrite, Sensors, VerticalCrs, argument, command, option, read_dem
 from fg_orient.cli.output import answer, number, say, table, tell, write_records
-from fg_orient.model.errors import Finding, InputError, finding
+from fg_orient.model.errors import Finding, InputError
 
 if TYPE_CHECKING:
     from factors.arrays import Array
@@ -21,9 +21,6 @@ if TYPE_CHECKING:
 
 #: Allowed range of ground heights, m. Other values probably have a wrong unit or are from a wrong column.
 HEIGHT_RANGE_M = (-12e3, 100e3)
-#: Larger distances between the rays of a point cause a warning, m. With the metadata
-#: orientation, tens of metres are usual.
-MAX_MISS_M = 500.0
 GROUND = ("id", "line", "sample", "lon_deg", "lat_deg", "height_m", "x_m", "y_m", "z_m")
 FRAME = (*GROUND, "file_lon_deg", "file_lat_deg", "misfit_m", "misfit_east_m", "misfit_north_m", "height_from")
 #: Printed columns of the frame points; more columns do not fit into 80 characters.
@@ -129,6 +126,7 @@ def project(
     import numpy as np
 
     from fg_orient.geodesy.bodies import ground_on
+    from fg_orient.quality.direct_points import points_outside
     from fg_orient.sensors.ground import pixel_records
 
     if points is not None:
@@ -139,32 +137,7 @@ def project(
         ids, columns = ["1"], [np.array([value]) for value in (lon, lat, height)]
     sensor = sensors.read(image)
     records = pixel_records(sensor, ids, ground_on(sensor.body, *columns))
-    _publish(sensor, records, PIXEL, out, overwrite, _outside(sensor, records, *columns))
-
-
-def _outside(sensor: Any, records: list[dict[str, Any]], lon: Array, lat: Array, height_m: Array) -> list[Finding]:
-    """Return one warning for all points outside the image; it states if an exchange of longitude and latitude helps."""
-    import numpy as np
-
-    from fg_orient.geodesy.bodies import ground_on
-    from fg_orient.sensors.ground import pixel_records
-
-    away = np.array([not record["inside"] for record in records])
-    if not away.any():
-        return []
-    other, inside = away & (np.abs(lon) <= 90.0), 0  # a latitude is at most 90 degrees
-    if other.any():
-        ground = ground_on(sensor.body, lat[other], lon[other], height_m[other])
-        inside = sum(record["inside"] for record in pixel_records(sensor, ["?"] * len(ground), ground))
-    return [
-        finding(
-            "cli.points_outside (warning): {n} of {of} point(s) lie outside the image: {points:5} "
-            "+ ; with longitude and latitude exchanged {inside} of these lie inside "
-            "-> check that longitude and latitude are not exchanged, and that the image shows the point",
-            n=int(away.sum()), of=len(records), inside=inside or None,
-            points=[record["id"] for record in records if not record["inside"]],
-        )
-    ]  # fmt: skip
+    _publish(sensor, records, PIXEL, out, overwrite, points_outside(sensor, records, *columns))
 
 
 @command(several=SENSORS)
@@ -183,6 +156,7 @@ def intersect(
     coordinates in the file are not used. Sigmas of a point follow from its image points (--pixel: 1
     pixel each); the orientation is assumed to have no errors.
     """
+    from fg_orient.quality.direct_points import impossible_rays, rays_beyond_pixels
     from fg_orient.sensors.ground import intersection_records
 
     if len(sources) == 1 and sources[0].suffix.lower() == ".toml":
@@ -193,7 +167,8 @@ def intersect(
         images, observations = _pixels_of(sources, pixel or [], sensors)
         ids = ("1",)
     records = intersection_records(images, observations, ids)
-    doubts = [*filter(None, map(_doubt, records)), *_beyond_pixels(records, images, observations, sensors.result)]
+    adjusted = sensors.result is not None
+    doubts = [*impossible_rays(records), *rays_beyond_pixels(records, images, observations, adjusted=adjusted)]
     for doubt in doubts:
         tell(doubt.severity, doubt)
     if out is not None:
@@ -201,73 +176,6 @@ def intersect(
     record = {"points": records, "images": [image.id for image in images], "notes": list(map(str, doubts)),
               "out": None if out is None else str(out)}  # fmt: skip
     answer(record, _show_points, records, ("id", "lon_deg", "lat_deg", "height_m", "miss_m", "sigma_up_m"), (), out)
-
-
-def _doubt(record: dict[str, Any]) -> Finding | None:
-    """Return a warning if the rays of an intersection cannot belong to one point."""
-    if record["miss_m"] <= MAX_MISS_M and -1e3 <= record["height_m"] <= 10e3:
-        return None
-    return finding(
-        "cli.rays_miss (warning): point {id}: the rays miss each other by {miss_m:.0f} m at a height of {height_m:.0f} "
-        "m: probably not the same point in every image",
-        id=record["id"], miss_m=record["miss_m"], height_m=record["height_m"],
-    )  # fmt: skip
-
-
-def _beyond_pixels(
-    records: list[dict[str, Any]], images: tuple[Image, ...], observations: ImagePoints, result: Path | None
-) -> list[Finding]:
-    """Report the points whose rays miss each other by more than the sigmas of their pixels allow.
-
-    A residual r_i in sigmas at the distance d_i of ray i from the point gives the sigma d_i/r_i of this distance. With
-    equal distances of m rays, the miss in sigmas is ``m / sqrt(sum 1/r_i^2)``; its square has at most 2 m - 3 degrees
-    of freedom. With the orientation of the metadata a larger miss is a note, with an adjusted orientation a warning.
-    """
-    import numpy as np
-
-    from fg_orient.model.distributions import chi_square_limit, sidak
-    from fg_orient.quality.accuracy import CHANCE
-
-    o, count = observations, np.bincount(observations.point)
-    used = np.flatnonzero(count >= 2)
-    ground = np.full((len(count), 3), np.nan)
-    ground[used] = [[record[name] for name in ("x_m", "y_m", "z_m")] for record in records]
-    square = np.zeros(len(o.point))
-    for k, image in enumerate(images):
-        rows = np.flatnonzero((o.image == k) & (count[o.point] >= 2))
-        line, sample = image.sensor.project(ground[o.point[rows]]) if len(rows) else (o.line[rows], o.sample[rows])
-        d = (line - o.line[rows]) / o.sigma_line_px[rows], (sample - o.sample[rows]) / o.sigma_sample_px[rows]
-        square[rows] = d[0] ** 2 + d[1] ** 2
-    with np.errstate(divide="ignore"):
-        inverse = np.bincount(o.point, 1.0 / square)[used]
-    size = count[used] / np.sqrt(inverse)
-    limit = np.sqrt(chi_square_limit(2 * count[used] - 3, sidak(CHANCE, max(len(used), 1))))
-    away = np.flatnonzero(size > limit)
-    if not len(away):
-        return []
-    worst = int(away[np.argmax(size[away] / limit[away])])
-    figures = {
-        "n": len(away), "of": len(used), "worst": records[worst]["id"], "miss_m": records[worst]["miss_m"],
-        "size": float(size[worst]), "limit": float(limit[worst]),
-    }  # fmt: skip
-    if result is None:
-        return [
-            finding(
-                "cli.rays_beyond_metadata (note): {n} of {of} point(s) have rays that miss each other by more than the "
-                "sigmas of the pixels allow, point {worst} by {miss_m:.1f} m, {size:.0f} standard deviations (limit "
-                "{limit:.1f}). The orientation of metadata usually has such errors; so may the point -> adjust the "
-                "images, and give <result>",
-                **figures,
-            )
-        ]
-    return [
-        finding(
-            "cli.rays_beyond (warning): {n} of {of} point(s) have rays that miss each other by more than the sigmas of "
-            "the pixels allow, point {worst} by {miss_m:.1f} m, {size:.0f} standard deviations (limit {limit:.1f}) "
-            "-> check that the pixels show the same point in every image",
-            **figures,
-        )
-    ]
 
 
 def _pixels_of(sources: list[Path], pixels: list[str], sensors: Sensors) -> tuple[tuple[Image, ...], ImagePoints]:
