@@ -32,6 +32,8 @@ PROGRAM: Final = "fg-orient"
 VARIABLE: Final = "_FG_ORIENT_COMPLETE"
 #: numpy reads this environment variable when scipy is imported.
 EPOCH: Final = "SOURCE_DATE_EPOCH"
+#: Variable of numba that switches its compiler off.
+NO_COMPILER: Final = "NUMBA_DISABLE_JIT"
 SHELLS: Final = ("bash", "zsh", "fish")
 #: For each command its module in this package, in the order of the help. A command is a
 #: function or a group with this name, or the group ``app`` of the module.
@@ -112,6 +114,15 @@ def _show_version(wanted: bool) -> None:
         raise typer.Exit()
 
 
+def _require_environment() -> None:
+    """Raise InputError for a variable of the environment with which the program cannot work."""
+    epoch, interpreted = os.environ.get(EPOCH, "0"), os.environ.get(NO_COMPILER, "0")
+    if not (epoch.isascii() and epoch.isdigit()):
+        raise InputError.of("environment.value", place=EPOCH, value=repr(epoch), expected="seconds since 1970-01-01")
+    if interpreted not in ("", "0"):  # the vector code of the kernels has no form in plain Python
+        raise InputError.of("environment.value", place=NO_COMPILER, value=repr(interpreted), expected="0")
+
+
 @app.callback(invoke_without_command=True)
 def root(
     context: typer.Context,
@@ -124,12 +135,8 @@ def root(
     ] = None,
 ) -> None:
     """Orient optical images, from satellites to close range, by bundle adjustment on a factor graph."""
-    epoch = os.environ.get(EPOCH, "0")
-    if not (epoch.isascii() and epoch.isdigit()):
-        with outcome(as_json="--json" in sys.argv):
-            raise InputError.of(
-                "environment.value", place=EPOCH, value=repr(epoch), expected="seconds since 1970-01-01"
-            )
+    with outcome(as_json="--json" in sys.argv):
+        _require_environment()
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
     if plugin:

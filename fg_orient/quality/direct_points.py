@@ -110,9 +110,9 @@ def rays_beyond_pixels(
         return [
             finding(
                 "ground.rays_beyond_metadata (note): {n} of {of} point(s) have rays that miss each other by more than "
-                "the sigmas of the pixels allow, point {worst} by {miss_m:.1f} m, {size:.0f} standard deviations (limit "
-                "{limit:.1f}). The orientation of metadata usually has such errors; so may the point -> adjust the "
-                "images, and give <result>",
+                "the sigmas of the pixels allow, point {worst} by {miss_m:.1f} m, {size:.0f} standard deviations "
+                "(limit {limit:.1f}). The orientation of metadata usually has such errors; so may the point -> adjust "
+                "the images, and give <result>",
                 **figures,
             )
         ]

@@ -144,6 +144,17 @@ def test_a_wrong_time_of_the_environment_is_named(monkeypatch: pytest.MonkeyPatc
     assert "SOURCE_DATE_EPOCH" in ended.stderr and len(ended.stderr.splitlines()) == 1
 
 
+def test_a_compiler_that_is_switched_off_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The vector code of the kernels has no form in plain Python."""
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
+    ended = in_process("convert", "--formats")
+    assert ended.code == 2
+    (line,) = ended.stderr.splitlines()
+    assert line == (
+        "error: NUMBA_DISABLE_JIT: the environment variable has an impossible value (found '1'); unset it, or give 0"
+    )
+
+
 def test_completion_without_the_words_of_a_shell_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(COMPLETION, "complete_bash")
     assert _usage_error(KeyError("COMP_WORDS")) == 2
