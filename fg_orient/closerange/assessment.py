@@ -50,7 +50,7 @@ def assessed(record: dict[str, Any], tests: Sequence[Finding]) -> dict[str, Any]
     """
     photos = [one for one in record.get("photos", []) if isinstance(one, Mapping)]
     own = [replace(one, place=_of_photo(photo, one.place)) for photo in photos for one in findings_of(photo)]
-    found = [*tests, *findings_of(record), *own, *weak_directions(record)]
+    found = [*findings_of(record), *own, *tests, *weak_directions(record)]
     return record | judged(by_severity(found))
 
 

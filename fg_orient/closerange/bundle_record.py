@@ -16,6 +16,7 @@ from fg_orient.closerange.bundle_checks import NAMED
 from fg_orient.closerange.bundle_result import Adjustment, BundleResult
 from fg_orient.closerange.fitting import compare_points
 from fg_orient.closerange.photo import NAMES, camera_of, profile
+from fg_orient.closerange.resection import doubted_readings
 from fg_orient.model.errors import Finding, NoSolutionError, as_record, finding
 from fg_orient.quality.accuracy import PointDifferences
 from fg_orient.quality.camera import ImageCofactors, inseparable
@@ -33,6 +34,8 @@ Known = Mapping[str, tuple[Array, Array]]
 ASSESSED: Final = ("camera.direction", "verdict.", "solution.sigmas_large")
 #: Units of gross errors, in the words of close range.
 _UNITS: Final = {"px line, sample": "in y, x", "px line": "in y", "px sample": "in x"}
+#: Number of photos whose image coordinates are tested in another reading.
+READ: Final = 3
 #: Correlations of at least this size are listed.
 HIGH: Final = 0.9
 #: Maximum number of listed correlations.
@@ -77,6 +80,7 @@ def bundle_record(
     w, _ = _tested(result.others_whitened, unit, free)
     if options.loss != NONE:
         w = np.full(len(w), np.nan)
+    found = [*_readings(result, table, known, which, of), *_findings(result, table, known, seen, check), *started]
     return {
         "kind": "bundle",
         "backend": result.backend,
@@ -109,7 +113,7 @@ def bundle_record(
         "correlations": _correlations(result),
         "directions": directions(result),
         "history": [{name: getattr(i, name) for name in HISTORY} for i in result.history],
-        **as_record(with_accepted([*_findings(result, table, known, seen, check), *started], options.accept)),
+        **as_record(with_accepted(found, options.accept)),
     }
 
 
@@ -360,6 +364,21 @@ def _findings(
     if result.beyond:
         out.append(finding("closerange.no_photo_file", parameters=result.beyond))
     return out
+
+
+def _readings(result: BundleResult, table: files.Observed, known: Known, which: Index, of: Index) -> list[Finding]:
+    """Return the doubts on the reading of the image coordinates, from the photos with the most control points.
+
+    A wrong direction of y concerns all photos of a camera, so a few photos are sufficient.
+    """
+    names, control = np.array(result.ids, object), np.isin(result.ids, list(known))
+    counts = np.bincount(which[control[of]], minlength=len(result.photos))
+    tested = []
+    for k in np.argsort(-counts, kind="stable")[:READ].tolist():
+        rows = np.flatnonzero((which == k) & control[of] & ~result.rejected)
+        place = np.array([known[name][0] for name in names[of[rows]]]).reshape(-1, 3)
+        tested.append((result.photos[k].name, result.interiors[k], place, table.image[rows], list(names[of[rows]])))
+    return doubted_readings(tested)
 
 
 def of_photos(found: Finding) -> Finding:

@@ -21,7 +21,7 @@ from fg_orient.closerange.options import DltOptions, ImageOptions, SurfaceOption
 from fg_orient.closerange.photo import aerial_from_rotation, photo_text
 from fg_orient.closerange.report import CONTENTS, RECORD_FILE, REPORT_FILE, render
 from fg_orient.closerange.report_words import photo_rows
-from fg_orient.closerange.resection import Resection, resect
+from fg_orient.closerange.resection import Resection, doubted_readings, resect
 from fg_orient.closerange.surface import Kind
 from fg_orient.closerange.surface_fit import Priors, fit_surface
 from fg_orient.formats.atomic import outputs, require_free, require_free_files, staged_folder, write_text, writing
@@ -34,6 +34,8 @@ from fg_orient.result.plain import dumps, plain, rows_of, write_records
 
 Record = dict[str, Any]
 T = TypeVar("T")
+#: Record of a photo, its fit, and its table for the photo file.
+Oriented = tuple[Record, DltFit | Resection, str]
 
 SCHEMA: Final = 1
 
@@ -74,7 +76,7 @@ def run_dlt(path: Path, options: DltOptions, output: Output = NONE) -> Record:
         See :func:`fg_orient.closerange.dlt.fit_dlt`.
     """
 
-    def one(name: str, ground: Array, image: Array, sigma: Array | None) -> tuple[Record, DltFit | Resection, str]:
+    def one(name: str, ids: list[str], ground: Array, image: Array, sigma: Array | None) -> Oriented:
         fit = fit_dlt(ground, image, sigma=sigma, distortion=options.distortion, name=name, iterate=not options.direct)
         little = fit.redundancy == 1 and sigma is None
         doubts = [fit.doubt, finding("closerange.little_redundancy") if little else None]
@@ -114,12 +116,13 @@ def run_resect(path: Path, camera: Path, options: ImageOptions, output: Output =
     """
     cameras = files.interiors(read_photos(camera))
 
-    def one(name: str, ground: Array, image: Array, sigma: Array | None) -> tuple[Record, DltFit | Resection, str]:
+    def one(name: str, ids: list[str], ground: Array, image: Array, sigma: Array | None) -> Oriented:
         interior = of_name(cameras, name, camera)
         pose = resect(interior, ground, image, sigma=1.0 if sigma is None else sigma, name=name)
         sd = np.full(6, np.nan) if pose.sigma is None else pose.sigma
         exterior = exterior_record(pose.rotation, pose.centre_m, sd[:3], sd[3:])
-        record = {"photo": name, **_fit_facts(pose, pose.second_pose()), "exterior": exterior}
+        found = [*doubted_readings([("", interior, ground, image, ids)]), *pose.second_pose()]
+        record = {"photo": name, **_fit_facts(pose, found), "exterior": exterior}
         return record, pose, photo_text(pose.photo, interior, pose.rotation)
 
     return _each_photo("resection", path, options.sigma, output, one, [camera])
@@ -229,15 +232,15 @@ def _each_photo(
     path: Path,
     sigma: float | None,
     output: Output,
-    one: Callable[[str, Array, Array, Array | None], tuple[Record, DltFit | Resection, str]],
+    one: Callable[[str, list[str], Array, Array, Array | None], Oriented],
     beside: Sequence[Path] = (),
 ) -> Record:
     """Return the record of the photos in a table of control points, in its order; each photo has its points' residuals.
 
     Residuals are computed minus measured. Errors name the photo.
 
-    ``one`` returns record, fit and the table of the photo for the photo file from the name, the ground (n, 3) and image
-    coordinates (n, 2) of the control points and their sigmas (n, 2).
+    ``one`` needs the name, the ids, the ground (n, 3) and image coordinates (n, 2) of the control points, and their
+    sigmas (n, 2).
     """
     output.require_possible()
     table, texts, photos = files.read_control(path, sigma), list[str](), list[Record]()
@@ -246,8 +249,9 @@ def _each_photo(
             mine = np.flatnonzero(np.array(table.photos, dtype=object) == name)
             used = mine[~table.check[mine]]
             try:
+                spread = None if table.sigma is None else table.sigma[used]
                 record, fit, text = one(
-                    name, table.ground[used], table.image[used], None if table.sigma is None else table.sigma[used]
+                    name, [table.ids[k] for k in used], table.ground[used], table.image[used], spread
                 )
             except InputError as error:
                 of = f"photo {name}, " if name else ""

@@ -19,6 +19,7 @@ from fg_orient.closerange.dlt import direct_dlt, recover
 from fg_orient.closerange.minima import SAME, Rival, bend, rival_of
 from fg_orient.closerange.photo import Photo, PhotoInterior
 from fg_orient.model.errors import FgOrientError, Finding, InputError, NoSolutionError, finding
+from fg_orient.quality.mix_ups import BETTER
 from fg_orient.rectification.transformation import Scaling
 
 Pose = tuple[Array, Array]
@@ -28,9 +29,8 @@ LEAST: Final = 4
 SPREAD: Final = 6
 #: The iteration begins at this number of best start values.
 TRIED: Final = 4
-#: Minimum number of points that test another reading of the image coordinates, and factor by which it must fit better.
+#: Minimum number of points that test another reading of the image coordinates.
 LEAST_TESTED: Final = 6
-BETTER: Final = 10.0
 #: Smaller median distances (tangents) are ignored.
 TINY: Final = 1e-12
 #: Code and place of the error for points that do not determine a photo.
@@ -280,6 +280,11 @@ def other_readings(photos: Iterable[tuple[str, PhotoInterior, Array, Array, Sequ
         named = [name for name in mirrored if name]
         out.insert(0, finding("closerange.other_reading", photos=named, times=min(times)))
     return out
+
+
+def doubted_readings(photos: Iterable[tuple[str, PhotoInterior, Array, Array, Sequence[str]]]) -> list[Finding]:
+    """Return the findings of :func:`other_readings` as doubts on a result: an iteration can also converge with them."""
+    return [replace(one, severity="doubt") for one in other_readings(photos)]
 
 
 def _misfit(interior: PhotoInterior, ground: Array, image: Array) -> tuple[Pose, Array] | None:

@@ -1,8 +1,9 @@
-"""If a bundle or a resection does not converge, image coordinates in another reading are named; else nothing is."""
+"""Image coordinates in another reading are named, whether a bundle or a resection converges or not."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ import pytest
 from fg_orient.closerange.bundle import adjust_bundle
 from fg_orient.closerange.resection import other_readings, resect
 from fg_orient.model.errors import NoSolutionError
+from tests.support import page_files
+from tests.support.command import in_process as run
 
 from .conftest import SIGMA, Array, Scene, make
 
@@ -78,3 +81,25 @@ def test_a_resection_without_solution_names_it(monkeypatch: pytest.MonkeyPatch) 
         with pytest.raises(NoSolutionError) as caught:
             resect(scene.interior, scene.points, image[: scene.n], sigma=SIGMA)
         assert [p.code for p in caught.value.problems] == codes
+
+
+@pytest.mark.parametrize("sigma", [(), ("--sigma", "0.001")])
+@pytest.mark.parametrize("command", ["resect", "bundle"])
+def test_a_result_with_y_in_the_other_direction_is_not_trustworthy(
+    command: str, sigma: tuple[str, ...], tmp_path: Path
+) -> None:
+    """The iteration converges with y in the wrong direction; without sigmas m0 tells nothing."""
+    page_files.photos_and_control(tmp_path)
+    path = tmp_path / "cameras.toml"
+    words = {
+        "resect": ("control.csv", "cameras.toml"),
+        "bundle": ("image.csv", "cameras.toml", "--control", "ground.csv"),
+    }
+    given = [tmp_path / w if w.endswith((".csv", ".toml")) else w for w in words[command]]
+    assert run("closerange", command, *given, *sigma).code == 0
+    path.write_text(path.read_text("utf-8").replace("focal = 60.0", 'focal = 60.0\ny_axis = "down"'), "utf-8")
+    done = run("closerange", command, *given, *sigma)
+    first, last = done.stderr.splitlines()[0], done.stdout.splitlines()[-1]
+    assert done.code == 4
+    assert "y of the image coordinates has the other direction" in first and "check y_axis in the photo file" in first
+    assert last.startswith("not trustworthy: ") and "has the other direction" in last
