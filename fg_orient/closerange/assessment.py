@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -17,11 +17,6 @@ from fg_orient.closerange.report_words import length, significant
 from fg_orient.model.distributions import chi_square_interval, chi_square_limit, f_quantile, normal_quantile, sidak
 from fg_orient.model.errors import Finding, by_severity, finding, findings_of, judged
 from fg_orient.quality.reliability import CHECKABLE
-
-#: A residual: its size; the root of its quadratic form divided by its degrees of freedom (of one residual: its size
-#: divided by the given standard deviation and by the root of its redundancy number); degrees of freedom; place of the
-#: observation; name and value of the residual in words.
-Residual = tuple[float, float, int, str, str]
 
 #: Level of the test of m0, and of the search for the worst of all residuals.
 LEVEL: Final = 0.001
@@ -36,6 +31,29 @@ WEAK: Final = 100.0
 M0: Final = ("closerange.m0_large", "closerange.m0_small", "verdict.sigma0", "solution.sigmas_large")
 #: Kinds of results without image coordinates.
 _GROUND: Final = ("surface", "absolute")
+
+
+class Residual(NamedTuple):
+    """Residual that is tested alone.
+
+    Parameters
+    ----------
+    size : float
+        Metres, or unit of the image coordinates.
+    ratio : float
+        Root of its quadratic form divided by its degrees of freedom; of one residual: its size divided by the given
+        standard deviation (1 without one) and by the root of its redundancy number.
+    freedom : int
+        Degrees of freedom.
+    place, words : str
+        Observation; name and value of the residual.
+    """
+
+    size: float
+    ratio: float
+    freedom: int
+    place: str
+    words: str
 
 
 def assessed(record: dict[str, Any], tests: Sequence[Finding]) -> dict[str, Any]:
@@ -195,7 +213,7 @@ def _free(redundancy_number: float | None) -> float:
 def _distances(record: Mapping[str, Any]) -> list[Residual]:
     """Return the normal distances of the points from a surface."""
     return [
-        (size, p.get("distance_over_sigma", size) / math.sqrt(_free(p.get("redundancy"))), 1, f"point {p['id']}",
+        Residual(size, p.get("distance_over_sigma", size) / math.sqrt(_free(p.get("redundancy"))), 1, f"point {p['id']}",
          f"its normal distance, {length(size)},")
         for p in record["points"] for size in [abs(p["distance_m"])]
     ]  # fmt: skip
@@ -208,7 +226,7 @@ def _misfits(record: Mapping[str, Any]) -> list[Residual]:
         own = sum((r[f"residual_{a}"] / r.get(f"sigma_{a}", 1.0)) ** 2 for a in "xy")
         squares[r["id"]] = squares.get(r["id"], 0.0) + own
     return [
-        (p["misfit"], math.sqrt(squares[p["id"]] / free), free, f"point {p['id']}",
+        Residual(p["misfit"], math.sqrt(squares[p["id"]] / free), free, f"point {p['id']}",
          f"the misfit of its rays, {significant(p['misfit'])},")
         for p in record["points"] for free in [2 * p["rays"] - 3]
     ]  # fmt: skip
@@ -241,7 +259,7 @@ def outlying(
     """
     if not residuals or part["m0"] is None:
         return []
-    ratio, own = np.array([row[1:3] for row in residuals], float).T
+    ratio, own = (np.array([getattr(row, name) for row in residuals], float) for name in ("ratio", "freedom"))
     chance, f = sidak(level, len(ratio)), part["redundancy"] - own
     squares = part["m0"] ** 2 * part["redundancy"] - ratio**2 * own
     others = np.sqrt(np.maximum(squares, 0.0) / np.maximum(f, 1.0))
