@@ -56,6 +56,15 @@ class Residual(NamedTuple):
     words: str
 
 
+class LargeResidual(NamedTuple):
+    """Residual that chance does not explain: its ratio to its standard deviation, place, words, name of the divisor."""
+
+    times: float
+    place: str
+    words: str
+    divisor: str
+
+
 def assessed(record: dict[str, Any], tests: Sequence[Finding]) -> dict[str, Any]:
     """Return a record with its status and all findings, the most serious first, also those of its photos.
 
@@ -152,10 +161,10 @@ def _of_residuals(record: Mapping[str, Any]) -> list[Finding]:
     """Return the doubts on the most suspicious observations; the others are counted."""
     scaled = record["weights"] == "absolute" and (record.get("m0") or 1.0) > 1.0
     own = "its own standard deviation and m0" if scaled else "its own standard deviation"
-    large = [(w, place, "its residual", own) for w, place in suspects(record)]
+    large = [LargeResidual(w, place, "its residual", own) for w, place in suspects(record)]
     groups, absolute = _groups(record), record["weights"] == "absolute"  # all kinds of results except the bundle
     tests = (outlying(part, rows, LEVEL / len(groups), absolute=absolute) for part, rows in groups)
-    large += sorted((one for test in tests for one in test), key=lambda row: -row[0])
+    large += sorted((one for test in tests for one in test), key=lambda one: -one.times)
     more = len(large) - SUSPECTS
     return [
         finding("closerange.large_residual", place=place, size=w, what=what, over=over,
@@ -192,13 +201,8 @@ def _residual(row: Mapping[str, Any], axis: str, place: str, words: Callable[[fl
     value = row[f"residual_{axis}{unit}"]
     size = abs(value)
     free = _free(row.get(f"redundancy_{axis}"))
-    return (
-        size,
-        size / row.get(f"sigma_{axis}{unit}", 1.0) / math.sqrt(free),
-        1,
-        place,
-        f"its residual, {words(value)},",
-    )
+    ratio = size / row.get(f"sigma_{axis}{unit}", 1.0) / math.sqrt(free)
+    return Residual(size, ratio, 1, place, f"its residual, {words(value)},")
 
 
 def _free(redundancy_number: float | None) -> float:
@@ -212,11 +216,12 @@ def _free(redundancy_number: float | None) -> float:
 
 def _distances(record: Mapping[str, Any]) -> list[Residual]:
     """Return the normal distances of the points from a surface."""
-    return [
-        Residual(size, p.get("distance_over_sigma", size) / math.sqrt(_free(p.get("redundancy"))), 1, f"point {p['id']}",
-         f"its normal distance, {length(size)},")
-        for p in record["points"] for size in [abs(p["distance_m"])]
-    ]  # fmt: skip
+    out = []
+    for p in record["points"]:
+        size = abs(p["distance_m"])
+        ratio = p.get("distance_over_sigma", size) / math.sqrt(_free(p.get("redundancy")))
+        out.append(Residual(size, ratio, 1, f"point {p['id']}", f"its normal distance, {length(size)},"))
+    return out
 
 
 def _misfits(record: Mapping[str, Any]) -> list[Residual]:
@@ -225,16 +230,16 @@ def _misfits(record: Mapping[str, Any]) -> list[Residual]:
     for r in record["residuals"]:
         own = sum((r[f"residual_{a}"] / r.get(f"sigma_{a}", 1.0)) ** 2 for a in "xy")
         squares[r["id"]] = squares.get(r["id"], 0.0) + own
-    return [
-        Residual(p["misfit"], math.sqrt(squares[p["id"]] / free), free, f"point {p['id']}",
-         f"the misfit of its rays, {significant(p['misfit'])},")
-        for p in record["points"] for free in [2 * p["rays"] - 3]
-    ]  # fmt: skip
+    out = []
+    for p in record["points"]:
+        free, words = 2 * p["rays"] - 3, f"the misfit of its rays, {significant(p['misfit'])},"
+        out.append(Residual(p["misfit"], math.sqrt(squares[p["id"]] / free), free, f"point {p['id']}", words))
+    return out
 
 
 def outlying(
     part: Mapping[str, Any], residuals: list[Residual], level: float, *, absolute: bool
-) -> list[tuple[float, str, str, str]]:
+) -> list[LargeResidual]:
     """Return residuals that are too large for the largest of one adjustment by chance, worst first.
 
     A residual is divided by its standard deviation, from the given one or, if this is larger or none is given, from the
@@ -251,11 +256,6 @@ def outlying(
         Probability of any such residual among good ones.
     absolute : bool
         True if standard deviations were given.
-
-    Returns
-    -------
-    list of tuple
-        Ratio, place of the observation, its residual in words, and the name of the divisor.
     """
     if not residuals or part["m0"] is None:
         return []
@@ -270,5 +270,5 @@ def outlying(
         limit = chi_square_limit(n, chance) / n if given else f_quantile(n, max(left, 1.0), 1.0 - chance)
         if left >= 1.0 and size > ROUNDING and times**2 > float(limit):
             over = "its standard deviation" if given else "the standard deviation that the others show"
-            out.append((times, place, what, over))
-    return sorted(out, key=lambda row: -row[0])
+            out.append(LargeResidual(times, place, what, over))
+    return sorted(out, key=lambda one: -one.times)
