@@ -18,8 +18,15 @@ def with_status(record: dict[str, Any]) -> dict[str, Any]:
 
 
 def problems(record: Mapping[str, Any]) -> list[str]:
-    """Return the problems of the result, the worst first; m0 is assessed by the verdict."""
-    return [str(one) for one in findings_of(record) if one.code not in M0]
+    """Return the problems of the result, the worst first, except those that the verdict states."""
+    stated = {*_reason(record)}
+    return [text for one in findings_of(record) if one.code not in M0 and (text := str(one)) not in stated]
+
+
+def _reason(record: Mapping[str, Any]) -> list[str]:
+    """Return the first doubt of a result that is not trustworthy; the one on m0 has its own sentence."""
+    first = findings_of(record)[:1] if record["status"] == Status.NOT_TRUSTWORTHY else ()
+    return [str(one) for one in first if one.code not in M0]
 
 
 def verdict(record: Mapping[str, Any]) -> dict[str, Any]:
@@ -34,7 +41,7 @@ def verdict(record: Mapping[str, Any]) -> dict[str, Any]:
         kind, title = "warn", "unchecked"
     else:
         kind, title = ("warn", "with warnings") if findings_of(record) else ("good", "nothing stands out")
-    return {"kind": kind, "title": f"{done}, {title}", "text": [*texts[:4], *accuracy_words(record)]}
+    return {"kind": kind, "title": f"{done}, {title}", "text": [*_reason(record), *texts[:4], *accuracy_words(record)]}
 
 
 def m0_words(part: Mapping[str, Any]) -> str:

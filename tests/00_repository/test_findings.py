@@ -106,7 +106,7 @@ def test_a_warning_from_outside_is_one_place(capsys: pytest.CaptureFixture[str])
     assert record["warnings"] == [str(found)]
     assert record["findings"][0]["data"] == {"image": "left", "others": ["a", "b", "c"], "angle": 180.0}
     assert findings_of(record) == (found,)
-    assert problems(record | {"weights": "relative", "kind": "bundle"}) == [str(found)]
+    assert problems(record | {"status": "good"}) == [str(found)]
     tell_findings(record)
     assert capsys.readouterr().err == f"warning: {found.text(flag)}\n"
 
