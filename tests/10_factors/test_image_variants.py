@@ -22,9 +22,9 @@ def test_terms_are_those_of_the_formulas() -> None:
     along = [r, r**2, r**4, r**6, 3 * u**3 - 2 * u, 10 * u**5 - 12 * u**3 + 3 * u,
              35 * u**7 - 60 * u**5 + 30 * u**3 - 4 * u]  # fmt: skip
     found = variants.terms(x, y, RADIUS)
-    assert found[:, :7] == pytest.approx(np.outer([x / r, y / r], along), rel=1e-14)
+    assert found[:, :7] == pytest.approx(np.outer([x / r, y / r], along), rel=1e-14, abs=0.0)
     assert found[:, 7:9].tolist() == [[x, 0.0], [0.0, x]]
-    assert found[:, 9] == pytest.approx(np.array([x, y]) * r**8, rel=1e-14)
+    assert found[:, 9] == pytest.approx(np.array([x, y]) * r**8, rel=1e-14, abs=0.0)
     rim = variants.terms(RADIUS, 0.0, RADIUS)
     assert rim[0, 4:7].tolist() == [1.0, 1.0, 1.0]
 

@@ -132,8 +132,8 @@ def test_column_lengths(rng: np.random.Generator) -> None:
     design = rng.normal(size=(6, 3)) * [1.0, 1e3, 0.0]
     system = LinearSystem.from_design(design, np.ones(6))
     lengths = column_lengths(system)
-    assert lengths[:2] == pytest.approx(np.linalg.norm(design[:, :2], axis=0), rel=1e-14)
+    assert lengths[:2] == pytest.approx(np.linalg.norm(design[:, :2], axis=0), rel=1e-14, abs=0.0)
     assert lengths[2] == 1.0
-    assert np.linalg.norm(unit_columns(design), axis=0) == pytest.approx([1.0, 1.0, 0.0], rel=1e-14)
+    assert np.linalg.norm(unit_columns(design), axis=0) == pytest.approx([1.0, 1.0, 0.0], rel=1e-14, abs=0.0)
     unit, _ = scaled(LinearSystem(system.normal, system.rhs))
     assert unit.normal.diagonal() == pytest.approx([1.0, 1.0, 0.0], abs=1e-14)

@@ -63,7 +63,7 @@ def test_kappa_zero_is_least_squares_and_the_norm_falls_with_kappa(system: Linea
 def test_bayes_kappa_is_the_posterior_mean_of_equal_variances(system: LinearSystem) -> None:
     given = Given(sigma_observed=0.2, sigma_unknown=0.5)
     choice = choose_kappa("bayes", system, given)
-    assert choice.kappa == pytest.approx(0.16, rel=1e-14)
+    assert choice.kappa == pytest.approx(0.16, rel=1e-14, abs=0.0)
     design, observed = system.require_design("test")
     posterior = np.linalg.solve(design.T @ design / 0.04 + np.eye(5) / 0.25, design.T @ observed / 0.04)
     assert np.abs(tikhonov(system, "bayes", given).x - posterior).max() <= 1e-12
@@ -98,7 +98,7 @@ def test_start_solver_of_hkb_is_named_by_the_caller() -> None:
     wild = choose_kappa("hkb", system).kappa
     tame = choose_kappa("hkb", system, Given(start_solver="moore_penrose_inverse")).kappa
     plain = solve("gauss_partial_pivot_elimination", system).x
-    assert wild == pytest.approx(12.0 * unit_variance(system, plain) / (plain @ plain), rel=1e-12)
+    assert wild == pytest.approx(12.0 * unit_variance(system, plain) / (plain @ plain), rel=1e-12, abs=0.0)
     assert tame > 1.01 * wild
 
 

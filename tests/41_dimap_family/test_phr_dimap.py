@@ -79,7 +79,7 @@ def test_values_are_those_of_the_text(phr: Path) -> None:
     assert (m.mission, m.instrument, m.format, str(m.epoch)) == ("PHR 1B", "PHR 1B", "PHR_DIMAP 1.4", "2018-12-26")
     assert (m.n_lines, m.n_samples, m.timing.reference_line) == (4001, 24, 0.0)
     assert m.timing.reference_time_s == 10 * 3600 + 48 * 60 + 55.449
-    assert m.timing.line_period_s == pytest.approx(7.35e-5, rel=1e-15)  # not the acquisition's 0.1034 ms
+    assert m.timing.line_period_s == pytest.approx(7.35e-5, rel=1e-15, abs=0.0)  # not the acquisition's 0.1034 ms
     assert isinstance(m.attitude, QuaternionPolynomial) and isinstance(m.look, LookAnglePolynomial)
     assert (m.attitude.offset_s, m.attitude.scale_s) == (38935.5, 1.625)
     assert [row[row != 0.0].tolist() for row in m.attitude.coefficients] == [list(row) for row in QUATERNIONS]

@@ -182,7 +182,7 @@ def test_three_units_of_line_periods(real_data: Path, name: str, period_s: float
 
     Only SPOT 6 states the unit by an attribute.
     """
-    assert read_dimap(real_data / name).timing.line_period_s == pytest.approx(period_s, rel=1e-15)
+    assert read_dimap(real_data / name).timing.line_period_s == pytest.approx(period_s, rel=1e-15, abs=0.0)
 
 
 @pytest.mark.behaviour

@@ -89,7 +89,7 @@ def test_cameras_of_colmap(model: str, values: tuple[float, ...]) -> None:
     expected = camera.img_from_cam((ground - CENTRE) @ ROTATION.T)
     assert np.column_stack([sample, line]) + FIRST_PIXEL == pytest.approx(expected, abs=1e-6)
     kind, numbers, error = parameters_of(interior)
-    assert kind == model and numbers == pytest.approx(values, rel=1e-14) and error == 0.0
+    assert kind == model and numbers == pytest.approx(values, rel=1e-14, abs=0.0) and error == 0.0
 
 
 @pytest.mark.truth

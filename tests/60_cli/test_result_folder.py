@@ -91,10 +91,10 @@ def test_arrays_need_no_pickle_and_agree_with_the_tables(adjusted: tuple[Path, A
         names = list(arrays["parameter_names"])
     eop = rows(out / "eop.csv")
     assert [row["parameter"] for row in eop] == names * 2
-    assert np.array([float(row["value_per_tau"]) for row in eop]) == pytest.approx(values, rel=1e-15)
-    assert covariance == pytest.approx(cofactors * ended.json["sigma0"] ** 2, rel=1e-12)
+    assert np.array([float(row["value_per_tau"]) for row in eop]) == pytest.approx(values, rel=1e-15, abs=0.0)
+    assert covariance == pytest.approx(cofactors * ended.json["sigma0"] ** 2, rel=1e-12, abs=0.0)
     sigma = np.sqrt(np.einsum("mkk->mk", covariance)).ravel()
-    assert np.array([float(row["sigma"]) for row in eop]) == pytest.approx(sigma, rel=1e-12)
+    assert np.array([float(row["sigma"]) for row in eop]) == pytest.approx(sigma, rel=1e-12, abs=0.0)
     assert {row["sigma_scale"] for row in eop} == {"posterior"}
 
 
@@ -103,8 +103,8 @@ def test_per_line_coefficients(adjusted: tuple[Path, Any]) -> None:
     """Per-line values and sigmas of EOP coefficients are c_k / c^k with c = (12000 - 1)/2."""
     for row in rows(adjusted[0] / "eop.csv"):
         power = 5999.5 ** int(row["degree"])
-        assert float(row["per_line_value"]) == pytest.approx(float(row["value_per_tau"]) / power, rel=1e-14)
-        assert float(row["per_line_sigma"]) == pytest.approx(float(row["sigma"]) / power, rel=1e-14)
+        assert float(row["per_line_value"]) == pytest.approx(float(row["value_per_tau"]) / power, rel=1e-14, abs=0.0)
+        assert float(row["per_line_sigma"]) == pytest.approx(float(row["sigma"]) / power, rel=1e-14, abs=0.0)
         assert row["per_line_unit"] == row["unit"] + ("", "/line", "/line^2")[int(row["degree"])]
 
 
