@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from fg_orient.formats.faults import MAX_FAULTS, Faults
@@ -59,14 +60,25 @@ def test_every_finite_double_is_read_back(value):
 
 
 @pytest.mark.behaviour
-@given(st.text(max_size=12))
+@given(st.text(max_size=12) | st.text("0123456789+-.eE_, ٣xinfa", max_size=5))
+@example("1_0")
+@example("٣")
+@example(" 1")
+@example("nan")
+@example("infinity")
+@example("0x1F")
+@example("+.5E-3")
+@example("5.")
+@example("1e999")
 def test_only_plain_decimal_numbers_are_numbers(text):
-    """A text accepted as a number has only digits, signs, point and exponent, and Python reads it as finite."""
+    """A text is a number only if it has ASCII digits, with sign, point and exponent at their places, and is finite."""
     faults = Faults("t.csv")
     value = number(Row(2, {"x": text}), "x", faults)
-    assert math.isnan(value) == bool(faults)
-    if not faults:
-        assert set(text) <= set("0123456789+-.eE") and math.isfinite(float(text))
+    plain = re.fullmatch(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?", text)
+    if plain and math.isfinite(float(text)):
+        assert value == float(text) and not faults
+    else:
+        assert math.isnan(value) and faults
 
 
 @pytest.mark.behaviour
