@@ -16,10 +16,10 @@ from fg_orient.closerange.bundle import BundlePhoto, adjust_bundle
 from fg_orient.closerange.bundle_block import build
 from fg_orient.closerange.bundle_result import BundleResult
 from fg_orient.closerange.intersection import intersect_photos
-from fg_orient.closerange.photo import NAMES, SETS, parameters_of
+from fg_orient.closerange.photo import NAMES, SETS, Photo, parameters_of, rotation_from_ayhan
 from fg_orient.model.block import Options
 from fg_orient.model.constraint import Constraint
-from fg_orient.model.errors import FgOrientError, InputError
+from fg_orient.model.errors import InputError
 from fg_orient.model.names import CellKey
 from fg_orient.quality.observability import analyse_block
 from fg_orient.studies.reproduce import ayhan1996_photos as thesis
@@ -259,9 +259,18 @@ def test_what_nothing_determines_is_named() -> None:
     for photo in ("ph0", "ph1"):
         assert any(photo in p.place and "k1" in p.place and "a16" in p.place for p in caught.value.problems)
     flat = scene.points * [1.0, 0.0, 1.0] + [0.0, 2005.0, 0.0]
-    level = [Scene(scene.interior, [scene.rotations[0]] * 2, scene.centres, flat, scene.image)]
-    with pytest.raises(FgOrientError):  # one plane and one attitude: distance and principal distance are one
-        adjusted(make(3, 20, 2, points=level[0].points), scene.photos(unknown=NAMES[:3], held=False), control={})
+    control = {name: (flat[k], 0.0) for k, name in enumerate(scene.ids)}
+    facing = [rotation_from_ayhan(0.0, 0.0, 0.0)] * 2
+    views = [Photo.of("", scene.interior, r, c).project(flat) for r, c in zip(facing, scene.centres, strict=True)]
+    image = np.concatenate(views) + np.random.default_rng(4).normal(scale=SIGMA, size=(40, 2))
+    level = Scene(scene.interior, facing, scene.centres, flat, image)
+    with pytest.raises(InputError, match="do not determine") as caught:  # distance and principal distance are one
+        adjusted(level, level.photos(unknown=NAMES[:1]), control=control)
+    assert [p.code for p in caught.value.problems] == ["closerange.unobservable"] * 2
+    for photo, problem in zip(("ph0", "ph1"), caught.value.problems, strict=True):
+        assert problem.place.startswith(f"image {photo}: ") and "+1.00 focal length" in problem.place
+    turned = make(3, 20, 2, points=flat)  # by 0.1 rad: the plane does determine the principal distance
+    assert adjusted(turned, turned.photos(unknown=NAMES[:1]), control=control).redundancy == 80 - 14
 
 
 def together(verb: str) -> str:
