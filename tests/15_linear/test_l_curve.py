@@ -8,7 +8,7 @@ import pytest
 from fg_orient.adjustment.linear.kappa import choose_kappa, kappa_rules
 from fg_orient.adjustment.linear.l_curve import CURVE_POINTS, l_curve_of
 from fg_orient.adjustment.linear.registry import solve
-from fg_orient.adjustment.linear.system import Array, LinearSystem
+from fg_orient.adjustment.linear.system import Array, Breakdown, LinearSystem
 from fg_orient.model.errors import InputError
 from tests.support.systems import design_system
 
@@ -38,15 +38,19 @@ def test_every_point_is_a_tikhonov_solution(system: LinearSystem) -> None:
 
 @pytest.mark.oracle
 def test_rules_have_their_places(system: LinearSystem) -> None:
-    """Each rule that needs only the system has the kappa of its own solver, and its norms lie on the L-curve."""
+    """Each rule that needs only the system has its own kappa or its own failure, and its norms lie on the L-curve."""
     curve = l_curve_of(system)
     assert {c.rule for c in curve.choices} == {name for name, rule in kappa_rules().items() if not rule.needs}
     found = {c.rule: c for c in curve.choices if not c.failure}
-    for name in ("hkb", "lw", "od", "l_curve", "gcv", "creso"):
-        if name in found:
-            assert solve(f"tikhonov_{name}", system).kappa == found[name].kappa
-            assert solve(f"tikhonov_{name}", system).rule == name
-    assert {"hkb", "l_curve", "gcv"} <= set(found)
+    assert set(found) == {"hkb", "lw", "od", "l_curve", "gcv", "maximum"}  # the curves of the others have no maximum
+    for name in ("hkb", "lw", "od", "l_curve", "gcv"):
+        own = solve(f"tikhonov_{name}", system)
+        assert (own.rule, own.kappa) == (name, found[name].kappa)
+    assert choose_kappa("maximum", system).kappa == found["maximum"].kappa
+    for choice in curve.choices:
+        if choice.failure:
+            with pytest.raises(Breakdown, match=choice.failure):
+                choose_kappa(choice.rule, system)
     for choice in found.values():
         assert (choice.residual_norm, choice.solution_norm) == pytest.approx(norms(system, choice.kappa), rel=1e-9)
         assert choice.kappa == 0.0 or curve.kappa[0] <= choice.kappa * (1 + 1e-12) <= curve.kappa[-1] * (1 + 2e-12)
@@ -89,8 +93,9 @@ def test_a_rule_that_finds_nothing_says_why_and_the_others_stay() -> None:
 def test_kappa_zero_of_a_singular_system_has_no_place() -> None:
     design = np.array([[1.0, 0.0], [2.0, 0.0], [3.0, 0.0]])
     curve = l_curve_of(LinearSystem.from_design(design, np.array([1.0, 2.0, 4.0])))
-    for choice in curve.choices:
-        assert choice.failure or choice.kappa > 0.0 or np.isnan(choice.solution_norm)
+    (zero,) = (choice for choice in curve.choices if choice.kappa == 0.0)
+    assert zero.rule == "od" and np.isnan([zero.residual_norm, zero.solution_norm]).all()
+    assert np.isfinite([choice.solution_norm for choice in curve.choices if choice.kappa > 0.0]).all()
     assert np.isfinite(curve.residual_norm).all()
 
 

@@ -244,11 +244,14 @@ def test_cramer_does_not_overflow() -> None:
 
 @pytest.mark.behaviour
 def test_results_that_overflow_are_breakdowns() -> None:
+    """If 1/1e-310 overflows, a solver breaks down; the pseudo-inverse counts 1e-310 as zero, with a note."""
     tiny = LinearSystem(np.diag([1.0, 1e-310]), np.ones(2))
     for name in HAND_WRITTEN:
         found = attempt(name, tiny)
-        assert found.failure or found.notes, name
-        assert np.isnan(found.x).all() if found.failure else np.isfinite(found.x).all()
+        if name == "moore_penrose_inverse":
+            assert found.x.tolist() == [1.0, 0.0] and "1 of 2 singular values set to zero" in found.notes
+        else:
+            assert "not finite" in found.failure and np.isnan(found.x).all(), name
 
 
 @pytest.mark.oracle

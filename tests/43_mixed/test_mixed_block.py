@@ -101,8 +101,11 @@ def test_without_errors_and_noise_the_files_are_the_truth() -> None:
 @pytest.mark.parametrize("wrong", [{"seed": -1}, {"control": 2}, {"points": 15}, {"rpc_noise_px": -0.1},
                                    {"errors": "some"}, {"ground_noise_m": (0.1, 0.1, np.inf)}])  # fmt: skip
 def test_options_out_of_range_are_refused(wrong: dict[str, object]) -> None:
-    with pytest.raises(InputError):
+    with pytest.raises(InputError) as caught:
         MixedOptions(**wrong)  # type: ignore[arg-type]
+    (name,) = wrong
+    (problem,) = caught.value.problems  # 15 points are fewer than the default numbers of control and check points
+    assert (problem.code, problem.option) == ("options.value", "control, check" if name == "points" else name)
 
 
 @pytest.mark.consistency

@@ -96,8 +96,9 @@ def test_rays_that_do_not_intersect_at_given_values_are_named(twin: Block) -> No
     values, key = graph.values, graph.key("image:left")
     far = gtsam.Values(values)
     far.update(key, values.atVector(key) + 1e6)
-    with pytest.raises(fg.NoSolutionError):
+    with pytest.raises(fg.NoSolutionError, match="is not determined by its rays") as caught:
         graph.solution(far)
+    assert any(f": point {name} is not determined" in str(caught.value) for name in twin.points.ids)
 
 
 @pytest.mark.behaviour

@@ -133,7 +133,9 @@ def test_command_draws_and_counts(tmp_path: Path) -> None:
 
 @pytest.mark.behaviour
 def test_command_refuses_what_adjust_refuses(tmp_path: Path) -> None:
-    assert in_process("graph", tmp_path / "none.toml").code == 2
+    refused, adjust = (in_process(name, tmp_path / "none.toml", "--json") for name in ("graph", "adjust"))
+    assert refused.code == adjust.code == 2
+    assert refused.json["errors"] == adjust.json["errors"] != []
     (tmp_path / "own").mkdir()
     (tmp_path / "own" / "letter.txt").write_text("mine")
     with pytest.raises(InputError):

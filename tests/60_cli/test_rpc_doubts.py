@@ -79,7 +79,9 @@ def test_two_models_may_differ_by_half_a_pixel(run: Run, tmp_path: Path, offset:
         found = ended.json["findings"][0]
         assert found["data"]["largest_px"] == pytest.approx(offset, abs=1e-6)
         assert "nearly constant, -2.00 px in line" in found["message"] and "at line " in found["message"]
-        assert "--first-pixel" in found["remedy"] or "first_pixel" in found["remedy"]
+        assert found["remedy"].endswith("the pixel origin (option first_pixel)")
+        shown = run("rpc", "check", tmp_path / "a_RPC.TXT", "--against", tmp_path / "b_RPC.TXT")
+        assert "the pixel origin (--first-pixel)" in shown.stderr
 
 
 @pytest.mark.behaviour

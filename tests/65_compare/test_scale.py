@@ -72,8 +72,9 @@ def test_sizes() -> None:
         with pytest.raises(fg.InputError) as caught:
             sizes_of(wrong)
         assert caught.value.problems[0].code in ("compare.size", "compare.nothing")
-    with pytest.raises(fg.InputError):
+    with pytest.raises(fg.InputError) as caught:
         scale([10], time_limit_s=0.0)
+    assert [p.code for p in caught.value.problems] == ["compare.time_limit"]
 
 
 @pytest.mark.behaviour

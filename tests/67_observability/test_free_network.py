@@ -287,8 +287,9 @@ def test_no_unknown_may_be_missing_from_a_datum() -> None:
     with pytest.raises(fg.InputError) as caught:
         solution.in_datum("point:1", "point:2")
     assert caught.value.problems[0].code == "statistics.datum" and "7 motions" in caught.value.problems[0].message
-    with pytest.raises(fg.InputError):
+    with pytest.raises(fg.InputError) as caught:
         solution.in_datum("point:nowhere")
+    assert [(p.code, p.value) for p in caught.value.problems] == [("covariance.no_such", "point:nowhere")]
     with pytest.raises(fg.NoSolutionError) as refused:
         fg.adjust(pinhole()).in_datum()
     assert refused.value.problems[0].code == "statistics.no_free_network"

@@ -117,8 +117,9 @@ def test_three_numbers_of_an_option_are_plain_decimal_numbers() -> None:
 
 @pytest.mark.parametrize("word", ["a=99999999999999999999,5", "a=٣,5", "a=0,5", "a=5", "a=1_0,5", "a=-1,5"])
 def test_an_image_size_that_no_file_can_store_is_refused(word: str) -> None:
-    with pytest.raises(InputError):
+    with pytest.raises(InputError) as caught:
         image_sizes([word])
+    assert [(p.code, p.value) for p in caught.value.problems] == [("interchange.image_size", word)]
     assert image_sizes(["a=12000,999999999"]) == {"a": (12000, 999_999_999)}
 
 
