@@ -736,8 +736,10 @@ def test_whole_adjustment_equals_the_graph_and_the_full_matrix() -> None:
     full = Full.of(a.problem, a.state)
     columns, sigma = full.problem.image_slice(2), a.sigma0 * a.problem.parameters[2].sigma
     expected = full.unknowns[columns, columns] * np.outer(sigma, sigma)
+    scale = np.sqrt(np.diag(expected))  # metres and radians
     for solution in (a, b):
-        assert solution.covariance(f"image:{image}").values == pytest.approx(expected, rel=1e-5)
+        values = solution.covariance(f"image:{image}").values
+        assert np.abs((values - expected) / np.outer(scale, scale)).max() <= 1e-5
     assert (a.warnings, a.unobservable) == (b.warnings, b.unobservable)
 
 
@@ -761,9 +763,9 @@ def test_singular_systems_are_refused(reduced: str) -> None:
     """
     problem = compile_problem(with_options(grid(2, 2, 60), eop_set=20, priors=False))
     backend = SchurBackend(problem, reduced=reduced)
-    with pytest.raises(RuntimeError):
+    with pytest.raises(RuntimeError, match=r"not positive definite|singular|Indeterminate"):
         backend.linearise(problem.start).solve(0.0)
-    with pytest.raises(RuntimeError):
+    with pytest.raises(RuntimeError, match=r"not positive definite|singular|Indeterminate"):
         ReducedCofactors(problem, backend.linearise(problem.start))
 
 

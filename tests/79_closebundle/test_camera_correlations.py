@@ -108,8 +108,13 @@ def test_f_is_what_the_removal_of_parameters_costs(tmp_path: Path) -> None:
 
 @pytest.mark.behaviour
 def test_each_camera_is_named_and_fixed_centres_have_no_distance() -> None:
-    q = np.eye(5) + 0.99 * (np.eye(5, k=1) + np.eye(5, k=-1)) * np.array([1.0, 0.0, 0.0, 0.0, 0.0])[:, None]
-    q = np.maximum(q, q.T)
-    names = ("x0", "p1", "p2", "c", "Z0")
-    (found,) = inseparable([ImageCofactors("camera a", names, q, np.zeros(5))])
-    assert found.code == "camera.decentring" and found.data["which"] == ["x0 of camera a (0.990)"]
+    """x0 and p1 of two cameras are inseparable; c and the distance are only if the centre is not fixed."""
+    q = np.eye(5)
+    q[[0, 1, 3, 4], [1, 0, 4, 3]] = 0.99  # x0 and p1, c and Z0
+    names, fixed, free = ("x0", "p1", "p2", "c", "Z0"), np.zeros(5), np.array([0.0, 0.0, 0.0, 0.0, 1.0])
+    cameras = [ImageCofactors(f"camera {k}", names, qk, fixed) for k, qk in (("a", q), ("b", np.eye(5)), ("d", q))]
+    (found,) = inseparable(cameras)
+    assert found.code == "camera.decentring"
+    assert found.data["which"] == ["x0 of camera a (0.990)", "x0 of camera d (0.990)"]
+    codes = {found.code for found in inseparable([ImageCofactors("camera a", names, q, free)])}
+    assert codes == {"camera.decentring", "camera.distance"}
