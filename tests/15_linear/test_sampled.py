@@ -53,7 +53,7 @@ def test_true_trace_lies_within_3_standard_errors() -> None:
         assert inside >= 198, kappa
 
 
-@pytest.mark.oracle
+@pytest.mark.consistency
 @pytest.mark.parametrize("seed", range(3))
 def test_curves_are_those_of_the_decomposition(seed: int) -> None:
     """With exact probes the sampled curves equal those of the singular value decomposition.

@@ -60,7 +60,7 @@ def test_angles_are_kappa_phi_omega_of_successive_turns(tmp_path: Path) -> None:
     assert np.abs(rotation - np.diag([1.0, -1.0, -1.0]) @ kappa @ phi @ omega).max() < 1e-15
 
 
-@pytest.mark.truth
+@pytest.mark.consistency
 @pytest.mark.real_data
 def test_published_exports_without_their_image_size_have_the_same_cameras(real_data: Path, tmp_path: Path) -> None:
     exports = sorted((real_data / "dbat").rglob("*pmexport.txt"))

@@ -27,8 +27,6 @@ from tests.support.office import (
     write_xlsx,
 )
 
-pytestmark = pytest.mark.oracle
-
 #: Half of the last digit of the tables, m, and 0.15 mm between the ellipsoids of ETRS89 and WGS84; px.
 GROUND_M, PIXEL = 2.5e-4, 1e-4
 STATED = ("--sigma-ground", "0.05", "0.05", "0.1", "--sigma-image", "0.5", "0.5")
@@ -176,6 +174,7 @@ FORMS: dict[str, tuple[str, Callable[[Path, Place], None], str, tuple[str, ...]]
 }
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("form", FORMS)
 def test_a_table_becomes_a_project_in_one_command(tmp_path: Path, form: str) -> None:
     name, write, crs, words = FORMS[form]
@@ -199,6 +198,7 @@ def test_a_table_becomes_a_project_in_one_command(tmp_path: Path, form: str) -> 
     assert pixel < PIXEL
 
 
+@pytest.mark.oracle
 def test_heights_above_a_geoid_are_asked_for(tmp_path: Path) -> None:
     there = place("tr")
     write_images(tmp_path / "in", there)
@@ -216,6 +216,7 @@ def test_heights_above_a_geoid_are_asked_for(tmp_path: Path) -> None:
     assert new(tmp_path, "--first-pixel", "1", "--heights", "ellipsoidal").code == 0
 
 
+@pytest.mark.oracle
 def test_a_grid_that_proj_lacks_is_taken_from_the_folder_or_asked_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -256,6 +257,7 @@ def test_a_grid_that_proj_lacks_is_taken_from_the_folder_or_asked_for(
     assert ground < GROUND_M and pixel < PIXEL  # float32 of GTX: 2e-6 m
 
 
+@pytest.mark.behaviour
 def test_missing_roles_are_assumed_and_check_points_given(tmp_path: Path) -> None:
     there = place("tr")
     write_images(tmp_path / "in", there)
@@ -267,6 +269,7 @@ def test_missing_roles_are_assumed_and_check_points_given(tmp_path: Path) -> Non
     assert [i for i, role in zip(survey.ids, survey.roles, strict=True) if role == "check"] == ["103", "110"]
 
 
+@pytest.mark.behaviour
 def test_without_a_terminal_assumptions_need_yes(tmp_path: Path) -> None:
     there = place("tr")
     write_images(tmp_path / "in", there)
@@ -277,6 +280,7 @@ def test_without_a_terminal_assumptions_need_yes(tmp_path: Path) -> None:
     assert not (tmp_path / "project").exists()
 
 
+@pytest.mark.oracle
 @pytest.mark.skipif(shutil.which("soffice") is None, reason="LibreOffice is not installed")
 @pytest.mark.parametrize("end", ["xlsx", "ods"])
 def test_a_workbook_saved_by_libreoffice(tmp_path: Path, end: str) -> None:
@@ -294,6 +298,7 @@ def test_a_workbook_saved_by_libreoffice(tmp_path: Path, end: str) -> None:
     assert pixel < PIXEL
 
 
+@pytest.mark.oracle
 def test_a_constant_undulation_makes_heights_ellipsoidal(tmp_path: Path) -> None:
     there = place("tr")
     write_images(tmp_path / "in", there)

@@ -131,7 +131,7 @@ def require_equal(dense: Solution, found: Solution) -> None:
         assert mine == pytest.approx(other, abs=1e-8)
 
 
-@pytest.mark.oracle
+@pytest.mark.consistency
 @pytest.mark.parametrize(
     ("made", "options"),
     [
@@ -158,7 +158,7 @@ def test_elimination_of_images_changes_nothing(
     require_equal(dense, found)
 
 
-@pytest.mark.oracle
+@pytest.mark.consistency
 def test_tests_of_unknowns_and_observations_are_those_of_full_matrices(
     both: Callable[..., tuple[Solution, Solution]],
 ) -> None:

@@ -115,7 +115,7 @@ def test_images_of_different_kinds_keep_their_own_unknowns() -> None:
     assert set(solution.rank_defect) == {"left", "right"}
 
 
-@pytest.mark.oracle
+@pytest.mark.consistency
 def test_optimisers_agree() -> None:
     """GTSAM's Levenberg-Marquardt and Dogleg end at the solution of Gauss-Newton within 1e-9 prior sigma."""
     block = mixed()

@@ -63,7 +63,7 @@ def equal(a: fg.Solution, b: fg.Solution, unit_m: float = 1e-7) -> None:
         assert np.abs(q[0] - q[1]).max() < 1e-6 * np.abs(q[1]).max()
 
 
-@pytest.mark.oracle
+@pytest.mark.consistency
 @pytest.mark.parametrize("kind", ["some", "every", "shared"])
 @pytest.mark.parametrize("optimizer", ["gauss-newton", "levenberg-marquardt", "dogleg"])
 def test_equals_full_matrices(optimizer: str, kind: str) -> None:
@@ -78,7 +78,7 @@ def test_equals_full_matrices(optimizer: str, kind: str) -> None:
     equal(runs[0], runs[2])
 
 
-@pytest.mark.oracle
+@pytest.mark.consistency
 @pytest.mark.parametrize("more", [{"loss": "huber"}, *(pytest.param(one, marks=pytest.mark.slow) for one in (
     {"loss": "tukey"}, {"loss": "tls", "gnc": True}, {"loss": "lad"}))])  # fmt: skip
 def test_equals_full_matrices_under_a_loss(more: dict[str, object]) -> None:

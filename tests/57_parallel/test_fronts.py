@@ -202,7 +202,7 @@ def test_singular_fronts_raise_the_error_of_the_whole_system(tmp_path: Path) -> 
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.oracle
+@pytest.mark.consistency
 def test_an_image_without_points_or_priors_is_refused_as_in_one_part(monkeypatch: pytest.MonkeyPatch) -> None:
     own = block("strip")
     images = (*own.images, replace(own.images[0], id="idle"))

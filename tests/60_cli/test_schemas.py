@@ -72,7 +72,7 @@ def test_what_is_printed_is_as_the_schema_says(
         assert list(faults(ended.json, schema(name))) == [], name
 
 
-@pytest.mark.truth
+@pytest.mark.behaviour
 def test_joined_schemas_allow_what_each_allowed() -> None:
     """A joined schema allows what each schema allowed, and names types, keys and missing keys that it refuses.
 

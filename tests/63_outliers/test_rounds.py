@@ -42,7 +42,7 @@ def searched(block: Block, most: int, monkeypatch: pytest.MonkeyPatch) -> Search
     return found
 
 
-@pytest.mark.oracle
+@pytest.mark.consistency
 @pytest.mark.parametrize("largest_px", [30.0, 600.0])
 def test_all_in_one_round_are_those_of_one_by_one(largest_px: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """A search with many errors per round rejects the observations of one error per round, in at most four rounds.

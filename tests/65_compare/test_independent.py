@@ -249,7 +249,7 @@ def test_limits_name_the_estimate() -> None:
     assert Limits(None, 5.0).reason("dense qr", Work(memory=1e15)) == ""
 
 
-@pytest.mark.oracle
+@pytest.mark.consistency
 def test_formulas_of_large_blocks_equal_the_symbolic_elimination(twin: Block, monkeypatch: pytest.MonkeyPatch) -> None:
     problem = compile_problem(replace(twin, options=replace(twin.options, eop_set=2)))
     counted = Sparsity(problem)
