@@ -48,7 +48,7 @@ def test_prior_sigmas_of_the_concepts_page_are_the_defaults(repository: Path) ->
     ):
         row = re.search(rf"\| {kind} \| {number} {unit} \| {number} {unit} \| {number} {unit} \|", text)
         assert row is not None
-        assert [float(x) * scale for x in row.groups()] == pytest.approx(sigmas, rel=1e-12)
+        assert [float(x) * scale for x in row.groups()] == pytest.approx(sigmas, rel=1e-12, abs=0.0)
 
 
 def test_commands_of_the_readme_exist(repository: Path) -> None:

@@ -188,12 +188,16 @@ def test_a_full_disk_stops_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
     def twice(x: float) -> float:
         return 2.0 * x
 
+    tried = []
+
     def full(*_: object) -> None:
+        tried.append(True)
         raise OSError(28, "No space left on device")
 
     kernel: Any = twice
     monkeypatch.setattr(kernel.open_cache()._cache_file, "save", full)
     assert twice(2.0) == 4.0 and twice(3) == 6
+    assert tried
 
 
 def test_stamp_sees_what_a_function_is_bound_to() -> None:

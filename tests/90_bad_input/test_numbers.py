@@ -156,9 +156,13 @@ def test_a_compiler_that_is_switched_off_is_named(monkeypatch: pytest.MonkeyPatc
     )
 
 
-def test_completion_without_the_words_of_a_shell_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_completion_without_the_words_of_a_shell_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setenv(COMPLETION, "complete_bash")
     assert _usage_error(KeyError("COMP_WORDS")) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"error: {COMPLETION}: ") and "(found complete_bash)" in line
     with pytest.raises(KeyError):
         _usage_error(KeyError("other"))
 
