@@ -51,13 +51,13 @@ def test_backends_agree() -> None:
 @pytest.mark.truth
 @pytest.mark.parametrize("kind", ["line", "spline"])
 def test_exact_images_of_features_give_exact_check_points(kind: str) -> None:
-    """Exact image points on lines or splines give check points within 1 mm, without priors.
+    """Exact image points on lines or splines give check points within a micrometre, without priors.
 
     The metadata are wrong by tens of metres.
     """
     one = scene(2, kind=kind, noise_px=0.0, across_m=0.0, eop_set=1, priors=False, n_features=20)
     solution = fg.adjust(one.block, backend="dense")
-    assert np.abs(solution.ground_m[:20] - one.check).max() < 1e-3
+    assert np.abs(solution.ground_m[:20] - one.check).max() < 1e-6
 
 
 @pytest.mark.behaviour
