@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 
 from factors.arrays import Array
-from fg_orient.closerange.bundle_block import Built
+from fg_orient.closerange.bundle_block import CENTRE, FRAME, TURNS, Built
 from fg_orient.closerange.fitting import UNDETERMINED
 from fg_orient.model.errors import FgOrientError, Finding, InputError, finding
+from fg_orient.sensors.frame_unknowns import NAMES, WORDS
 
 #: Unknowns are named if their deviation is above this share of the largest deviation.
 NAMED: Final = 0.3
@@ -18,6 +20,11 @@ _CODES: Final = {
     "statistics.motions": "closerange.datum", "adjust.rank_deficient": "closerange.unobservable",
     "adjust.rank_without_control": "closerange.unobservable",
 }  # fmt: skip
+#: Names of camera parameters by the descriptions for frame images, which have pixels, and p1 and p2 exchanged.
+_PARAMETERS: Final = {
+    WORDS[NAMES.index(frame)]: name for name, frame in FRAME.items() if name not in (*TURNS, *CENTRE)
+}  # fmt: skip
+_DESCRIBED: Final = re.compile("|".join(map(re.escape, _PARAMETERS)))
 
 
 def require_rays(built: Built) -> None:
@@ -58,11 +65,12 @@ def require_determined(labels: Sequence[str], deviation: Array) -> None:
 
 
 def of_close_range(error: FgOrientError) -> InputError:
-    """Convert an error of the adjustment: its remedies are replaced by remedies for photos."""
+    """Convert an error of the adjustment: it gets remedies for photos and the names of their camera parameters."""
     faults = [p for p in error.problems if p.code != "block.no_control"] or list(error.problems)
     return InputError(*map(_of_close_range, faults))
 
 
 def _of_close_range(fault: Finding) -> Finding:
     code = _CODES.get(fault.code)
-    return fault if code is None else finding(code, place=fault.place)
+    place = _DESCRIBED.sub(lambda words: _PARAMETERS[words[0]], fault.place)
+    return fault if code is None else finding(code, place=place)

@@ -41,7 +41,8 @@ UNITS: Final = (
     *("rad",) * 3, *("m",) * 3, *("px",) * 3, *("",) * 6, *("m",) * 6, *("rad",) * 6, *("m",) * 3, *("rad",) * 3,
     *("",) * len(FURTHER),
 )  # fmt: skip
-_WORDS: Final = (
+#: Descriptions of the unknowns in messages, in the order of NAMES.
+WORDS: Final = (
     "rotation about the camera's X (rad)", "rotation about the camera's Y (rad)",
     "rotation about the camera's Z (rad)", "projection centre X (m)", "projection centre Y (m)",
     "projection centre Z (m)", "focal length (px)", "sample of the principal point (px)",
@@ -61,4 +62,4 @@ def camera_parameters(camera: FrameCamera, only: tuple[str, ...] = ()) -> ImageP
     sigma = np.array([camera.sigma[NAMES[k]] for k in codes])
     names = tuple(NAMES[k] for k in codes)
     shared = tuple(camera.shared.get(name, "") for name in names) if camera.shared else ()
-    return ImageParameters(codes, sigma, names, tuple(UNITS[k] for k in codes), tuple(_WORDS[k] for k in codes), shared)
+    return ImageParameters(codes, sigma, names, tuple(UNITS[k] for k in codes), tuple(WORDS[k] for k in codes), shared)

@@ -12,14 +12,16 @@ from scipy.spatial.transform import Rotation
 
 from factors.cameras.image_corrections import ideal_points
 from fg_orient.adjustment.dense import assemble
+from fg_orient.adjustment.problem import compile_problem
 from fg_orient.closerange.bundle import BundlePhoto, adjust_bundle
 from fg_orient.closerange.bundle_block import build
+from fg_orient.closerange.bundle_checks import of_close_range
 from fg_orient.closerange.bundle_result import BundleResult
 from fg_orient.closerange.intersection import intersect_photos
 from fg_orient.closerange.photo import NAMES, SETS, Photo, parameters_of, rotation_from_ayhan
 from fg_orient.model.block import Options
 from fg_orient.model.constraint import Constraint
-from fg_orient.model.errors import InputError
+from fg_orient.model.errors import InputError, RankDeficientError, finding
 from fg_orient.model.names import CellKey
 from fg_orient.quality.observability import analyse_block
 from fg_orient.studies.reproduce import ayhan1996_photos as thesis
@@ -268,9 +270,21 @@ def test_what_nothing_determines_is_named() -> None:
         adjusted(level, level.photos(unknown=NAMES[:1]), control=control)
     assert [p.code for p in caught.value.problems] == ["closerange.unobservable"] * 2
     for photo, problem in zip(("ph0", "ph1"), caught.value.problems, strict=True):
-        assert problem.place.startswith(f"image {photo}: ") and "+1.00 focal length" in problem.place
+        assert problem.place.startswith(f"image {photo}: ") and problem.place.endswith(": +1.00 c")
     turned = make(3, 20, 2, points=flat)  # by 0.1 rad: the plane does determine the principal distance
     assert adjusted(turned, turned.photos(unknown=NAMES[:1]), control=control).redundancy == 80 - 14
+
+
+@pytest.mark.behaviour
+@pytest.mark.parametrize("name", ["c", "x0", "y0", "p1", "p2"])
+def test_an_undetermined_parameter_has_its_name_of_close_range(name: str) -> None:
+    """An error names camera parameters as the photos do; frame images have pixels and number p1 and p2 otherwise."""
+    scene, free = make(3, 20, 2), Options(priors=False, datum="free")
+    observations = scene.which, scene.of, scene.image, np.full_like(scene.image, SIGMA)
+    built = build(scene.photos(unknown=(name,)), tuple(scene.ids), scene.points, *observations, {}, (), False, free)
+    (words,) = compile_problem(built.block).parameters[0].words[6:]
+    error = RankDeficientError(finding("adjust.rank_deficient", place=f"image ph0: +0.71 {words} -0.71 aspect"))
+    assert of_close_range(error).problems[0].place == f"image ph0: +0.71 {name} -0.71 aspect"
 
 
 def together(verb: str) -> str:
