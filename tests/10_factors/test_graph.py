@@ -90,7 +90,12 @@ def test_image_of_three_unknowns_and_a_fixed_point() -> None:
     values = gtsam.Values()
     values.insert(E0, e.unknowns[0][:3])
     f = factor(pushbroom.LOOK_ANGLE_COLLINEARITY, (E0, e.unknowns[1]), (3, 3), e.record, setup, label=LABEL)
-    assert np.isfinite(f.error(values))
+    value, j_image, _ = pushbroom.LOOK_ANGLE_COLLINEARITY.kernel(
+        e.record, setup, e.unknowns[0][:3], e.unknowns[1], True
+    )
+    a, b = f.linearize(values).jacobian()
+    assert list(f.keys()) == [E0] and np.array_equal(a, j_image) and np.array_equal(b, -value)
+    assert f.error(values) == pytest.approx(0.5 * value @ value, rel=1e-15, abs=0.0)
 
 
 @pytest.mark.behaviour

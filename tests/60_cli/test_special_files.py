@@ -165,4 +165,4 @@ def test_a_file_beside_a_pipe_is_written(tmp_path: Path) -> None:
     with staged_file(tmp_path / "file") as hidden:
         hidden.write_text("text", "utf-8")
     write_text(tmp_path / "other", "text")
-    assert (tmp_path / "file").exists() and (tmp_path / "other").exists()
+    assert [(tmp_path / name).read_text("utf-8") for name in ("file", "other")] == ["text"] * 2
