@@ -28,7 +28,9 @@ def run(repository: Path, name: str, *arguments: str, shown: bool = True) -> str
 @pytest.mark.repository
 def test_every_example_has_a_test(repository: Path) -> None:
     text = Path(__file__).read_text() + (repository / "tests/80_claims/test_pleiades_pair.py").read_text()
-    for path in (repository / "examples").glob("*.py"):
+    examples = list((repository / "examples").glob("*.py"))
+    assert examples
+    for path in examples:
         assert path.name in text or path.stem in text
 
 
