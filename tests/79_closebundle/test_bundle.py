@@ -249,7 +249,7 @@ def test_sets_are_named() -> None:
     scene = make(3, 20, 2)
     with pytest.raises(InputError, match="do not determine") as caught:
         adjusted(scene, scene.photos(shared=("c", *SETS["radial-odd"]), camera="one"))
-    assert "c" in str(caught.value) and "radial_1" in str(caught.value)
+    assert ": camera one c, camera one radial_1 (" in str(caught.value)
 
 
 @pytest.mark.behaviour
