@@ -259,6 +259,8 @@ SHARE: Final = 0.07
 MOST: Final = 0.3
 #: If there are more points than this, only some are drawn.
 MAX_POINTS: Final = 3000
+#: Maximum number of suspicious points in the verdict.
+NAMED: Final = 3
 
 
 def write_folder(folder: Path, fitted: PointFit, record: dict[str, Any]) -> None:
@@ -292,7 +294,7 @@ def _report(record: dict[str, Any]) -> str:
     )
 
 
-def _verdict(record: dict[str, Any]) -> dict[str, str]:
+def _verdict(record: dict[str, Any]) -> dict[str, Any]:
     """Return the assessment of the fit: ``kind`` is "good" or "warn"; ``title`` and ``text`` explain it."""
     unit = "" if record["weighted"] else f" {record['unit']}"
     text = (
@@ -303,7 +305,10 @@ def _verdict(record: dict[str, Any]) -> dict[str, str]:
     if not sentences(record):
         return {"kind": "good", "title": "Fitted, nothing stands out", "text": text}
     title = "Fitted, with doubts" if record["redundancy"] else "Fitted, unchecked"
-    return {"kind": "warn", "title": title, "text": text}
+    suspects = [str(row["id"]) for row in record["points"] if row["suspicious"]]
+    named = f"{', '.join(suspects[:NAMED])}{' and others' if len(suspects) > NAMED else ''}"
+    first = [f"Suspected gross errors: point {named}. Correct or remove them, the largest first, and fit again."]
+    return {"kind": "warn", "title": title, "text": [*(first if suspects else []), text]}
 
 
 def residual_chart(record: dict[str, Any]) -> Chart:

@@ -124,7 +124,7 @@ def histogram(ratio: Array, name: str, tested: bool, axes: tuple[str, str] = LIN
         w = column[np.isfinite(column)]
         counts = np.histogram(np.clip(w, -ENDS, ENDS - 1e-9), edges)[0]
         highest = max(highest, float(counts.max(initial=0)))
-        spread_words = f": mean {w.mean():.2f}, s {w.std():.2f}".replace("-", "−") if len(w) else ""
+        spread_words = f": {w.mean():.2f} ± {w.std():.2f}".replace("-", "−") if len(w) else ""
         chart.add("bars", kind, edges, counts, label=f"{axis}{spread_words}")
     chart.add("line", "normal", x, curve, label="normal, σ = 1" if tested else f"normal, σ = {spread:.2f}")
     chart.y = Axis(f"count ({n})", (0.0, 1.5 * highest), about=4)
@@ -303,7 +303,7 @@ def singular_values(images: Sequence[dict[str, Any]]) -> Chart | None:
     if not images:
         return None
     high = 10.0 ** max(2, math.ceil(math.log10(max(v for o in images for v in o["singular_values"] if v))))
-    axis = Axis("singular value, prior σ: weak below 1, dead below 1e−5", (FLOOR, high), log=True)
+    axis = Axis("singular value, prior σ: weak below 1, unobservable below 1e−5", (FLOOR, high), log=True)
     names = [cut(str(image["image"]), 14) for image in images]
     rows = Axis(limits=(-0.5, len(images) - 0.5), down=True, names=names)
     chart = broad("singular values per image", axis, rows, 26.0 * len(images) + 60.0, left=120.0, top=10.0)

@@ -24,7 +24,16 @@ _DIGIT: Final = 7.5
 #: last number is the width of a letter.
 _PLACES: Final[dict[str, tuple[list[tuple[float, float, str]], float]]] = {
     "name": ([(7, -5, "start"), (-7, -5, "end"), (7, 15, "start"), (-7, 15, "end")], 8.0),
-    "label": ([(0, -10, "middle"), (0, 20, "middle"), *((0, 34 + 18 * k, "middle") for k in range(8))], 9.2),
+    "label": (
+        [
+            (0, -10, "middle"),
+            (0, 20, "middle"),
+            (12, 5, "start"),
+            (-12, 5, "end"),
+            *((0, 34 + 18 * k, "middle") for k in range(8)),
+        ],
+        9.2,
+    ),
     "mark-label": ([(8, -6 - 14 * k, "start") for k in range(8)], 8.0),
 }
 
@@ -92,7 +101,11 @@ class _Drawing:
         self.parts.append(f'<image class="pixels" {box} preserveAspectRatio="none" href="{escape(picture.href)}"/>')
 
     def _line(self, mark: Mark) -> None:
-        self._path(mark.kind, "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in self._at(mark)))
+        at = self._at(mark)
+        if mark.kind == "look":  # a name must not cover the direction of view
+            (west, north), (east, south) = np.min(at, axis=0).tolist(), np.max(at, axis=0).tolist()
+            self.taken.append((west, east, north, south))
+        self._path(mark.kind, "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in at))
 
     def _area(self, mark: Mark) -> None:
         """Draw a closed line, cut at the frame."""
@@ -217,7 +230,7 @@ class _Drawing:
             if mark.label and mark.label not in shown:
                 shown.add(mark.label)
                 self._entry(mark, x, y)
-                x += 30.0 + 8.5 * max(len(mark.label), 6)
+                x += 30.0 + 11.5 * max(len(mark.label), 6)  # the letters of narrow screens are 20 units high
         if chart.note:
             self._write(chart.width - 20.0, y, chart.note, "end")
         for share, words in chart.bars:

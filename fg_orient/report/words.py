@@ -87,6 +87,9 @@ def _verdict(record: dict[str, Any]) -> dict[str, str]:
         fit = "The standard deviations were estimated from these residuals, so the fit does not test the model."
     elif low is not None and sigma0 < low:
         fit = "The observations fit the model better than they should; see the warnings."
+    left = (record.get("snooping") or {}).get("n_left_out", 0)
+    if left:
+        fit = f"The search for gross errors left out {left} observation{'' if left == 1 else 's'}. {fit}"
     return {"kind": "warn" if findings_of(record) else "good", "title": "Converged", "text": fit}
 
 

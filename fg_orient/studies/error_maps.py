@@ -77,7 +77,7 @@ def error_map(
     """Draw horizontal error vectors at points (:func:`places_km`) with the RMSE of each role.
 
     With ``numbers``, the RMSE is in the legend. Otherwise it is in the map; this is for
-    small maps with a common legend, which have a bar of length and no axes.
+    small maps with a common legend, which have a bar of length and no ticks. North is up.
     """
     chart = empty_map(np.array([*places.values()]), title if numbers else cut(title, NAME))
     drawn = [np.zeros((0, 2))]
@@ -103,7 +103,8 @@ def _without_axes(chart: Chart, rmse_m: Sequence[float]) -> None:
     south, north = chart.y.limits
     length = round_down(0.3 * (east - west))
     words = " / ".join(short(value) if math.isfinite(value) else "–" for value in rmse_m)
-    chart.y = Axis(limits=(south - 0.3 * (north - south), north - 0.15 * (north - south)))
+    chart.x = Axis(limits=(west, east), about=0)
+    chart.y = Axis(limits=(south - 0.3 * (north - south), north - 0.15 * (north - south)), about=0)
     chart.framed = False
     vectors = [(share, f"error {text}") for share, text in chart.bars]
     chart.bars = [(0.0, f"{words} m"), (length / (east - west), f"{length:g} km"), *vectors]

@@ -186,6 +186,8 @@ def test_verdict_in_words() -> None:
     low = verdict({**base, "sigma0": 0.5, "warnings": ["sigma0 = 0.50 lies below 0.80"]})
     assert (low["kind"], "0.80" in low["text"], "see the warnings" in low["text"]) == ("warn", False, True)
     assert verdict({**base, "sigma0": None})["title"] == "Converged, unchecked"
+    searched = verdict({**base, "warnings": ["x"], "snooping": {"n_left_out": 2}})["text"]
+    assert searched.startswith("The search for gross errors left out 2 observations. ")
     for status, title in (("not_converged", "No solution"), ("not_trustworthy", "Not trustworthy")):
         assert verdict({**base, "status": status}) == {"kind": "bad", "title": title, "text": "why"}
 

@@ -143,6 +143,6 @@ def test_the_last_line_of_a_command_names_flags() -> None:
     """The reason of the status in a record names "option accept", and the printed line the flag."""
     doubt = finding("verdict.check_far", points=["7"], size=6.25, n=9, limit=4.0)
     record = as_record([finding("search.conditional"), doubt]) | {"reason": str(doubt)}
-    assert 'or option accept "check_far<=6.25"' in record["reason"]
+    assert 'or accept the doubt with option accept "check_far<=6.25"' in record["reason"]
     assert _reason(record) == str(doubt).replace("option accept", "--accept")
     assert _reason({"findings": [], "reason": "not converged"}) == "not converged"

@@ -75,9 +75,20 @@ def test_page_and_table_name_them(written: tuple[Path, Any], comparison: Compari
 
 
 @pytest.mark.behaviour
-def test_titles_of_the_spectra_count_what_is_silent(comparison: Comparison) -> None:
+def test_titles_of_the_spectra_count_unobservable_directions(comparison: Comparison) -> None:
     drawn = plots.figures(comparison)["spectra.svg"]
-    assert "17 VA: 18 silent" in drawn and "2 PU0<" in drawn
+    assert "17 VA (18)" in drawn and "2 PU0<" in drawn
+
+
+@pytest.mark.behaviour
+def test_the_axis_of_run_times_is_not_cut_off(comparison: Comparison) -> None:
+    figure = plots._seconds(comparison)
+    assert figure is not None
+    figure.draw_without_rendering()
+    label = figure.axes[0].xaxis.label
+    extent = label.get_window_extent()
+    assert label.get_text().endswith(", s")
+    assert figure.bbox.x0 <= extent.x0 and extent.x1 <= figure.bbox.x1
 
 
 @pytest.mark.behaviour

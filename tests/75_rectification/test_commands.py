@@ -73,7 +73,8 @@ def test_figure_and_report_are_well_formed_and_escaped(tmp_path: Path, rng: np.r
     assert len(symbols) == 12 + 1 + 2  # points, a ring about the bad one, the legend of both
     html = (out / "report.html").read_text("utf-8")
     assert "<b>&" not in html and "&lt;b&gt;&amp;" in html
-    assert "Fitted, with doubts" in html
+    first = html.partition('id="verdict"')[2].partition("</p>")[0]  # the reader learns first what to correct
+    assert "Fitted, with doubts" in first and "point &lt;b&gt;&amp;. Correct or remove" in first
     found = structure(out / "report.html")
     assert found.tags.count("script") == 1 and not {"img", "link", "b"} & set(found.tags)
     assert len(set(found.ids)) == len(found.ids) and {"problems", "points", "coefficients"} <= set(found.ids)

@@ -22,6 +22,7 @@ from fg_orient.closerange.report import render
 from fg_orient.closerange.report_verdict import problems, verdict, with_status
 from fg_orient.closerange.surface import Surface
 from fg_orient.model.errors import as_record, finding, findings_of
+from fg_orient.report.chart import Chart
 from fg_orient.report.page import script
 from fg_orient.report.svg import svg
 from tests.support import page_files
@@ -481,3 +482,14 @@ def test_narrow_and_dark(tab: Page, made: Path, fitted: dict[str, Any], name: st
     assert tab.value("getComputedStyle(document.body).backgroundColor") != "rgb(255, 255, 255)"
     assert tab.value("document.querySelectorAll('table.sortable thead button').length") > 3
     assert tab.troubles == []
+
+
+@pytest.mark.behaviour
+@pytest.mark.parametrize("up", [0.2, -0.2])
+def test_the_name_of_a_station_does_not_cover_its_view(up: float) -> None:
+    chart = Chart("plan")
+    chart.add("line", "look", [0.5, 0.5], [0.5, 0.5 + up])
+    chart.add("dots", "station", [0.5], [0.5])
+    chart.add("names", "label", [0.5], [0.5], tips=["left"])
+    (at,) = re.findall(r'<text class="label" x="[\d.]+" y="([\d.]+)"', svg(chart))
+    assert (float(at) - chart.place(0.5, 0.5)[1]) * up > 0.0  # y of a drawing goes down: the other side of the view

@@ -188,7 +188,9 @@ def test_histogram_and_quantiles(result: Result) -> None:
         counts = [(float(zero) - float(y)) / unit for name, zero, y in columns if name == axis]
         assert sum(counts) == pytest.approx(np.isfinite(ratio[:, k]).sum(), abs=0.1 * len(counts) / unit)
         w = ratio[np.isfinite(ratio[:, k]), k]
-        assert f"{axis}: mean {w.mean():.2f}, s {w.std():.2f}".replace("-", "−") in drawing
+        assert f"{axis}: {w.mean():.2f} ± {w.std():.2f}".replace("-", "−") in drawing
+    # the legend ends inside the frame: letters of 13 units are about half as wide
+    assert all(26.0 + 6.6 * len(mark.label) < chart.inner[0] for mark in chart.marks)
     chart = plots.quantiles(ratio[:, :1] * np.array([[1.0, np.nan]]), "left", tested)
     assert chart is not None
     first = re.search(r'class="line-dot" d="M([\d.]+) ([\d.]+)a', svg(chart))

@@ -265,13 +265,15 @@ verdict.gross_error (doubt): gross error suspected
     + ; {symbol} = {size:.1f}; fewer than {level:g} % of blocks without gross errors have such a large value
     + ; without this observation sigma0 is {without:.2f}, inside its interval
     + ; the error may also be in {also:5}, which cannot be separated from it
-    + ; {more} more observation(s) are above their limits, perhaps because of this error
+    + ; {more} more observation(s) are suspicious, perhaps because of this error
     + ; among them are {crowd}: the measurements or the orientation of this image are wrong
-    -> correct the measurement or the coordinates, search with <snoop>, or <accept> "gross_error:{place}"
+    -> correct the measurement or the coordinates, search with <snoop>, or accept the doubt with <accept>
+       "gross_error:{place}"
 verdict.sigmas (doubt): the stated standard deviations are too small: {words}; if they were right, fewer than {level:g}
     % of blocks would have such large residuals. Standard deviations and coordinates must not be trusted
     + ; the standard deviations of {more} are too small, too
-    -> correct them, let <variance_components> estimate them, or <accept> "sigmas:{place}<={size:up3}"
+    -> correct them, let <variance_components> estimate them, or accept the doubt with <accept>
+       "sigmas:{place}<={size:up3}"
 verdict.sigmas_large (note): the stated standard deviations are too large: {words}; the observations have too little
     weight, and the result looks less accurate than it is
     -> correct them, or let <variance_components> estimate them
@@ -279,19 +281,21 @@ verdict.beyond_prior (doubt): the adjusted value differs by {correction:+.3g} {u
     times the standard deviation of this difference; the prior standard deviation is {sigma:.3g} {unit}
     + ; this difference is too large for {more} more unknown(s), too
     -> check for wrong metadata, exchanged images or wrong control points, give a larger prior standard deviation if
-       the metadata can have this error, or <accept> "beyond_prior:{place}"
+       the metadata can have this error, or accept the doubt with <accept> "beyond_prior:{place}"
 verdict.accuracy (doubt): {n} of {of} points have a standard deviation above the required {required:g} m; the largest
     is {size:.3g} m: {points:10}
-    -> add control points or images, or <accept> "accuracy<={size:up3}"
+    -> add control points or images, or accept the doubt with <accept> "accuracy<={size:up3}"
 verdict.accuracy_unknown (doubt): the required accuracy of {required:g} m is not verified, because there is no
     covariance
 verdict.check_far (doubt): check points contradict the adjusted points: {points:10}; the largest difference is
     {size:.1f} times its standard deviation; the limit for {n} coordinates is {limit:.1f}
-    -> check the coordinates and image points of these points, or <accept> "check_far<={size:up3}"
+    -> check the coordinates and image points of these points, or accept the doubt with <accept>
+       "check_far<={size:up3}"
 verdict.check_beyond (doubt): check points contradict the adjusted points: {size} of {n} check coordinates differ by
     more than 3 standard deviations of the difference, {expected:.1f} are expected. According to their joint covariance,
     fewer than {level:g} % of blocks without mistakes have so many such coordinates: {points:10}
-    -> compare datum, heights and sigmas of control and check points, or <accept> "check_beyond<={size}"
+    -> compare datum, heights and sigmas of control and check points, or accept the doubt with <accept>
+       "check_beyond<={size}"
 verdict.cause (note): likely cause: {what}; twice the logarithm of its likelihood ratio to a block without mistakes:
     {gain:.1f}
     + ; without it sigma0 {before} -> {after}, and {left}

@@ -195,7 +195,7 @@ compare.no_project: a comparison needs a project file, and <sizes> belong to <sc
     -> give PROJECT.toml, or <scale>
 compare.memory: not tried: it needs an estimated {needed}, and {allowed} are allowed
     -> <memory_limit_gb> sets the limit
-compare.time: not tried: it needs an estimated {seconds:.2g} s of processor time, more than {limit:.3g} s
+compare.time: not tried: it needs an estimated {seconds:.3g} s of processor time, more than {limit:.3g} s
     -> <time_limit_s> sets the limit
 compare.named: not tried: extra observations name ground points, which arrays cannot eliminate
     -> see the rows of the graph, which has these points as variables

@@ -184,8 +184,8 @@ def _spectra(comparison: Comparison) -> Figure | None:
     y = Axis("singular value / largest", decades(np.concatenate(shares)), log=True)
     charts = []
     for number in comparison.eop_sets:
-        silent = sum(d.held_by == "nothing" for d in comparison.directions if d.eop_set == number)
-        title = f"{number} {EOP_SETS[number].name}" + (f": {silent} silent" if silent else "")
+        dead = sum(d.held_by == "nothing" for d in comparison.directions if d.eop_set == number)
+        title = f"{number} {EOP_SETS[number].name}" + (f" ({dead})" if dead else "")
         chart = Chart("singular values", Axis("first to last", about=1), y, title=title)
         for s, share in zip(drawn, shares, strict=True):
             if s.eop_set == number:
@@ -261,8 +261,7 @@ def _seconds(comparison: Comparison) -> Figure | None:
     timed = {key.name(comparison.labels): [r.processor_s for r in rows] for key, rows in solved.items()}
     if not timed:
         return None
-    title = "processor seconds per adjustment: median and range over the EOP sets"
-    x = Axis(title, limits_of([*chain(*timed.values())]), log=True)
+    x = Axis("processor time per adjustment, s", limits_of([*chain(*timed.values())]), log=True)
     chart = broad("run times", x, Axis(limits=(-0.5, len(timed) - 0.5), down=True, names=[*timed]))
     for k, values in enumerate(timed.values()):
         chart.add("line", "limit", [min(values), max(values)], [k, k])
