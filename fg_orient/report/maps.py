@@ -26,8 +26,9 @@ SHARE: Final = 0.07
 FILLED: Final = 0.4
 #: Width of the border around the points, as a share of the larger side of their extent.
 BORDER: Final = 0.12
-#: Minimum extent of a view, km.
+#: Minimum extent of a view: of a map, km, and of an image, px.
 LEAST_KM: Final = 0.1
+LEAST_PX: Final = 100.0
 KM_PER_DEGREE: Final = 111.2
 
 
@@ -64,13 +65,39 @@ def first_view(points_deg: Array, footprints_deg: Sequence[Array], of_degree: fl
     if not len(located):
         return None
     everything = np.vstack([located, *footprints_deg])
-    middle = 0.5 * (located.min(axis=0) + located.max(axis=0))
-    km = of_degree * np.array([shrink_at(float(middle[1])), 1.0])
-    size, whole = (float((np.ptp(part, axis=0) * km).max()) for part in (located, everything))
-    if size >= FILLED * whole:
+    km = of_degree * np.array([shrink_at(0.5 * float(located[:, 1].min() + located[:, 1].max())), 1.0])
+    view = _around(located * km, everything * km, LEAST_KM)
+    return None if view is None else view / km
+
+
+def image_view(places_px: Array, size_px: Array) -> Array | None:
+    """Return the corners of the first view of an image, or None if it shows the whole image.
+
+    Parameters
+    ----------
+    places_px : (n, 2) array
+        Sample and line of the image points; all finite.
+    size_px : (2,) array
+        Samples and lines of the image; zero if they are unknown.
+
+    Returns
+    -------
+    (2, 2) array or None
+        Lowest and highest sample and line, px, including the border; see :func:`first_view`.
+    """
+    if not len(places_px):
         return None
-    half = 0.5 * np.maximum(np.ptp(located, axis=0) * km, LEAST_KM) + BORDER * max(size, LEAST_KM)
-    return np.stack([middle - half / km, middle + half / km])
+    return _around(places_px, np.vstack([places_px, np.zeros(2), size_px]), LEAST_PX)
+
+
+def _around(points: Array, everything: Array, least: float) -> Array | None:
+    """Return the corners of a view of points (n, 2) with a border; None if they fill enough of everything (m, 2)."""
+    extent = np.ptp(points, axis=0)
+    if extent.max() >= FILLED * np.ptp(everything, axis=0).max():
+        return None
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    half = 0.5 * np.maximum(extent, least) + BORDER * max(float(extent.max()), least)
+    return np.stack([middle - half, middle + half])
 
 
 def view_of(result: Result) -> Array | None:

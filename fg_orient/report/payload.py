@@ -18,7 +18,7 @@ import numpy.typing as npt
 from markupsafe import Markup
 
 from factors.arrays import Array, Index, Mask
-from fg_orient.report.maps import footprints, km_per_degree, shrink_at, view_of
+from fg_orient.report.maps import footprints, image_view, km_per_degree, shrink_at, view_of
 from fg_orient.result.record import Result
 
 #: Maximum number of image points in the page. If there are more, the page contains a sample.
@@ -156,6 +156,7 @@ def payload(result: Result, used: int = 0) -> Payload | None:
         "rays": _ray_columns(result, rays[drawn], number[of_ray[drawn]], width.kind),
         "images": [
             {"id": image["id"], "lines": image["n_lines"], "samples": image["n_samples"],
+             "view": _image_view(result, image),
              "foot": np.round(
                  _kilometres(np.array(image["footprint_lon_lat_deg"], float), centre, record), 4).tolist()}
             for image in record["images"]
@@ -164,6 +165,13 @@ def payload(result: Result, used: int = 0) -> Payload | None:
         "roles": ROLES,
     }  # fmt: skip
     return Payload(data, words)
+
+
+def _image_view(result: Result, image: dict[str, Any]) -> list[list[float]] | None:
+    """Return the corners (sample, line) of the first view of an image, px; None: the whole image."""
+    places = result.residuals.numbers("sample", "line", rows=result.rows[str(image["id"])])
+    view = image_view(places, np.array([image["n_samples"] or 0.0, image["n_lines"] or 0.0]))
+    return None if view is None else np.round(view, 1).tolist()
 
 
 def points_of_rays(result: Result) -> Index:

@@ -12,6 +12,7 @@ import numpy as np
 from factors.arrays import Array, Index
 from fg_orient.model.distributions import beta_quantile, normal_probability, normal_quantile
 from fg_orient.report.chart import SERIES, Axis, Chart, Picture, broad, cut, decades, large, limits_of, round_down
+from fg_orient.report.maps import image_view
 from fg_orient.report.words import number
 from fg_orient.result.record import Result
 
@@ -46,7 +47,7 @@ _DEGREE: Final = {"": "", "constant": "", "linear": " · τ", "quadratic": " · 
 
 
 def residual_vectors(result: Result, image: str, most: int | None = None) -> Chart | None:
-    """Return the chart of the residual vectors in an image, with lines downwards."""
+    """Return the chart of the residual vectors in an image, or in the part with points, with lines downwards."""
     rows = result.rows[image]
     if not len(rows):
         return None
@@ -54,7 +55,9 @@ def residual_vectors(result: Result, image: str, most: int | None = None) -> Cha
     place, v = (result.residuals.numbers(*of, rows=rows) for of in (("sample", "line"), ("v_sample_px", "v_line_px")))
     drawn = thinned(np.arange(len(rows)), v, MAX_VECTORS if most is None else most)
     size = np.array([float(facts["n_samples"] or 0), float(facts["n_lines"] or 0)])
-    limits = np.stack([np.minimum(0.0, place.min(axis=0)), np.maximum(size, place.max(axis=0))], axis=1)
+    view = image_view(place, size)
+    whole = np.stack([np.minimum(0.0, place.min(axis=0)), np.maximum(size, place.max(axis=0))])
+    limits = (whole if view is None else view).T
     chart = vectors(f"residual vectors of image {image}", place[drawn], v[drawn], limits, ("sample, px", "line, px"),
                     reference=v, unit=" px")  # fmt: skip
     more = f", {len(drawn)} of {len(rows)} drawn" if len(drawn) < len(rows) else ""
@@ -124,7 +127,7 @@ def histogram(ratio: Array, name: str, tested: bool, axes: tuple[str, str] = LIN
         w = column[np.isfinite(column)]
         counts = np.histogram(np.clip(w, -ENDS, ENDS - 1e-9), edges)[0]
         highest = max(highest, float(counts.max(initial=0)))
-        spread_words = f": {w.mean():.2f} ± {w.std():.2f}".replace("-", "−") if len(w) else ""
+        spread_words = f": {number(float(w.mean()), 2)} ± {number(float(w.std()), 2)}" if len(w) else ""
         chart.add("bars", kind, edges, counts, label=f"{axis}{spread_words}")
     chart.add("line", "normal", x, curve, label="normal, σ = 1" if tested else f"normal, σ = {spread:.2f}")
     chart.y = Axis(f"count ({n})", (0.0, 1.5 * highest), about=4)

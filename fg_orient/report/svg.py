@@ -97,8 +97,16 @@ class _Drawing:
 
     def _picture(self, picture: Picture) -> None:
         (x0, y0), (x1, y1) = self.chart.place(picture.x, picture.y).tolist()
-        box = f'x="{x0:.1f}" y="{y0:.1f}" width="{x1 - x0:.1f}" height="{y1 - y0:.1f}"'
-        self.parts.append(f'<image class="pixels" {box} preserveAspectRatio="none" href="{escape(picture.href)}"/>')
+        box = (
+            f'x="{x0 - self.chart.left:.1f}" y="{y0 - self.chart.top:.1f}" width="{x1 - x0:.1f}" height="{y1 - y0:.1f}"'
+        )
+        self._inside(f'<image class="pixels" {box} preserveAspectRatio="none" href="{escape(picture.href)}"/>')
+
+    def _inside(self, drawn: str) -> None:
+        """Add elements with coordinates from the corner of the frame, cut at the frame."""
+        wide, tall = self.chart.inner
+        box = f'x="{self.chart.left:g}" y="{self.chart.top:g}" width="{wide:.1f}" height="{tall:.1f}"'
+        self.parts.append(f"<svg {box}>{drawn}</svg>")
 
     def _line(self, mark: Mark) -> None:
         at = self._at(mark)
@@ -109,12 +117,8 @@ class _Drawing:
 
     def _area(self, mark: Mark) -> None:
         """Draw a closed line, cut at the frame."""
-        wide, tall = self.chart.inner
         corners = "L".join(f"{x - self.chart.left:.1f} {y - self.chart.top:.1f}" for x, y in self._at(mark))
-        self.parts.append(
-            f'<svg x="{self.chart.left:g}" y="{self.chart.top:g}" width="{wide:.1f}" height="{tall:.1f}">'
-            f'<path class="{escape(mark.kind)}" d="M{corners}z"/></svg>'
-        )
+        self._inside(f'<path class="{escape(mark.kind)}" d="M{corners}z"/>')
 
     def _at(self, mark: Mark) -> list[list[float]]:
         out: list[list[float]] = self.chart.place(mark.x, mark.y).tolist()
@@ -194,15 +198,17 @@ class _Drawing:
 
     def _entry(self, mark: Mark, x: float, y: float) -> None:
         """Draw an entry of the legend; y is its base line."""
+        begin = x + 18
         if mark.shape == "dots":
             radius = INKS[mark.kind].radius if mark.sizes is None else float(mark.sizes.max())
+            begin = max(begin, x + 12 + radius)
             self._path(mark.kind, symbol(INKS[mark.kind].marker, x + 6, y - 5, radius))
         elif mark.shape == "line":
             self._path(mark.kind, f"M{x:.1f} {y - 5:.1f}h14")
         else:
             kind = f"column {mark.kind}" if mark.shape == "bars" else mark.kind
             self._path(kind, f"M{x:.1f} {y - 10:.1f}h12v10h-12z")
-        self._write(x + 18, y, mark.label)
+        self._write(begin, y, mark.label)
 
     def _legend(self) -> None:
         chart = self.chart

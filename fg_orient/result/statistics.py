@@ -211,7 +211,10 @@ def correlation_record(solution: Solution) -> dict[str, Any] | None:
     groups = [tuple(image.id for image in images)] if joint else [(image.id,) for image in images]
     found: list[tuple[float, str, str]] = []
     for group in groups:
-        found += _high(solution.cofactor_matrix(*(f"image:{name}" for name in group)))
+        matrix = solution.cofactor_matrix(*(f"image:{name}" for name in group))
+        every = np.arange(len(matrix.names))
+        # an unknown that images share occurs once: its correlation with itself is 1
+        found += _high(matrix, every if problem.ties is None or not joint else problem.ties.place)
     found.sort(key=lambda row: -abs(row[0]))
     return {
         "limit": HIGH, "between_images": joint, "n": len(found),
@@ -219,10 +222,10 @@ def correlation_record(solution: Solution) -> dict[str, Any] | None:
     }  # fmt: skip
 
 
-def _high(matrix: NamedMatrix) -> list[tuple[float, str, str]]:
-    """Return the high correlations of a matrix with the names of the unknowns."""
-    r = np.triu(matrix.correlations, 1)
-    return [(float(r[a, b]), matrix.names[a], matrix.names[b]) for a, b in np.argwhere(np.abs(r) > HIGH).tolist()]
+def _high(matrix: NamedMatrix, columns: Index) -> list[tuple[float, str, str]]:
+    """Return the high correlations of these columns of a matrix with the names of the unknowns."""
+    r, names = np.triu(matrix.correlations[np.ix_(columns, columns)], 1), [matrix.names[k] for k in columns]
+    return [(float(r[a, b]), names[a], names[b]) for a, b in np.argwhere(np.abs(r) > HIGH).tolist()]
 
 
 def image_columns(solution: Solution) -> dict[str, Column]:

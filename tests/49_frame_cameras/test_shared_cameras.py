@@ -22,6 +22,7 @@ from fg_orient.quality.camera import frame_cofactors, inseparable
 from fg_orient.quality.cofactors import Cofactors
 from fg_orient.quality.covariance import cofactors_of
 from fg_orient.quality.residuals import ResidualCofactors
+from fg_orient.result.statistics import correlation_record
 from fg_orient.sensors.frame import MEASURED_TO_IDEAL, FrameSensor
 from tests.support import dbat
 from tests.support.pinhole import SIGMA, pinhole_block
@@ -253,3 +254,20 @@ def test_roma_with_a_fixed_camera(real_data: Path) -> None:
     assert (problem.n_unknowns, problem.redundancy) == (79316, 101806)
     assert round(float(np.sqrt(solve(problem).chi2 / problem.redundancy)), 6) == 0.623075
     assert not block.points.where(Role.CONTROL).size
+
+
+@pytest.mark.oracle
+def test_the_record_does_not_correlate_a_shared_unknown_with_itself() -> None:
+    solution = fg.adjust(shared())
+    record = correlation_record(solution)
+    matrix = solution.cofactor_matrix(*(f"image:{image.id}" for image in solution.block.images))
+    seen, once = set[str](), list[int]()
+    for k, name in enumerate(matrix.names):
+        of = name.rpartition(".")[2]
+        if of not in INTERIOR or of not in seen:
+            once.append(k)
+        seen.add(of)
+    sigma = np.sqrt(np.diag(matrix.values))
+    r = np.triu(np.abs(matrix.values / np.outer(sigma, sigma))[np.ix_(once, once)], 1)
+    assert record is not None and record["between_images"]
+    assert record["n"] == len(record["largest"]) == (r > record["limit"]).sum()  # 24 more with all images

@@ -188,7 +188,7 @@ def test_histogram_and_quantiles(result: Result) -> None:
         counts = [(float(zero) - float(y)) / unit for name, zero, y in columns if name == axis]
         assert sum(counts) == pytest.approx(np.isfinite(ratio[:, k]).sum(), abs=0.1 * len(counts) / unit)
         w = ratio[np.isfinite(ratio[:, k]), k]
-        assert f"{axis}: {w.mean():.2f} ± {w.std():.2f}".replace("-", "−") in drawing
+        assert f"{axis}: {round(w.mean(), 2) + 0.0:.2f} ± {w.std():.2f}".replace("-", "−") in drawing
     # the legend ends inside the frame: letters of 13 units are about half as wide
     assert all(26.0 + 6.6 * len(mark.label) < chart.inner[0] for mark in chart.marks)
     chart = plots.quantiles(ratio[:, :1] * np.array([[1.0, np.nan]]), "left", tested)
@@ -311,6 +311,26 @@ def test_a_map_opens_on_the_points_where_footprints_are_far_larger(result: Resul
     assert np.ptp(places) > 0.5 * chart.width
     names = [tuple(map(float, at)) for at in re.findall(r'class="label" x="([\d.]+)" y="([\d.]+)"', drawing)]
     assert len(set(names)) == 2 and all(0 < x < chart.width and 0 < y < 80 for x, y in names)
+
+
+@pytest.mark.behaviour
+def test_the_first_view_of_an_image_shows_the_points(result: Result) -> None:
+    """If the points fill a small part of an image, its drawing and the page's data show this part; else the image."""
+    whole = plots.residual_vectors(result, "left")
+    assert whole is not None and (whole.x.limits, whole.y.limits) == ((0.0, 12000.0), (0.0, 12000.0))
+    rows, table = result.rows["left"], result.residuals
+    figures = {name: table.figures[name].copy() for name in ("sample", "line")}
+    for name, middle in (("sample", 3000.0), ("line", 9000.0)):
+        figures[name][rows] = middle + 0.1 * (figures[name][rows] - figures[name][rows].mean())
+    near = with_columns(result, "residuals", {**table.columns, **figures})
+    chart = plots.residual_vectors(near, "left")
+    assert chart is not None
+    view = np.array([chart.x.limits, chart.y.limits]).T
+    places = np.stack([figures["sample"][rows], figures["line"][rows]], axis=1)
+    room = np.minimum(places.min(axis=0) - view[0], view[1] - places.max(axis=0)) / np.ptp(places, axis=0).max()
+    assert room == pytest.approx(maps.BORDER)
+    images = json.loads(elements(render(near))[0][1])["images"]
+    assert images[0]["view"] == np.round(view, 1).tolist() and images[1]["view"] is None
 
 
 @pytest.mark.behaviour

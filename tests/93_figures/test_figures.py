@@ -169,7 +169,7 @@ def test_histograms_of_normalised_residuals(folder: Result, adjusted: Path) -> N
     assert curve.y.max() == pytest.approx(0.39894 * 47 * width, rel=1e-4) and curve.label == "normal, σ = 1"
     for name, mark in zip(("line", "sample"), bars, strict=True):
         w = np.array([float(r[f"w_{name}"]) for r in left])
-        assert f"{name}: {w.mean():.2f} ± {w.std():.2f}" == mark.label.replace("−", "-")
+        assert f"{name}: {round(w.mean(), 2) + 0.0:.2f} ± {w.std():.2f}" == mark.label.replace("−", "-")
         assert mark.y.tolist() == np.histogram(w, mark.x)[0].tolist() and mark.y.sum() == 47
 
 

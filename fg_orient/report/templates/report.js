@@ -219,12 +219,12 @@
       host.append(this.tools, this.choices, frame, this.hint);
     }
 
-    // x, y, kind of n points; vx, vy (nan: none); areas: [name, [[x, y] ...]]; tell(k): words on a point.
+    // view: corners of the first view, or null; everything: name of the whole; x, y, kind of n points; vx, vy (nan: none); areas: [name, [[x, y] ...]]; tell(k): words on a point.
     show(data) {
       this.view = null;
       Object.assign(this, data);
       this.toPoints.hidden = !this.view;
-      this.toAll.textContent = this.view ? "⤢ whole footprints" : "⤢";
+      this.toAll.textContent = this.view ? `⤢ ${this.everything}` : "⤢";
       this.grid = new Grid(this.x, this.y);
       this.chosen = -1;
       this.say("");
@@ -651,7 +651,7 @@
     const none = new Float32Array(n);
     const fill = () => {
       const [vx, vy] = up ? [none, padded(p.up)] : [padded(p.east), padded(p.north)];
-      plot.show({ view: block.view, x: p.x, y: p.y, kind: p.role, vx, vy, areas: block.images.map((i) => [i.id, i.foot]), tell: (k) => pointWords(block, k) });
+      plot.show({ view: block.view, everything: "whole footprints", x: p.x, y: p.y, kind: p.role, vx, vy, areas: block.images.map((i) => [i.id, i.foot]), tell: (k) => pointWords(block, k) });
     };
     const which = el("select", {}, el("option", {}, "horizontal"), el("option", {}, "height"));
     which.addEventListener("change", () => {
@@ -678,10 +678,10 @@
       const rows = Uint32Array.from({ length: ends[number + 1] - ends[number] }, (_, k) => ends[number] + k);
       const pick = (column) => Float32Array.from(rows, (r) => column[r]);
       const kind = Uint8Array.from(rows, (r) => (Math.abs(wl[r]) > 3 || Math.abs(ws[r]) > 3 ? 1 : 0));
-      const { lines, samples } = block.images[number];
+      const { lines, samples, view } = block.images[number];
       plot.rows = rows;
       plot.show({
-        x: pick(sample), y: pick(line), vx: pick(vs), vy: pick(vl), kind, areas: [["", [[0, 0], [samples, 0], [samples, lines], [0, lines]]]],
+        view, everything: "whole image", x: pick(sample), y: pick(line), vx: pick(vs), vy: pick(vl), kind, areas: [["", [[0, 0], [samples, 0], [samples, lines], [0, lines]]]],
         tell: (k) => `${block.points.id[point[rows[k]]]} at line ${plain(line[rows[k]], 1)}, sample ${plain(sample[rows[k]], 1)}\n${rayWords(block, rows[k])}`,
       });
     };

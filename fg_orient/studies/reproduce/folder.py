@@ -188,7 +188,7 @@ def verdict(result: Reproduction) -> dict[str, str]:
     informing = Counter(row.verdict for row in result.rows if row.informs)
     by_role = counts["equal"] + counts["rounding"] - informing.total()
     title = (
-        f"of {n} published numbers {informing['equal']} are equal in all digits and {informing['rounding']} within "
+        f"Of {n} published numbers {informing['equal']} are equal in all digits and {informing['rounding']} within "
         "rounding"
     )
     if result.claims:
