@@ -173,6 +173,8 @@ def main() -> NoReturn:
         from typer._completion_classes import completion_init
 
         completion_init()
+    if {"-h", "--help"} & set(sys.argv[1:]):
+        _fold_help()
     try:
         code = app(prog_name=PROGRAM, standalone_mode=False)
     except (KeyboardInterrupt, typer.Abort):
@@ -185,6 +187,29 @@ def main() -> NoReturn:
     code = _flushed(code)
     gc.freeze()  # otherwise garbage collection of numba's objects takes 0.5 s when the interpreter ends
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _fold_help() -> None:
+    """Let the help break words that are longer than their column; typer cuts them, and has no setting for this."""
+    from rich.columns import Columns
+    from rich.table import Table
+    from rich.text import Text
+    from typer import rich_utils
+
+    class FoldedTable(Table):
+        def add_row(self, *cells: Any, **settings: Any) -> None:
+            super().add_row(*cells, **settings)
+            for column in self.columns:
+                column.overflow = "fold"
+
+    class FoldedColumns(Columns):
+        def __init__(self, cells: Any = None, *arguments: Any, **settings: Any) -> None:
+            super().__init__(cells, *arguments, **settings)
+            for cell in self.renderables:
+                if isinstance(cell, Text):
+                    cell.overflow = "fold"
+
+    vars(rich_utils).update(Table=FoldedTable, Columns=FoldedColumns)
 
 
 def _replace_closed_streams() -> None:

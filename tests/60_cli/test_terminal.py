@@ -300,6 +300,14 @@ def test_escapes_on_terminals_only(
     assert ("\x1b[" in out) == escapes and "1.5" in out
 
 
+def test_the_help_cuts_no_word() -> None:
+    """On 80 columns names of options that are longer than their column are broken, not cut with an ellipsis."""
+    words = [sys.executable, "-c", "from fg_orient.cli import main; main()", "adjust", "--help"]
+    done = subprocess.run(words, env={**os.environ, "COLUMNS": "80"}, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0 and "--rpc-compensat" in done.stdout and "…" not in done.stdout
+    assert max(map(len, done.stdout.splitlines())) <= 80
+
+
 # --- completion --------------------------------------------------------------------------------------
 
 
