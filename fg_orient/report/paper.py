@@ -132,7 +132,8 @@ def draw(axes: Axes, chart: Chart) -> None:
         axes.plot([x, x + share], [y, y], color=INK, lw=1.6, solid_capstyle="butt", transform=axes.transAxes,
                   clip_on=False)  # fmt: skip
         at, side = (x - 0.02, "right") if chart.framed else (x + share + 0.02, "left")
-        axes.text(at, y, words, va="center", ha=side, fontsize=6.5, transform=axes.transAxes)
+        paper = {"facecolor": PAPER, "edgecolor": "none", "alpha": 0.8, "pad": 0.6}  # outlines may cross the words
+        axes.text(at, y, words, va="center", ha=side, fontsize=6.5, transform=axes.transAxes, zorder=5, bbox=paper)
     if any(mark.label for mark in chart.marks):
         how: dict[str, Any] = {
             "loc": {"top": "upper left", "bottom": "lower left", "right": "upper right"}[chart.legend]
@@ -149,6 +150,7 @@ def _scale(axes: Axes, axis: Axis, name: Literal["x", "y"]) -> None:
     if axis.log:
         getattr(axes, f"set_{name}scale")("log")
     axes.set(**{f"{name}lim": (high, low) if axis.down else (low, high), f"{name}label": axis.words})
+    of.label.set_wrap(name == "x")  # words that are wider than the figure continue on a second line
     given = axis.ticks()
     of.set_ticks([value for value, _ in given], labels=[words for _, words in given])
     of.minorticks_off()

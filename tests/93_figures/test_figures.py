@@ -79,6 +79,20 @@ def test_every_plot_has_units_and_a_caption(written: Path) -> None:
 
 
 @pytest.mark.behaviour
+def test_no_axis_is_wider_than_its_figure(folder: Result) -> None:
+    """The words of each axis lie inside the figure of a paper; constrained layout does not shorten them."""
+    for name in figures.PLOTS:
+        drawn = charts_of(folder, name, ["left", "right"])
+        if not drawn:
+            continue
+        figure = paper.figure_of(drawn)
+        figure.draw_without_rendering()
+        for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+            words, box = axis.label.get_text(), axis.label.get_window_extent()
+            assert not words or (box.x0 >= 0.0 and box.x1 <= figure.bbox.x1), (name, words)
+
+
+@pytest.mark.behaviour
 def test_files_repeat_and_hold_nothing_of_the_clock(folder: Result, written: Path) -> None:
     def files(kind: str) -> list[bytes]:
         with matplotlib.rc_context(paper.STYLE):

@@ -44,7 +44,7 @@ closerange.few: too few points
 closerange.undetermined: these points do not determine all unknowns: {names} ({direction}); a standard deviation
     exceeds {limit:g} times the standard deviation of a point
     -> measure points elsewhere (other levels of the surface, other depths), or observe a parameter; give the sigma of
-       the points if you know it
+       the points if it is not given yet
 closerange.unverified: it could not be verified that the points determine {name}: no fit with a far value of {name}
     converges
     -> measure points elsewhere (other levels of the surface), observe {name}, or give the sigma of the points

@@ -188,6 +188,6 @@ def _parallax_chart(results: list[PairResult]) -> Chart:
         Axis("y-parallax / its standard deviation", (-4.0, 4.0)),
         Axis("points", (0.0, top)),
     )
-    chart.add("bars", "series-0", edges, counts, label="found")
+    chart.add("bars", "series-0", edges, counts, label="measured")
     chart.add("line", "series-1", 0.5 * (edges[1:] + edges[:-1]), expected, label="normal distribution")
     return chart
