@@ -180,6 +180,8 @@ def _groups(record: Mapping[str, Any]) -> list[tuple[Mapping[str, Any], list[Res
         return [(record, _distances(record))] if record["method"] == "geometric" else []
     if kind == "intersection":
         return [(record, _misfits(record))]
+    if kind == "relative":
+        return [(record, _coplanarity(record))]
     if kind == "absolute":
         rows = [_residual(c, a, f"{a.upper()} of control point {c['id']}", length, "_m")
                 for c in record["control"] for a in "xyz"]  # fmt: skip
@@ -221,6 +223,16 @@ def _distances(record: Mapping[str, Any]) -> list[Residual]:
         size = abs(p["distance_m"])
         ratio = p.get("distance_over_sigma", size) / math.sqrt(_free(p.get("redundancy")))
         out.append(Residual(size, ratio, 1, f"point {p['id']}", f"its normal distance, {length(size)},"))
+    return out
+
+
+def _coplanarity(record: Mapping[str, Any]) -> list[Residual]:
+    """Return the distances of the pairs of image points from coplanarity, in sigmas (1 without given ones)."""
+    unit, out = " sigmas" if record["weights"] == "absolute" else "", []
+    for p in record["points"]:
+        size = abs(p["distance"])
+        words = f"the distance of its rays from coplanarity, {significant(size)}{unit},"
+        out.append(Residual(size, size / math.sqrt(_free(p.get("redundancy"))), 1, f"point {p['id']}", words))
     return out
 
 

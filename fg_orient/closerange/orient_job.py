@@ -86,7 +86,14 @@ def run_relative(
         "bend": fit.bend,
         "photos": names,
         "exterior": exterior_record(fit.rotation, fit.base, sd[:3], along),
-        "points": rows_of({"id": [ids[k] for k in of[both[0]]], "{}": fit.model, "distance": fit.distances}),
+        "points": rows_of(
+            {
+                "id": [ids[k] for k in of[both[0]]],
+                "{}": fit.model,
+                "distance": fit.distances,
+                "redundancy": fit.redundancy_numbers,
+            }
+        ),
         "left_out": sorted(set(ids) - {ids[k] for k in of[both[0]]}),
         **as_record([*no_redundancy(fit.m0), *fit.second_orientation(), *_bent(fit.bend)]),
     }

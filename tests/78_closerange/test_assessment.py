@@ -88,6 +88,16 @@ def test_a_wrong_control_point_of_an_absolute_orientation(tmp_path: Path, sigma:
     assert done.code == 4 and done.stderr.splitlines()[0].startswith("doubt: Y of control point p5: its residual, ")
 
 
+@pytest.mark.truth
+@pytest.mark.parametrize("sigma", [(), ("--sigma", "0.001")])
+def test_a_wrong_point_of_a_relative_orientation(folder: Path, sigma: tuple[str, ...]) -> None:
+    words = ("closerange", "relative", folder / "image.csv", folder / "cameras.toml", *sigma)
+    assert run(*words).code == 0
+    changed(folder / "image.csv", 4, 3, 0.05)
+    done = run(*words)
+    assert done.code == 4 and done.stderr.splitlines()[0].startswith("doubt: point p3: the distance of its rays from ")
+
+
 def named(name: str, values: Any) -> dict[str, float]:
     """Return numbers along x, y, z as fields of a record."""
     return dict(zip(map(name.format, "xyz"), values.tolist(), strict=False))
