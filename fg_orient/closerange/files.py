@@ -107,14 +107,15 @@ def read_ground_points(path: Path, sigma_m: float | None = None) -> Observed:
 
 
 def read_model_points(path: Path) -> tuple[tuple[str, ...], Array]:
-    """Return the ids and coordinates (n, 3) of a model of any unit: id, x, y, z; columns that relative adds are not used.
+    """Return ids and coordinates (n, 3) of a model of any unit: id, x, y, z; other columns of relative are not used.
 
     Raises
     ------
     InputError
         The file has errors; all are listed.
     """
-    table = require_table(path, [("id", "x", "y", "z", *own) for own in ((), ("distance",), ("distance", "redundancy"))])
+    added = ((), ("distance",), ("distance", "redundancy"))  # version 0.2 wrote the distance only
+    table = require_table(path, [("id", "x", "y", "z", *own) for own in added])
     model, ids = _numbers(table, ("x", "y", "z")), table.cells["id"]
     table.refuse_repeated(ids, "rectify.id_twice", "id", value=lambda row: row.cells["id"])
     table.require_valid()
