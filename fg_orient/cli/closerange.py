@@ -10,13 +10,21 @@ from typing import Annotated, Any, Literal
 import typer
 
 from fg_orient.cli.command import ImageSize, Overwrite, Several, argument, command, command_line, image_sizes, option
-from fg_orient.cli.log import session
-from fg_orient.cli.output import answer, flag, number, say, show_components, table, tell, tell_findings, verdict
+from fg_orient.cli.output import (
+    answer,
+    answer_with_status,
+    number,
+    say,
+    say_status,
+    show_components,
+    table,
+    tell,
+    tell_findings,
+)
 from fg_orient.cli.progress import progress
 from fg_orient.closerange.options import COMMON, DEFAULTS, BundleOptions, DltOptions, ImageOptions, SurfaceOptions
 from fg_orient.model.declaration import declared
-from fg_orient.model.errors import InputError, finding, findings_of
-from fg_orient.model.names import EXIT_CODE, Status
+from fg_orient.model.errors import InputError, finding
 from fg_orient.model.options import Options
 
 app = typer.Typer(help="Close range: DLT, resection, intersection, bundle, surfaces of the second degree.")
@@ -48,7 +56,7 @@ def dlt(points: Control, options: Mapping[str, Any], output: Any) -> None:
     from fg_orient.closerange.job import run_dlt
 
     record = run_dlt(points, DltOptions(**options), output=output)
-    _end(record, _show, record, _show_photos)
+    answer_with_status(record, _show, record, _show_photos)
 
 
 @app.command("resect")
@@ -58,7 +66,7 @@ def resect(points: Control, camera: Photos, options: Mapping[str, Any], output: 
     from fg_orient.closerange.job import run_resect
 
     record = run_resect(points, camera, ImageOptions(**options), output=output)
-    _end(record, _show, record, _show_photos)
+    answer_with_status(record, _show, record, _show_photos)
 
 
 @app.command("intersect")
@@ -68,7 +76,7 @@ def intersect(points: Measured, photos: Photos, options: Mapping[str, Any], outp
     from fg_orient.closerange.job import run_intersect
 
     record = run_intersect(points, photos, ImageOptions(**options), output=output)
-    _end(record, _show, record, _show_points)
+    answer_with_status(record, _show, record, _show_points)
 
 
 @app.command("relative")
@@ -87,7 +95,7 @@ def relative(
 
     output = _output(report=report, overwrite=overwrite)
     record = run_relative(points, photos, ImageOptions(**options), out=out, photos=photos_out, output=output)
-    _end(record, _show_orientation, record, "base", "")
+    answer_with_status(record, _show_orientation, record, "base", "")
 
 
 @app.command("absolute")
@@ -105,14 +113,7 @@ def absolute(
 
     output = _output(report=report, overwrite=overwrite)
     record = run_absolute(model, control, **options, out=out, output=output)
-    _end(record, _show_orientation, record, "shift", " m")
-
-
-def _end(record: dict[str, Any], show: Callable[..., None], *shown: Any) -> None:
-    """Print a result, and end the command with the exit code of its status."""
-    answer(record, show, *shown)
-    if record["status"] == Status.NOT_TRUSTWORTHY:
-        raise typer.Exit(EXIT_CODE[Status.NOT_TRUSTWORTHY])
+    answer_with_status(record, _show_orientation, record, "shift", " m")
 
 
 def _show_orientation(record: dict[str, Any], name: str, unit: str) -> None:
@@ -136,7 +137,7 @@ def _show_orientation(record: dict[str, Any], name: str, unit: str) -> None:
         say(f"written: {written}")
     if record["page"]:
         say(f"report: {record['page']}")
-    _say_status(record)
+    say_status(record)
 
 
 @app.command("bundle")
@@ -175,7 +176,7 @@ def bundle(
             points, photos, own, control=control, start=start, constraints=constraints,
             stations=stations, check=check, output=output, callback=watch.iteration, stage=watch.stage, **common,
         )  # fmt: skip
-    _end(record, _show, record, _show_bundle)
+    answer_with_status(record, _show, record, _show_bundle)
 
 
 @app.command("import")
@@ -255,7 +256,7 @@ def surface(
     from fg_orient.closerange.job import run_surface
 
     record = run_surface(points, kind, SurfaceOptions(**options), priors=_priors(prior or []), output=output)
-    _end(record, _show, record, _show_surface)
+    answer_with_status(record, _show, record, _show_surface)
 
 
 def _priors(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
@@ -283,17 +284,7 @@ def _show(record: dict[str, Any], show: Callable[[dict[str, Any]], None]) -> Non
     page = record["page"] or (record["out"] and str(Path(record["out"]) / "report.html"))
     if page:
         say(f"report: {page}")
-    _say_status(record)
-
-
-def _say_status(record: dict[str, Any]) -> None:
-    """Print the status, with the most serious finding if the result is not trustworthy."""
-    good = record["status"] != Status.NOT_TRUSTWORTHY
-    status = record["status"].replace("_", " ")
-    if session().quiet:  # the findings have been printed just before
-        verdict(status, good=good)
-    else:
-        say(status if good else f"{status}: {findings_of(record)[0].text(flag)}")
+    say_status(record)
 
 
 def _relative_note(record: dict[str, Any]) -> None:

@@ -22,6 +22,7 @@ import typer
 from fg_orient.cli.log import session
 from fg_orient.model.declaration import declared
 from fg_orient.model.errors import Finding, InputError, finding, findings_of
+from fg_orient.model.names import EXIT_CODE, Status
 from fg_orient.model.options import Options, Reading
 
 if TYPE_CHECKING:
@@ -157,6 +158,23 @@ def answer(record: Any, show: Callable[..., None], *shown: Any) -> None:
         emit(record)
     else:
         show(*(shown or (record,)))
+
+
+def answer_with_status(record: Any, show: Callable[..., None], *shown: Any) -> None:
+    """Print a result by :func:`answer`, and end the command with the exit code of its status."""
+    answer(record, show, *shown)
+    if record["status"] == Status.NOT_TRUSTWORTHY:
+        raise typer.Exit(EXIT_CODE[Status.NOT_TRUSTWORTHY])
+
+
+def say_status(record: dict[str, Any]) -> None:
+    """Print the status of a result, with its most serious finding if it is not trustworthy."""
+    good = record["status"] != Status.NOT_TRUSTWORTHY
+    status = record["status"].replace("_", " ")
+    if good or session().quiet:  # with --quiet the findings were printed just before
+        verdict(status, good=good)
+    else:
+        say(f"{status}: {findings_of(record)[0].text(flag)}")
 
 
 def number(value: object, digits: int = 3) -> str:

@@ -21,7 +21,7 @@ from fg_orient.cli.command import (
     option,
 )
 from fg_orient.cli.log import session
-from fg_orient.cli.output import answer, note, number, say, table, tell, tell_findings
+from fg_orient.cli.output import answer, answer_with_status, note, number, say, say_status, table, tell, tell_findings
 from fg_orient.cli.progress import progress_bar
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import EXIT_CODE, Status
@@ -50,10 +50,11 @@ def fit(
     from fg_orient.rectification.job import rectify_fit
 
     record = rectify_fit(points, PointOptions(**options), out=out, overwrite=overwrite, command=command_line())
-    answer(record, _show_fit)
+    answer_with_status(record, _show_fit)
 
 
 def _show_fit(record: dict[str, Any]) -> None:
+    tell_findings(record)
     unit, axes = record["unit"], record["axes"]
     m0 = f"{record['m0']:.4g}" + ("" if record["weighted"] else f" {unit}")
     say(f"{record['title']}, {record['direction']}: {record['n_control']} control points, "
@@ -70,9 +71,9 @@ def _show_fit(record: dict[str, Any]) -> None:
             f"{number(found['standard_deviation_m'])} m ({found['pairs']} pairs)")  # fmt: skip
     if record["pruning"]:
         say(f"left out: {', '.join(record['pruning']['dropped']) or 'none'}")
-    tell_findings(record)
     if record["out"]:
         say(f"written: {record['out']}")
+    say_status(record)
 
 
 @app.command("study")

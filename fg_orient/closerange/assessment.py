@@ -14,9 +14,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from fg_orient.closerange.report_words import length, significant
-from fg_orient.model.distributions import chi_square_interval, chi_square_limit, f_quantile, normal_quantile, sidak
+from fg_orient.model.distributions import chi_square_limit, f_quantile, normal_quantile, sidak
 from fg_orient.model.errors import Finding, by_severity, finding, findings_of, judged
 from fg_orient.quality.reliability import CHECKABLE
+from fg_orient.quality.verdict import sigma0_interval
 
 #: Level of the test of m0, and of the search for the worst of all residuals.
 LEVEL: Final = 0.001
@@ -105,7 +106,7 @@ def _of_m0(part: Mapping[str, Any], of_photo: bool) -> Iterator[Finding]:
     if not is_tested(part):
         return
     place = _of_photo(part) if of_photo else ""
-    low, high = m0_interval(part["redundancy"])
+    low, high = sigma0_interval(part["redundancy"])
     if part["m0"] > high:
         axis = None if part["kind"] in _GROUND else "y_axis"
         yield finding("closerange.m0_large", place=place, size=part["m0"], low=low, limit=high, axis=axis)
@@ -117,12 +118,6 @@ def is_tested(part: Mapping[str, Any]) -> bool:
     """Return whether m0 is a test of the model: standard deviations were given, and there is redundancy."""
     estimated = part.get("loss", "none") != "none" or part.get("variance_components")
     return part["m0"] is not None and part["weights"] == "absolute" and not estimated
-
-
-def m0_interval(redundancy: float) -> tuple[float, float]:
-    """Return the two-sided 99.9 % interval of m0."""
-    low, high = (math.sqrt(v / redundancy) for v in chi_square_interval(redundancy, LEVEL))
-    return low, high
 
 
 def weak_directions(record: Mapping[str, Any]) -> list[Finding]:

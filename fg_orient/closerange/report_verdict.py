@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from fg_orient.closerange.assessment import M0, assessed, is_tested, m0_interval, of_m0, tests_of
+from fg_orient.closerange.assessment import M0, assessed, is_tested, of_m0, tests_of
 from fg_orient.closerange.report_words import accuracy_words, significant
 from fg_orient.model.errors import findings_of
 from fg_orient.model.names import Status
+from fg_orient.quality.verdict import sigma0_interval
 from fg_orient.report.words import number
 
 
@@ -58,6 +59,6 @@ def m0_words(part: Mapping[str, Any]) -> str:
         return f"m0, the standard deviation of one observation, is {significant(m0)}, in {unit}."
     for one in of_m0({**part, "photos": []}):
         return f"{one.message}."
-    low, high = m0_interval(part["redundancy"])
+    low, high = sigma0_interval(part["redundancy"])
     return (f"The observations fit the model within their standard deviations: m0 is {significant(m0)}, and chance "
             f"leaves it between {number(low, 2)} and {number(high, 2)}.")  # fmt: skip

@@ -14,8 +14,11 @@ import numpy as np
 
 from factors.arrays import Array
 from fg_orient.geodesy import area_of_use, to_geographic
-from fg_orient.model.distributions import f_tail
-from fg_orient.model.errors import Finding, as_record, finding, sentences
+from fg_orient.model.distributions import f_tail, sidak
+from fg_orient.model.errors import Finding, by_severity, finding, judged, sentences
+from fg_orient.model.names import Status
+from fg_orient.quality.doubts import BUDGET
+from fg_orient.quality.verdict import sigma0_interval
 from fg_orient.rectification.fit import Observations
 from fg_orient.rectification.folder import CONTENTS, RECORD_FILE, TRANSFORMATION_FILE
 from fg_orient.rectification.mistakes import mistakes_in
@@ -39,8 +42,6 @@ WEAK_CONDITION: Final = 1e4
 HARDLY_CHECKED: Final = 0.1
 #: If the probability is below this, check points are worse than the control points predict.
 WORSE: Final = 0.001
-#: m0 of weighted points contradicts the sigmas if it is above this factor or below its inverse.
-SIGMA_FACTOR: Final = 100.0
 #: If the ratio of sigmas is above this, points with the larger sigmas have negligible weight.
 NEGLIGIBLE: Final = 1e4
 #: Maximum distance from the area of use of a map projection, divided by its width. For UTM, this is half a zone.
@@ -86,7 +87,7 @@ def record_of(fitted: PointFit, distances: PairDistances | None = None) -> dict[
             "pairs": len(distances.differences),
             "of_point_m": dict(zip(fit.points.ids, distances.of_point.tolist(), strict=True)),
         },
-        **as_record(findings_on(fitted, tests, checks)),
+        **judged(by_severity(findings_on(fitted, tests, checks))),
     }
 
 
@@ -148,10 +149,15 @@ def findings_on(fitted: PointFit, tests: PointTests, checks: PointTests | None) 
 
 
 def _suspicious(kind: str, ids: tuple[str, ...], tests: PointTests, unit: str) -> list[Finding]:
-    """Report each point beyond its limit, with the size of its error."""
+    """Report each point beyond its limit, with the size of its error.
+
+    The level of a single test makes false alarms among many points. It is a doubt only if the largest of so many
+    statistics is so large with the small probability of every doubt (``fg_orient.quality.doubts.BUDGET``).
+    """
+    level = sidak(BUDGET["gross_error"], max(int(np.count_nonzero(tests.dimension)), 1))
     return [
         finding(
-            "rectify.gross_error",
+            "rectify.gross_error" if tests.probability[k] <= level else "rectify.suspicious_point",
             kind=kind,
             point=ids[k],
             error=list(tests.error[k]),
@@ -159,7 +165,7 @@ def _suspicious(kind: str, ids: tuple[str, ...], tests: PointTests, unit: str) -
             statistic=tests.statistic[k],
             limit=tests.critical[k],
         )
-        for k in np.flatnonzero(tests.suspicious)
+        for k in sorted(np.flatnonzero(tests.suspicious).tolist(), key=lambda k: float(tests.probability[k]))
     ]
 
 
@@ -201,8 +207,11 @@ def _sigmas(fitted: PointFit) -> list[Finding]:
     sigma, m0, out = fitted.fit.points.sigma, fitted.fit.m0, list[Finding]()
     if not (sigma != 1.0).any():
         return out
-    if m0 > SIGMA_FACTOR or m0 < 1.0 / SIGMA_FACTOR:
-        out.append(finding("rectify.sigma_size", m0=m0))
+    low, high = sigma0_interval(fitted.fit.redundancy) if fitted.fit.redundancy else (0.0, math.inf)
+    if m0 > high:
+        out.append(finding("rectify.m0_large", size=m0, limit=high))
+    elif m0 < low:
+        out.append(finding("rectify.m0_small", size=m0, limit=low))
     span = float(sigma.max() / sigma.min())
     if span > NEGLIGIBLE:
         out.append(finding("rectify.sigma_span", span=span))
@@ -304,11 +313,12 @@ def _verdict(record: dict[str, Any]) -> dict[str, Any]:
     text = f"m0 {scientific(record['m0'])}{unit}; {text}"
     if not sentences(record):
         return {"kind": "good", "title": "Fitted, nothing stands out", "text": text}
-    title = "Fitted, with doubts" if record["redundancy"] else "Fitted, unchecked"
+    bad = record.get("status") == Status.NOT_TRUSTWORTHY  # results before version 0.3 have no status
+    title = "not trustworthy" if bad else "with warnings" if record["redundancy"] else "unchecked"
     suspects = [str(row["id"]) for row in record["points"] if row["suspicious"]]
     named = f"{', '.join(suspects[:NAMED])}{' and others' if len(suspects) > NAMED else ''}"
     first = [f"Suspected gross errors: point {named}. Correct or remove them, the largest first, and fit again."]
-    return {"kind": "warn", "title": title, "text": [*(first if suspects else []), text]}
+    return {"kind": "bad" if bad else "warn", "title": f"Fitted, {title}", "text": [*(first if suspects else []), text]}
 
 
 def residual_chart(record: dict[str, Any]) -> Chart:

@@ -66,15 +66,16 @@ def test_figure_and_report_are_well_formed_and_escaped(tmp_path: Path, rng: np.r
     path.write_text(path.read_text("utf-8").replace("P4", "<b>&"), "utf-8")
     out = tmp_path / "fit"
     done = run("rectify", "fit", path, "--out", out)
-    assert done.code == 0
-    assert "point <b>&: gross error" in done.stderr
+    assert done.code == 4
+    assert done.stderr.startswith("doubt: point <b>&: gross error suspected, of about +")
+    assert done.stdout.splitlines()[-1].startswith("not trustworthy: point <b>&: gross error suspected")
     drawing = ElementTree.parse(out / "residuals.svg").getroot()
     symbols = [e.get("class") for e in drawing.iter() if e.get("class") in ("control", "check", "ring")]
     assert len(symbols) == 12 + 1 + 2  # points, a ring about the bad one, the legend of both
     html = (out / "report.html").read_text("utf-8")
     assert "<b>&" not in html and "&lt;b&gt;&amp;" in html
     first = html.partition('id="verdict"')[2].partition("</p>")[0]  # the reader learns first what to correct
-    assert "Fitted, with doubts" in first and "point &lt;b&gt;&amp;. Correct or remove" in first
+    assert "Fitted, not trustworthy" in first and "point &lt;b&gt;&amp;. Correct or remove" in first
     found = structure(out / "report.html")
     assert found.tags.count("script") == 1 and not {"img", "link", "b"} & set(found.tags)
     assert len(set(found.ids)) == len(found.ids) and {"problems", "points", "coefficients"} <= set(found.ids)

@@ -221,8 +221,9 @@ def test_absurd_sigmas_are_refused(sigma: object, code: str) -> None:
 
 @pytest.mark.behaviour
 @pytest.mark.parametrize(
-    ("sigmas", "text"), [(("1e-4", "1e-4"), "as large as the sigmas"), (("1e6", "1e6"), "as large as the sigmas"),
-                         (("15", "15"), ""), (("15", "1e6"), "negligible weight")],
+    ("sigmas", "text"), [(("1e-4", "1e-4"), "not fit the transformation within their sigmas"),
+                         (("1e6", "1e6"), "the sigmas are too large"), (("15", "15"), ""),
+                         (("15", "1e6"), "negligible weight")],
 )  # fmt: skip
 def test_sigmas_that_the_residuals_contradict_are_remarked(
     sigmas: tuple[str, str], text: str, tmp_path: Path, rng: np.random.Generator
@@ -230,8 +231,10 @@ def test_sigmas_that_the_residuals_contradict_are_remarked(
     image, plane, _ = scene(rng, 12)
     path = write_points(tmp_path / "p.csv", image, plane, sigma="sigma_easting_m,sigma_northing_m")
     path.write_text(path.read_text("utf-8").replace(",10,20\n", f",{sigmas[0]},{sigmas[1]}\n"), "utf-8")
-    words = run("rectify", "fit", path, "--json").json["warnings"]
+    done = run("rectify", "fit", path, "--json")
+    words = done.json["warnings"]
     assert any(text in w for w in words) if text else not any("sigma" in w for w in words)
+    assert done.code == (4 if "not fit" in text else 0)
 
 
 @pytest.mark.behaviour

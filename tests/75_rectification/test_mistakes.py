@@ -6,11 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import binom
 
+from fg_orient.quality.doubts import BUDGET
 from fg_orient.rectification.mistakes import mistakes_in, relief
-from fg_orient.rectification.points import PointFit, fit_points, read_map_points
-from fg_orient.rectification.record import record_of
+from fg_orient.rectification.points import MapPoints, PointFit, fit_points, read_map_points
+from fg_orient.rectification.record import WORSE, record_of
 from fg_orient.rectification.transformation import find_model
+from tests.support.command import in_process as run
 
 MODELS = [
     ("polynomial", 1),
@@ -105,3 +108,41 @@ def test_heights_that_the_table_plane_gives_are_not_tested(tmp_path: Path) -> No
     path, columns = table(tmp_path, relief_px=20.0)
     found = fitted(path, "polynomial", 1, "map-to-image")
     assert relief(found.fit, 0.01 * columns[:, 2] - 0.02 * columns[:, 3]) == (0.0, found.fit.m0)
+
+
+@pytest.mark.truth
+def test_check_points_that_contradict_the_control_points_decide(tmp_path: Path) -> None:
+    path, _ = table(tmp_path)
+    lines = path.read_text("utf-8").splitlines()
+    roles = [f"{lines[0]},role", *(f"{row},{'check' if k % 2 else 'control'}" for k, row in enumerate(lines[1:]))]
+    path.write_text("\n".join(roles) + "\n", "utf-8")
+    assert run("rectify", "fit", path).code == 0
+    cells = [row.split(",") for row in roles]
+    for row in cells[2::2]:  # each check point lies 2 m farther east: three times m0
+        row[3] = repr(float(row[3]) + 2.0)
+    path.write_text("\n".join(map(",".join, cells)) + "\n", "utf-8")
+    done = run("rectify", "fit", path)
+    assert done.code == 4
+    assert sum(line.startswith("doubt: the errors at check points are ") for line in done.stderr.splitlines()) == 1
+
+
+@pytest.mark.truth
+@pytest.mark.slow
+def test_good_points_are_rarely_doubted() -> None:
+    """The number of false alarms in 1000 fits is below its 99.99 % limit, if each has at most the stated share.
+
+    The shares are those of gross errors of control points and of check points, and of all check points together. The
+    test of single points alone finds one of 1000 points.
+    """
+    rng = np.random.default_rng(6)
+    doubted = named = 0
+    for _ in range(1000):
+        plane = rng.uniform(0.0, 8000.0, (60, 2))
+        image = np.array([5000.0, 0.0]) + plane[:, ::-1] * [-0.5, 0.5] + rng.normal(0.0, 0.3, (60, 2))
+        ids, check = tuple(map(str, range(60))), np.arange(60) % 3 == 0
+        points = MapPoints(ids, check, image, plane, None, None, "", "")
+        found = record_of(fit_points(points, find_model("polynomial", 2)))
+        doubted += found["status"] == "not_trustworthy"
+        named += any(one["code"] == "rectify.suspicious_point" for one in found["findings"])
+    assert doubted <= binom.ppf(0.9999, 1000, 2 * BUDGET["gross_error"] + WORSE)
+    assert named > 20

@@ -119,8 +119,11 @@ ortho.which_image: several images of the result have a metadata file of this nam
     -> give <image_id>: {known}
 ortho.other_sensor: the result was computed with another kind of model than this metadata file has
     -> give the metadata file of the project
-rectify.gross_error (warning): {kind} {point}: gross error of about {error[0]:+.2f}, {error[1]:+.2f} {unit}; F =
-    {statistic:.1f}, limit {limit:.1f}
+rectify.gross_error (doubt): {kind} {point}: gross error suspected, of about {error[0]:+.2f}, {error[1]:+.2f} {unit}; F
+    = {statistic:.1f}, limit {limit:.1f}
+    -> correct or remove the point, the one with the largest F first, and fit again
+rectify.suspicious_point (warning): {kind} {point}: perhaps an error of about {error[0]:+.2f}, {error[1]:+.2f} {unit}; F
+    = {statistic:.1f}, limit {limit:.1f}
 rectify.mirrored (warning): the transformation makes a mirror image: two columns look exchanged, line and sample or
     easting and northing
     -> exchange the two columns; if lines are counted from the bottom of the image, this is no mistake
@@ -136,11 +139,14 @@ rectify.little_reach (warning): the control points have a small extent along {di
     is {ratio:.0f} times less accurate; its standard deviation is {percent:.2g} %
 rectify.hardly_determined (warning): the points hardly determine the transformation: condition number {condition:.2g},
     usually {typical:g}. The points are close to {what} of this transformation
-rectify.sigma_size (warning): the residuals are {m0:.2g} times as large as the sigmas: check unit and size of the
-    sigmas
+rectify.m0_large (doubt): m0 = {size:.3f} lies above {limit:.3f}, the upper end of its 99.9 % interval: the points do
+    not fit the transformation within their sigmas. The sigmas are too small or have another unit, or the transformation
+    lacks terms, or there are gross errors
+rectify.m0_small (warning): m0 = {size:.3g} lies below {limit:.3f}, the lower end of its 99.9 % interval: the sigmas are
+    too large, or have another unit
 rectify.sigma_span (warning): one sigma is {span:.1g} times another: points with large sigmas have negligible weight
 rectify.far_from_zone (warning): {n} control point(s) lie far outside the area of {crs} ({west:g} to {east:g} degrees
     east, {south:g} to {north:g} north), such as {point} ({where}): check the zone and the order of the coordinates
-rectify.check_worse (warning): the errors at check points are {ratio:.1f} times as large as the control points predict:
+rectify.check_worse (doubt): the errors at check points are {ratio:.1f} times as large as the control points predict:
     the degree is too high, or there are gross errors
 """)
