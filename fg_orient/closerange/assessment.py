@@ -142,7 +142,7 @@ def suspects(record: Mapping[str, Any]) -> list[tuple[float, str]]:
         (abs(r[f"w_{a}"]), f"{a} of point {r['id']} in photo {r['photo']}")
         for r in record.get("residuals", [])
         for a in "xy"
-        if r.get(f"w_{a}") is not None
+        if r.get(f"w_{a}") is not None and abs(r[f"residual_{a}"]) > ROUNDING
     ]
     rows += [(abs(o["w"]), o["what"]) for o in record.get("observations", []) if o["w"] is not None]
     if not rows:

@@ -30,6 +30,8 @@ Rule = Literal["residual", "test"]
 
 #: Probability of a false alarm of each test, as in the bundle adjustment.
 LEVEL: Final = 0.001
+#: Rounding errors are below this number of spacings of floating-point numbers of the size of the coordinates.
+ROUNDING: Final = 64.0
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,8 @@ class PointTests:
         F, its limit, and the probability of such an F without a gross error.
     error : (n, 2) array
         Estimated gross error of the target coordinates (given minus true), in their unit.
+    rounding : float
+        Smaller errors are rounding errors of exact coordinates, not gross errors.
     """
 
     dimension: Index
@@ -51,11 +55,17 @@ class PointTests:
     critical: Array
     probability: Array
     error: Array
+    rounding: float
 
     @property
     def suspicious(self) -> Mask:
         """True for each point that exceeds its limit (n,)."""
-        return np.asarray(self.statistic > self.critical)
+        return np.asarray((self.statistic > self.critical) & (np.hypot(*self.error.T) > self.rounding))
+
+
+def rounding_of(points: Observations) -> float:
+    """Return the size of rounding errors of the target coordinates, in their unit."""
+    return float(ROUNDING * np.finfo(float).eps * np.abs(points.target).max(initial=0.0))
 
 
 def point_tests(fitted: TransformationFit) -> PointTests:
@@ -79,7 +89,7 @@ def point_tests(fitted: TransformationFit) -> PointTests:
         critical = np.where(usable, f_quantile(d, free, 1.0 - LEVEL), np.nan)
         probability = np.where(usable, f_tail(d, free, statistic), np.nan)
     error[~usable] = np.nan
-    return PointTests(np.where(usable, d, 0), statistic, critical, probability, error)
+    return PointTests(np.where(usable, d, 0), statistic, critical, probability, error, rounding_of(fitted.points))
 
 
 def check_tests(fitted: TransformationFit, check: Observations, residuals: Array) -> PointTests:
@@ -102,7 +112,7 @@ def check_tests(fitted: TransformationFit, check: Observations, residuals: Array
     with np.errstate(divide="ignore", invalid="ignore"):
         statistic = squares / (2.0 * fitted.m0**2)
     critical = np.full(n, float(f_quantile(2, f, 1.0 - LEVEL)))
-    return PointTests(np.full(n, 2), statistic, critical, f_tail(2, f, statistic), -residuals)
+    return PointTests(np.full(n, 2), statistic, critical, f_tail(2, f, statistic), -residuals, rounding_of(check))
 
 
 class Pruning(NamedTuple):

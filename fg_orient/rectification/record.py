@@ -22,7 +22,7 @@ from fg_orient.quality.verdict import sigma0_interval
 from fg_orient.rectification.fit import Observations
 from fg_orient.rectification.folder import CONTENTS, RECORD_FILE, TRANSFORMATION_FILE
 from fg_orient.rectification.mistakes import mistakes_in
-from fg_orient.rectification.outliers import PointTests, check_tests, point_tests
+from fg_orient.rectification.outliers import PointTests, check_tests, point_tests, rounding_of
 from fg_orient.rectification.points import DIRECTIONS, PointFit
 from fg_orient.rectification.study import PairDistances
 from fg_orient.report.chart import INKS, Chart, large, mapped, round_down
@@ -253,6 +253,8 @@ def _far_from_zone(fitted: PointFit) -> list[Finding]:
 def _worse(fitted: PointFit, check: Observations) -> list[Finding]:
     """Test the squares of the check points against m0 by F, with the variance of the prediction."""
     fit = fitted.fit
+    if np.abs(fitted.check_residuals).max() <= rounding_of(check):
+        return []
     variance = (fit.m0 * check.sigma) ** 2 + fit.prediction_sigma(check.source[:, : fit.model.dimension]) ** 2
     n = 2 * len(check)
     statistic = float(np.sum(fitted.check_residuals**2 / variance)) / n
