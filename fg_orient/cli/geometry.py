@@ -11,8 +11,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from fg_orient.cli.command import SENSORS, Dem, Overwrite, Sensors, VerticalCrs, argument, command, option, read_dem
-from fg_orient.cli.output import answer, number, say, table, tell, write_records
-from fg_orient.model.errors import Finding, InputError
+from fg_orient.cli.output import (
+    answer,
+    answer_with_status,
+    number,
+    say,
+    say_status,
+    table,
+    tell,
+    tell_findings,
+    write_records,
+)
+from fg_orient.model.errors import Finding, InputError, by_severity, judged
 
 if TYPE_CHECKING:
     from factors.arrays import Array
@@ -154,7 +164,8 @@ def intersect(
 
     With a project file, the command computes all points that are measured twice or more; their
     coordinates in the file are not used. Sigmas of a point follow from its image points (--pixel: 1
-    pixel each); the orientation is assumed to have no errors.
+    pixel each); the orientation is assumed to have no errors. The exit code is 4 if rays cannot belong
+    to one point.
     """
     from fg_orient.quality.direct_points import impossible_rays, rays_beyond_pixels
     from fg_orient.sensors.ground import intersection_records
@@ -169,13 +180,18 @@ def intersect(
     records = intersection_records(images, observations, ids)
     adjusted = sensors.result is not None
     doubts = [*impossible_rays(records), *rays_beyond_pixels(records, images, observations, adjusted=adjusted)]
-    for doubt in doubts:
-        tell(doubt.severity, doubt)
     if out is not None:
         write_records(out, (*GROUND, "miss_m", *SIGMAS), records, overwrite)
-    record = {"points": records, "images": [image.id for image in images], "notes": list(map(str, doubts)),
+    record = {"points": records, "images": [image.id for image in images], **judged(by_severity(doubts)),
               "out": None if out is None else str(out)}  # fmt: skip
-    answer(record, _show_points, records, ("id", "lon_deg", "lat_deg", "height_m", "miss_m", "sigma_up_m"), (), out)
+    answer_with_status(record, _show_intersection, record, out)
+
+
+def _show_intersection(record: dict[str, Any], out: Path | None) -> None:
+    tell_findings(record)
+    shown = ("id", "lon_deg", "lat_deg", "height_m", "miss_m", "sigma_up_m")
+    _show_points(record["points"], shown, (), out)
+    say_status(record)
 
 
 def _pixels_of(sources: list[Path], pixels: list[str], sensors: Sensors) -> tuple[tuple[Image, ...], ImagePoints]:

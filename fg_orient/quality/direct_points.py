@@ -15,7 +15,7 @@ from fg_orient.model.errors import Finding, finding
 from fg_orient.quality.accuracy import CHANCE
 from fg_orient.sensors.ground import Records, pixel_records
 
-#: Larger distances between the rays of a point cause a warning, m. With the metadata orientation, tens of metres are
+#: Larger distances between the rays of a point cause a doubt, m. With the metadata orientation, tens of metres are
 #: usual.
 MAX_MISS_M: Final = 500.0
 #: Heights, m, outside which an intersection is hardly on the ground.
@@ -53,15 +53,16 @@ def points_outside(sensor: Any, records: Records, lon: Array, lat: Array, height
 
 
 def impossible_rays(records: Records) -> list[Finding]:
-    """Return a warning for each intersection whose rays cannot belong to one point of the ground."""
+    """Return a doubt for each intersection whose rays cannot belong to one point of the ground."""
     low, high = LIKELY_HEIGHTS_M
     return [_rays_miss(one) for one in records if not (one["miss_m"] <= MAX_MISS_M and low <= one["height_m"] <= high)]
 
 
 def _rays_miss(record: dict[str, Any]) -> Finding:
     return finding(
-        "ground.rays_miss (warning): point {id}: the rays miss each other by {miss_m:.0f} m at a height of "
-        "{height_m:.0f} m: probably not the same point in every image",
+        "ground.rays_miss (doubt): point {id}: the rays miss each other by {miss_m:.0f} m at a height of "
+        "{height_m:.0f} m: probably not the same point in every image "
+        "-> check the pixels and the order of the images",
         id=record["id"], miss_m=record["miss_m"], height_m=record["height_m"],
     )  # fmt: skip
 
@@ -73,7 +74,7 @@ def rays_beyond_pixels(
 
     A residual r_i in sigmas at the distance d_i of ray i from the point gives the sigma d_i/r_i of this distance. With
     equal distances of m rays, the miss in sigmas is ``m / sqrt(sum 1/r_i^2)``; its square has at most 2 m - 3 degrees
-    of freedom. With the orientation of the metadata a larger miss is a note, with an adjusted orientation a warning.
+    of freedom. With the orientation of the metadata a larger miss is a note, with an adjusted orientation a doubt.
 
     Parameters
     ----------
@@ -118,7 +119,7 @@ def rays_beyond_pixels(
         ]
     return [
         finding(
-            "ground.rays_beyond (warning): {n} of {of} point(s) have rays that miss each other by more than the sigmas "
+            "ground.rays_beyond (doubt): {n} of {of} point(s) have rays that miss each other by more than the sigmas "
             "of the pixels allow, point {worst} by {miss_m:.1f} m, {size:.0f} standard deviations (limit {limit:.1f}) "
             "-> check that the pixels show the same point in every image",
             **figures,

@@ -197,7 +197,7 @@ def test_two_rays_miss_by_their_shortest_distance(run: Any, twin_source: Path) -
 def test_rays_beyond_the_sigmas_of_pixels_are_told(
     run: Any, twin: Path, twin_source: Path, tmp_path: Path, moved_px: float, told: bool
 ) -> None:
-    """``intersect --result`` warns of rays that miss by more than 1 px allows; with the metadata it is a note."""
+    """``intersect --result`` doubts rays that miss by more than 1 px allows; with the metadata it is a note."""
     result = tmp_path / "result"
     assert run("adjust", twin, "--out", result).code == 0
     images = [twin_source / "left.DIM", twin_source / "right.DIM"]
@@ -207,11 +207,14 @@ def test_rays_beyond_the_sigmas_of_pixels_are_told(
     (l0, s0), (l1, s1) = ((float(r["line"]), float(r["sample"])) for r in table if r["id"] == point)
     pixels = (f"--pixel={l0},{s0}", f"--pixel={l1 + moved_px},{s1 + moved_px}")
     ended = run("intersect", *images, *pixels, "--result", result, "--json")
-    assert (ended.code, "standard deviations (limit" in ended.stderr) == (0, told)
-    assert ("warning: 1 of 1 point" in ended.stderr) == told
+    codes = [one["code"] for one in ended.json["findings"]]
+    assert (ended.code, codes) == ((4, ["ground.rays_beyond"]) if told else (0, []))
     if told:
-        plain = run("intersect", *images, *pixels, "--json")
-        assert "note: 1 of 1 point" in plain.stderr and "--result" in plain.stderr
+        words = run("intersect", *images, *pixels, "--result", result)
+        assert words.stderr.startswith("doubt: 1 of 1 point has rays") and "standard deviations (limit" in words.stderr
+        assert words.stdout.splitlines()[-1].startswith("not trustworthy: 1 of 1 point has rays")
+        plain = run("intersect", *images, *pixels)
+        assert plain.code == 0 and plain.stderr.startswith("note: 1 of 1 point") and "--result" in plain.stderr
 
 
 @pytest.mark.behaviour
