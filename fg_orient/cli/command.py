@@ -420,10 +420,10 @@ class Sensors(NamedTuple):
         """Return the sensor with the orientation from the result folder, if this folder is given."""
         if self.result is None:
             return sensor
-        from fg_orient.rectification.ortho_models import read_correction
+        from fg_orient.rectification.ortho_models import read_orientation
         from fg_orient.sensors.base import OrientedSensor
 
-        return OrientedSensor(sensor, read_correction(self.result, sensor, image_id))
+        return OrientedSensor(sensor, *read_orientation(self.result, sensor, image_id))
 
 
 #: These options replace the parameter ``sensors`` of a command.

@@ -14,6 +14,7 @@ from fg_orient.cli.command import SENSORS, Dem, Overwrite, Sensors, VerticalCrs,
 from fg_orient.cli.output import (
     answer,
     answer_with_status,
+    end_by,
     number,
     say,
     say_status,
@@ -22,7 +23,7 @@ from fg_orient.cli.output import (
     tell_findings,
     write_records,
 )
-from fg_orient.model.errors import Finding, InputError, by_severity, judged
+from fg_orient.model.errors import DECISIVE, Finding, InputError, by_severity, judged
 
 if TYPE_CHECKING:
     from factors.arrays import Array
@@ -179,7 +180,8 @@ def intersect(
         ids = ("1",)
     records = intersection_records(images, observations, ids)
     adjusted = sensors.result is not None
-    doubts = [*impossible_rays(records), *rays_beyond_pixels(records, images, observations, adjusted=adjusted)]
+    taken = dict.fromkeys(one for image in images for one in image.sensor.notes if one.severity in DECISIVE)
+    doubts = [*taken, *impossible_rays(records), *rays_beyond_pixels(records, images, observations, adjusted=adjusted)]
     if out is not None:
         write_records(out, (*GROUND, "miss_m", *SIGMAS), records, overwrite)
     record = {"points": records, "images": [image.id for image in images], **judged(by_severity(doubts)),
@@ -249,14 +251,15 @@ def _publish(
     noted = (*sensor.notes, *(() if framed is None or framed in sensor.notes else [framed]))
     shown = SHOWN_FRAME if columns is FRAME else tuple(name for name in columns if name not in ("x_m", "y_m", "z_m"))
     answer(record, _show_points, records, shown, noted, out)
+    end_by(sensor.notes)
 
 
 def _show_points(
     records: list[dict[str, Any]], columns: tuple[str, ...], notes: tuple[Finding, ...] = (), out: Path | None = None
 ) -> None:
     """Print notes, a table of the points, and the name of the file that contains them."""
-    for one in notes:
-        tell("note", one)
+    for one in by_severity(notes):
+        tell(one.severity, one)
     table("", columns, [[_cell(name, record[name]) for name in columns] for record in records])
     if out is not None:
         say(f"written: {out}")
@@ -302,6 +305,7 @@ def footprint(
     notes = [replace(one, place=f"image {view.image.id}") for view in views for one in view.image.sensor.notes]
     record = {**records, "notes": list(map(str, notes)), "out": None if out is None else str(out)}
     answer(record, _show_footprints, records, notes, out)
+    end_by(notes)
 
 
 def _images(sources: list[Path], sensors: Sensors) -> tuple[Image, ...]:
@@ -314,8 +318,8 @@ def _images(sources: list[Path], sensors: Sensors) -> tuple[Image, ...]:
 
 
 def _show_footprints(records: dict[str, list[dict[str, Any]]], notes: list[Finding], out: Path | None) -> None:
-    for one in notes:
-        tell("note", one)
+    for one in by_severity(notes):
+        tell(one.severity, one)
     columns = ("image", "GSD line", "GSD sample", "incidence", "azimuth", "height", "km2")
     table("degrees, m, at the centres of the images", columns, [
         [r["image"], *(number(r[key], digits) for key, digits in (

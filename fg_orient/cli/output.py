@@ -11,7 +11,7 @@ import contextlib
 import os
 import sys
 import textwrap
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import takewhile
 from pathlib import Path
@@ -21,7 +21,7 @@ import typer
 
 from fg_orient.cli.log import session
 from fg_orient.model.declaration import declared
-from fg_orient.model.errors import Finding, InputError, finding, findings_of
+from fg_orient.model.errors import DECISIVE, Finding, InputError, finding, findings_of
 from fg_orient.model.names import EXIT_CODE, Status
 from fg_orient.model.options import Options, Reading
 
@@ -164,6 +164,12 @@ def answer_with_status(record: Any, show: Callable[..., None], *shown: Any) -> N
     """Print a result by :func:`answer`, and end the command with the exit code of its status."""
     answer(record, show, *shown)
     if record["status"] == Status.NOT_TRUSTWORTHY:
+        raise typer.Exit(EXIT_CODE[Status.NOT_TRUSTWORTHY])
+
+
+def end_by(findings: Iterable[Finding]) -> None:
+    """End the command with exit code 4 if there is a doubt on what it printed."""
+    if any(one.severity in DECISIVE for one in findings):
         raise typer.Exit(EXIT_CODE[Status.NOT_TRUSTWORTHY])
 
 

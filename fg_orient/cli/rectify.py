@@ -189,7 +189,7 @@ def ortho(
             resolution=resolution, bounds=limits, options=OrthoOptions(**options), overwrite=overwrite,
             progress=progress, extrapolate_attitude_s=extrapolate_attitude, light=effects_of(light),
         )  # fmt: skip
-    answer(record, _show_ortho)
+    answer_with_status(record, _show_ortho)
 
 
 def _show_ortho(record: dict[str, Any]) -> None:
@@ -198,6 +198,7 @@ def _show_ortho(record: dict[str, Any]) -> None:
         f"{100 * record['filled']:.1f} % filled, {record['resampling']}")  # fmt: skip
     say(f"model evaluated every {record['knots']} pixels, interpolation error at most {record['error_px']:.1g} px")
     say(f"written: {record['out']}")
+    say_status(record)
 
 
 @app.command("area")

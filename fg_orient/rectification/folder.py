@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
 from fg_orient.formats.atomic import Contents
-from fg_orient.model.errors import InputError
+from fg_orient.model.errors import Finding, InputError
 from fg_orient.result.manifest import MANIFEST_FILE, checked_record
+from fg_orient.result.record import doubts_about
 
 TRANSFORMATION_FILE: Final = "transformation.json"
 RECORD_FILE: Final = "result.json"
@@ -36,6 +38,11 @@ def require_whole(folder: Path) -> None:
     """Check the folder as :func:`read_record` does; a transformation without record and manifest is not checked."""
     if _has_record(folder):
         read_record(folder)
+
+
+def doubts_on_fit(model: Path) -> Sequence[Finding]:
+    """Return the doubt on a fit by its folder; a transformation without record has none."""
+    return doubts_about(read_record(model), model) if model.is_dir() and _has_record(model) else []
 
 
 def _has_record(folder: Path) -> bool:

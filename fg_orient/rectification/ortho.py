@@ -32,8 +32,9 @@ from fg_orient.kernels.resampling import (
     pixel_positions,
     resample,
 )
-from fg_orient.model.errors import InputError, as_record
+from fg_orient.model.errors import InputError, judged
 from fg_orient.model.names import Progress
+from fg_orient.rectification.folder import doubts_on_fit
 from fg_orient.rectification.grid import (
     CACHE_BYTES,
     TILE,
@@ -46,7 +47,7 @@ from fg_orient.rectification.grid import (
     lattice,
 )
 from fg_orient.rectification.options import OrthoOptions
-from fg_orient.rectification.ortho_models import BORDER, MapModel, PointModel, SensorModel, read_correction
+from fg_orient.rectification.ortho_models import BORDER, MapModel, PointModel, SensorModel, read_orientation
 from fg_orient.rectification.transformation import read_transformation
 from fg_orient.sensors.base import Sensor
 from fg_orient.sensors.dem import RasterDem
@@ -389,15 +390,15 @@ def rectify_image(
         A file cannot be used; there is no coordinate system, no height or no common ground; or the DEM has holes.
     """
     _require_other(out, image, model, *([] if dem is None else [dem]))
-    surface: Surface | None = RasterDem(dem) if dem is not None else None
-    if height_m is not None:
-        surface = LevelSurface(height_m)
+    surface: Surface | None = None if dem is None else RasterDem(dem)
+    surface = surface if height_m is None else LevelSurface(height_m)
     sensor: Sensor | None = None
     geometry: MapModel | None = None
     if model.is_dir() or model.suffix.lower() == ".json":
         if result is not None:
             raise InputError.of("ortho.points_and_result", option="result")
         transformation = read_transformation(model)
+        found = doubts_on_fit(model)
         chosen = _system(crs or transformation.crs, image)
         if transformation.crs and not same_crs(transformation.crs, chosen):
             raise InputError.of("ortho.other_crs", option="crs", fitted=transformation.crs)
@@ -409,11 +410,12 @@ def rectify_image(
     if geometry is None:
         chosen = _system(crs or (surface.crs if isinstance(surface, RasterDem) else ""), image)
         sensor = read_sensor(model, extrapolate_attitude_s=extrapolate_attitude_s, light=light)
-        correction = None if result is None else read_correction(result, sensor, image_id)
-        geometry = SensorModel(sensor, correction, chosen, _top(surface, sensor, chosen, bounds))
+        adjusted = read_orientation(result, sensor, image_id)
+        found = adjusted.doubts
+        geometry = SensorModel(sensor, adjusted.correction, chosen, _top(surface, sensor, chosen, bounds))
     record = orthorectify(image, geometry, surface, out, crs=chosen, resolution=resolution, bounds=bounds,
                           options=options, overwrite=overwrite, progress=progress)  # fmt: skip
-    record |= as_record(surface.notes if isinstance(surface, RasterDem) else ())
+    record |= judged((*found, *(surface.notes if isinstance(surface, RasterDem) else ())))
     return record if sensor is None else record | {"notes": list(map(str, sensor.notes))}
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 import numpy as np
 
@@ -12,11 +12,11 @@ from factors.arrays import Array
 from fg_orient.formats.table_write import table_file
 from fg_orient.formats.text_files import sha256_of
 from fg_orient.geodesy import ecef_to_geodetic, from_geographic, geodetic_to_ecef, to_geographic
-from fg_orient.model.errors import InputError
+from fg_orient.model.errors import Finding, InputError
 from fg_orient.model.names import Status
 from fg_orient.model.options import Options
 from fg_orient.result.plain import read_table
-from fg_orient.result.record import RESULT_FILE, read_record
+from fg_orient.result.record import RESULT_FILE, doubts_about, read_record
 from fg_orient.sensors.base import Sensor
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.simulate.simulation import QuickProjection
@@ -25,13 +25,25 @@ if TYPE_CHECKING:
     from fg_orient.rectification.transformation import Transformation
 
 
+class AdjustedOrientation(NamedTuple):
+    """Correction of a sensor from a result folder, and the doubts on the adjustment; by default none."""
+
+    correction: Any = None
+    doubts: Sequence[Finding] = ()
+
+
 def read_correction(folder: Path, sensor: Sensor, image: str = "") -> Any:
-    """Read the adjusted correction of one image.
+    """Read the adjusted correction of one image; see :func:`read_orientation`."""
+    return read_orientation(folder, sensor, image).correction
+
+
+def read_orientation(folder: Path | None, sensor: Sensor, image: str = "") -> AdjustedOrientation:
+    """Read the adjusted correction of one image, and the doubts on the adjustment.
 
     Parameters
     ----------
-    folder : Path
-        Result folder: table ``eop`` and ``result.json``.
+    folder : Path or None
+        Result folder: table ``eop`` and ``result.json``. Without one there is no correction and no doubt.
     sensor : Sensor
         Sensor of this image.
     image : str
@@ -45,6 +57,8 @@ def read_correction(folder: Path, sensor: Sensor, image: str = "") -> Any:
         several images have the same metadata; or the unknowns belong to another kind of
         sensor.
     """
+    if folder is None:
+        return AdjustedOrientation()
     try:
         record = read_record(folder)
         if record["status"] == Status.RANK_DEFICIENT:
@@ -64,7 +78,7 @@ def read_correction(folder: Path, sensor: Sensor, image: str = "") -> Any:
     _require_light(record, name, sensor)
     try:
         chosen = Options(small_angle=small_angle, curve_intervals=n_curves, jitter_curves=jitter)
-        return sensor.correction_of(values[name], chosen)
+        return AdjustedOrientation(sensor.correction_of(values[name], chosen), doubts_about(record, folder))
     except KeyError:
         raise InputError.of("ortho.other_sensor", file=folder, place=f"image {name}", value=sensor.file) from None
 

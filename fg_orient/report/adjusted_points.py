@@ -29,10 +29,10 @@ from fg_orient.formats.table_write import save_table
 from fg_orient.geodesy import COORDINATE_COLUMNS, crs_kind
 from fg_orient.geodesy.crs import utm_code, with_codes, wkt
 from fg_orient.model.block import GroundSystem
-from fg_orient.model.errors import Finding, InputError, finding, findings_of, judged
-from fg_orient.model.names import Role, Status
+from fg_orient.model.errors import Finding, InputError, findings_of, judged
+from fg_orient.model.names import Role
 from fg_orient.result.plain import of_axes
-from fg_orient.result.record import Result, read_result, require_earth
+from fg_orient.result.record import Result, doubts_about, read_result, require_earth
 
 SUFFIXES: Final = (".laz", ".las", ".ply", ".csv", ".gpkg")
 PURPOSE: Final = "points of an adjustment, a check of the orientation, no dense surface model"
@@ -174,9 +174,8 @@ def describe(record: dict[str, Any]) -> str:
 
 def _findings(result: Result, folder: str | Path) -> list[Finding]:
     """Return the doubts about the points, and the effects that their standard deviations do not contain."""
-    status = result.record["status"]
-    found = [] if status == Status.CONVERGED else [finding("cloud.doubt", file=folder, value=status)]
-    return [*found, *(one for one in findings_of(result.record) if one.code == "solution.vendor_datum")]
+    held = (one for one in findings_of(result.record) if one.code == "solution.vendor_datum")
+    return [*doubts_about(result.record, folder), *held]
 
 
 def _system(

@@ -27,7 +27,7 @@ from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Status
 from fg_orient.model.options import Options
 from fg_orient.result.plain import read_table
-from fg_orient.result.record import RESULT_FILE, read_record
+from fg_orient.result.record import RESULT_FILE, doubts_about, read_record
 from fg_orient.result.summary import file_stems
 from fg_orient.rpc.files import IMAGES, write_alone
 from fg_orient.rpc.virtual_grid import with_image_to_ground
@@ -126,9 +126,7 @@ def models_of(result: Path) -> tuple[dict[str, Handed], tuple[Finding, ...]]:
         model = replace(model, n_lines=sizes[name][0], n_samples=sizes[name][1])
         out[name] = Handed(model, RpcSensor(model, poles=True).correction_of(values[name], Options()), stem)
     notes = [finding("handover.rigorous", place=f"image {name}") for name in images if name not in with_rpc]
-    if record["status"] == Status.NOT_TRUSTWORTHY:
-        notes.append(finding("handover.doubt", file=result))
-    return out, tuple(notes)
+    return out, (*doubts_about(record, result), *notes)
 
 
 def hand_over(

@@ -10,7 +10,7 @@ the sensor is not georeferenced, they refer to a local Cartesian system, m.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -323,11 +323,13 @@ class OrientedSensor:
     sensor : PushbroomSensor, RpcSensor or FrameSensor
     correction : Correction or array
         Correction that its methods use, for example ``solution.correction("left")``.
+    doubts : sequence of Finding
+        Doubts on the adjustment, which come first among the notes.
     """
 
-    def __init__(self, sensor: Any, correction: Any) -> None:
+    def __init__(self, sensor: Any, correction: Any, doubts: Sequence[Finding] = ()) -> None:
         self.sensor, self.correction = sensor, correction
-        self.notes: tuple[Finding, ...] = (*sensor.notes, finding("image.adjusted"))
+        self.notes: tuple[Finding, ...] = (*doubts, *sensor.notes, finding("image.adjusted"))
 
     def __getattr__(self, name: str) -> Any:
         """Return an attribute of the sensor."""

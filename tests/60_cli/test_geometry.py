@@ -248,6 +248,33 @@ def test_intersect_refuses(run: Any, twin_source: Path, images: str, pixels: str
     assert (ended.code, [e["code"] for e in ended.json["errors"]]) == (2, [code])
 
 
+@pytest.mark.behaviour
+def test_what_follows_from_a_doubtful_adjustment_is_doubtful(
+    run: Any, twin: Path, twin_source: Path, tmp_path: Path
+) -> None:
+    """Each command that takes an orientation from a result says first that the result is not trustworthy."""
+    path = twin.parent / "observations.csv"
+    rows_ = path.read_text("utf-8").splitlines()
+    k = next(k for k, row in enumerate(rows_) if row.startswith("left,05,"))
+    cells = rows_[k].split(",")
+    rows_[k] = ",".join([*cells[:2], repr(float(cells[2]) + 50.0), *cells[3:]])
+    path.write_text("\n".join(rows_) + "\n", encoding="utf-8")
+    result, image, out = tmp_path / "result", twin_source / "left.DIM", tmp_path / "RPC.TXT"
+    assert run("adjust", twin, "--out", result).code == 4
+    for words in (
+        ("locate", image, "--line", 6000, "--sample", 6000, "--height", 500),
+        ("project", image, "--lon", 31.852, "--lat", 41.3, "--height", 500),
+        ("footprint", image, "--height", 300),
+        ("intersect", twin),
+        ("rpc", "fit", image, "--heights", 0, 3000, "--out", out),
+    ):
+        done = run(*words, "--result", result)
+        assert done.code == 4, words
+        first = done.stderr.splitlines()[0]
+        assert first.startswith("doubt: ") and "this result is not trustworthy: point 05 in image left: gross" in first
+    assert not out.exists()  # an RPC that is not trustworthy is not written
+
+
 # --- the file's own frame points -----------------------------------------------------------------
 
 FRAME = ["file_lon_deg", "file_lat_deg", "misfit_m", "misfit_east_m", "misfit_north_m", "height_from", "note"]

@@ -219,7 +219,7 @@ def test_a_doubtful_result_is_heard(shifted: tuple[RpcTwin, Path], run: Run, tmp
     record["status"] = "not_trustworthy"
     (copy / "result.json").write_text(json.dumps(record), "utf-8")
     ended = run("rpc", "convert", sealed(copy), "--for", "gdal", "--out", tmp_path / "out")
-    assert ended.code == 4 and "the adjustment is not trustworthy" in ended.stderr
+    assert ended.code == 4 and f"doubt: {copy}: this result is not trustworthy" in ended.stderr
 
 
 # --- other programs, by their own code -----------------------------------------------------------

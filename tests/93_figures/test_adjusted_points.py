@@ -280,7 +280,7 @@ def test_doubt_is_heard(run: Run, result: Path, tmp_path: Path) -> None:
     (result / "result.json").write_text(json.dumps(record | {"status": "not_trustworthy"}), "utf-8")
     ended = run("dsm-points", sealed(result), "--out", tmp_path / "a.ply", "--crs", UTM)
     assert ended.code == 4 and (tmp_path / "a.ply").is_file()
-    assert "doubt" in ended.stderr and "not_trustworthy" in ended.stderr
+    assert ended.stderr.startswith(f"doubt: {result}: this result is not trustworthy")
     assert PURPOSE in ended.stdout.splitlines()[0]
 
 

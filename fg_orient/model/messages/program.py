@@ -142,8 +142,6 @@ cloud.no_laspy: LAS and LAZ need laspy and lazrs
     -> install the extra: pip install 'fg-orient[cloud]', or give a .ply, .csv or .gpkg
 cloud.no_points: no point is left to write
     -> give other limits, or adjust with tie or check points
-cloud.doubt (doubt): the adjustment of these points is not trustworthy
-    -> read the findings of the adjustment before you use the points
 report.no_truth: the folder contains no true values of a simulation
     -> give the folder "truth" written by fg-orient simulate
 report.other_truth: the true values belong to another project

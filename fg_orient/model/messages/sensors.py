@@ -206,8 +206,6 @@ handover.names: two images would get files of the same name
     -> give rasters of different names
 handover.rigorous (warning): the image has a rigorous model and no RPC, so nothing is written for this image
     -> fit one: fg-orient rpc fit METADATA <result> RESULT <heights> LOW HIGH
-handover.doubt (doubt): the adjustment is not trustworthy
-    -> read the findings of the adjustment before you use the RPC
 handover.adjust (note): use this file with the vendor's RPC, as bundle_adjust_prefix of ASP; the largest difference is
     {most_px:.2g} px. In the file name, adjust is the prefix and the image name follows
 handover.no_translation (warning): no .adjust file is written: the compensation is not a translation of the camera. The
