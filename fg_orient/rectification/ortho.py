@@ -390,8 +390,8 @@ def rectify_image(
         A file cannot be used; there is no coordinate system, no height or no common ground; or the DEM has holes.
     """
     _require_other(out, image, model, *([] if dem is None else [dem]))
-    surface: Surface | None = None if dem is None else RasterDem(dem)
-    surface = surface if height_m is None else LevelSurface(height_m)
+    given = None if dem is None else RasterDem(dem)
+    surface: Surface | None = given if height_m is None else LevelSurface(height_m)
     sensor: Sensor | None = None
     geometry: MapModel | None = None
     if model.is_dir() or model.suffix.lower() == ".json":
@@ -435,9 +435,8 @@ def _require_other(out: Path, *inputs: Path) -> None:
         raise InputError.of("ortho.over_input", file=out, option="out")
     if out.is_file():
         with out.open("rb") as stream:
-            mark = stream.read(4)
-        if mark not in TIFF_MARKS:
-            raise InputError.of("ortho.foreign", file=out, option="out")
+            if stream.read(4) not in TIFF_MARKS:
+                raise InputError.of("ortho.foreign", file=out, option="out")
 
 
 def _system(crs: str, image: Path) -> str:
