@@ -47,7 +47,8 @@ def conclude(
     on_earth = vendor_datum.absolute(compiled, cofactors)
     accuracy = _assess(compiled, ground, located, on_earth)
     assessment = verdict.assess_solution(compiled, estimate, unavailable)
-    findings = [*verdict.findings(compiled, estimate, assessment, observability, block_view, accuracy)]
+    findings = [one for one in compiled.block.notes if one.severity == "doubt"]  # on its input
+    findings += verdict.findings(compiled, estimate, assessment, observability, block_view, accuracy)
     choice = None
     if isinstance(estimate.linear, SchurSystem | SummedSystem):
         choice = estimate.linear.choice if estimate.backend == "schur" else None

@@ -36,7 +36,7 @@ from fg_orient.model.names import Role, Status
 from fg_orient.model.parameters import ImageParameters
 from fg_orient.orientation.solution import Solution
 from fg_orient.result.joint import LIMIT, JointCofactors, joint_cofactors_of, points_within, unknown_names
-from fg_orient.result.record import COVARIANCE_FILE, Result, read_result
+from fg_orient.result.record import COVARIANCE_FILE, Result, doubts_about, read_result
 from fg_orient.sensors import initial
 
 #: The prior has a row for a direction only if the share of the earlier observations in its information is at
@@ -122,11 +122,24 @@ def continued(
         raise InputError(*faults)
     if with_prior:
         block = _with_prior(block, parameters, earlier, ground)
+        block = replace(block, notes=(*block.notes, *_doubts(earlier)))
 
     def begin(problem: Problem) -> State:
         return _start(problem, images, ground)
 
     return block, begin
+
+
+def _doubts(earlier: EarlierResult) -> list[Finding]:
+    """Return the doubt on a prior from a result that is not trustworthy: it makes the new result doubtful, too."""
+    return [
+        finding(
+            "verdict.doubtful_prior (doubt): the prior comes from a result that is not trustworthy + : {reason} -> "
+            'correct the earlier adjustment, omit <start_prior>, or accept the doubt with <accept> "doubtful_prior"',
+            file=earlier.place, reason=one.data["reason"],
+        )
+        for one in doubts_about(earlier.result.record, earlier.place)
+    ]  # fmt: skip
 
 
 def _faults(

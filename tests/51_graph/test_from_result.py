@@ -301,3 +301,22 @@ def test_command_line_and_replay(tmp_path: Path) -> None:
         assert refused.code == 2
         assert message in refused.stderr
     assert run("adjust", project, "--from", first, "--out", tmp_path / "third", "--quiet").code == 0
+
+
+@pytest.mark.behaviour
+def test_a_prior_from_a_doubtful_result_makes_the_new_one_doubtful() -> None:
+    """A gross error of the first campaign has moved the prior; it can be accepted by the name of the doubt."""
+    first, second = campaigns(block())
+    o = first.observations
+    wrong = fg.adjust(
+        replace(first, observations=replace(o, line=o.line + np.where(np.arange(len(o)) == 5, 30.0, 0.0)))
+    )
+    assert wrong.status == "not_trustworthy"
+    two = fg.adjust(second, start=wrong, start_prior=True)
+    assert two.status == "not_trustworthy"
+    (found,) = (one for one in two.findings if one.code == "verdict.doubtful_prior")
+    assert "the prior comes from a result that is not trustworthy: " in str(found)
+    good = fg.adjust(second, start=fg.adjust(first), start_prior=True)
+    assert "verdict.doubtful_prior" not in {one.code for one in good.findings}
+    known = fg.adjust(second, start=wrong, start_prior=True, accept=("doubtful_prior",))
+    assert next(one for one in known.findings if one.code == "verdict.doubtful_prior").severity == "note"
