@@ -125,7 +125,7 @@ def write_projects(folder: Path) -> None:
     sheet = [f"P825002{k}.JPG" for k in range(1, 6)]
     write_positions(positions, aerial[:4])
     write_project(folder / "dbat" / "pmexports" / "camcal-pmexport.txt", folder / "dbat" / "ref" / "camcal-fixed.txt",
-                  [1001, 1002, 1003, 1004, 13, 60, 88, *range(100, 140)], 3, sheet)  # fmt: skip
+                  [1001, 1002, 1003, 1004, 13, 60, 88, *range(100, 140)], 3, sheet, noise_px=0.2)  # fmt: skip
     write_project(folder / "pmexport.txt", folder / "ctrlpts.txt", [*control, *range(24)], 6, aerial)
     write_positions(folder / "positions.txt", aerial[:4])
 
