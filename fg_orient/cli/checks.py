@@ -27,11 +27,10 @@ import typer
 from fg_orient.cli.command import argument, command, option
 from fg_orient.cli.log import session
 from fg_orient.cli.new import OFFICE
-from fg_orient.cli.output import answer, emit, fault, flag, note, say, table, tell, tell_findings
+from fg_orient.cli.output import answer, emit, end_if, fault, flag, note, say, table, tell, tell_findings
 from fg_orient.model.errors import FgOrientError, Finding, InputError, as_record, finding
 from fg_orient.model.installation import OPTIONAL, REQUIRED, shared_file, versions
 from fg_orient.model.machine import in_gb
-from fg_orient.model.names import EXIT_CODE, Status
 
 if TYPE_CHECKING:
     from fg_orient.formats.registry import Format, Settings
@@ -95,8 +94,7 @@ def _finish(record: dict[str, Any], errors: list[Finding], remarks: list[Finding
             say(line)
     if errors:
         raise typer.Exit(InputError.exit_code)
-    if _doubtful(remarks):
-        raise typer.Exit(EXIT_CODE[Status.NOT_TRUSTWORTHY])
+    end_if(_doubtful(remarks))
 
 
 def _doubtful(remarks: list[Finding]) -> bool:

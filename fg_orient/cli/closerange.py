@@ -15,7 +15,6 @@ from fg_orient.cli.output import (
     answer_with_status,
     number,
     say,
-    say_status,
     show_components,
     table,
     tell,
@@ -117,7 +116,6 @@ def absolute(
 
 
 def _show_orientation(record: dict[str, Any], name: str, unit: str) -> None:
-    tell_findings(record)
     outer, used = record["exterior"], record.get("control", record["points"])
     say(f"{len(used)} points, redundancy {record['redundancy']}, m0 {_m0(record)}, condition {record['condition']:.3g}")
     rows = [("scale", f"{record['scale']:.8g}", _short(record["sigma_scale"]))] if "scale" in record else []
@@ -137,7 +135,6 @@ def _show_orientation(record: dict[str, Any], name: str, unit: str) -> None:
         say(f"written: {written}")
     if record["page"]:
         say(f"report: {record['page']}")
-    say_status(record)
 
 
 @app.command("bundle")
@@ -275,8 +272,7 @@ def _priors(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
 
 
 def _show(record: dict[str, Any], show: Callable[[dict[str, Any]], None]) -> None:
-    """Print the findings of a result, the most serious first, then the result by ``show``, its files and its status."""
-    tell_findings(record)
+    """Print a result by ``show``, then its files."""
     show(record)
     _relative_note(record)
     if record["out"]:
@@ -284,7 +280,6 @@ def _show(record: dict[str, Any], show: Callable[[dict[str, Any]], None]) -> Non
     page = record["page"] or (record["out"] and str(Path(record["out"]) / "report.html"))
     if page:
         say(f"report: {page}")
-    say_status(record)
 
 
 def _relative_note(record: dict[str, Any]) -> None:

@@ -14,16 +14,14 @@ from fg_orient.cli.command import SENSORS, Dem, Overwrite, Sensors, VerticalCrs,
 from fg_orient.cli.output import (
     answer,
     answer_with_status,
-    end_by,
+    end_if,
     number,
     say,
-    say_status,
     table,
     tell,
-    tell_findings,
     write_records,
 )
-from fg_orient.model.errors import DECISIVE, Finding, InputError, by_severity, judged
+from fg_orient.model.errors import Finding, InputError, by_severity, decisive, judged
 
 if TYPE_CHECKING:
     from factors.arrays import Array
@@ -180,20 +178,14 @@ def intersect(
         ids = ("1",)
     records = intersection_records(images, observations, ids)
     adjusted = sensors.result is not None
-    taken = dict.fromkeys(one for image in images for one in image.sensor.notes if one.severity in DECISIVE)
+    taken = dict.fromkeys(one for image in images for one in decisive(image.sensor.notes))
     doubts = [*taken, *impossible_rays(records), *rays_beyond_pixels(records, images, observations, adjusted=adjusted)]
     if out is not None:
         write_records(out, (*GROUND, "miss_m", *SIGMAS), records, overwrite)
     record = {"points": records, "images": [image.id for image in images], **judged(by_severity(doubts)),
               "out": None if out is None else str(out)}  # fmt: skip
-    answer_with_status(record, _show_intersection, record, out)
-
-
-def _show_intersection(record: dict[str, Any], out: Path | None) -> None:
-    tell_findings(record)
     shown = ("id", "lon_deg", "lat_deg", "height_m", "miss_m", "sigma_up_m")
-    _show_points(record["points"], shown, (), out)
-    say_status(record)
+    answer_with_status(record, _show_points, records, shown, (), out)
 
 
 def _pixels_of(sources: list[Path], pixels: list[str], sensors: Sensors) -> tuple[tuple[Image, ...], ImagePoints]:
@@ -251,7 +243,7 @@ def _publish(
     noted = (*sensor.notes, *(() if framed is None or framed in sensor.notes else [framed]))
     shown = SHOWN_FRAME if columns is FRAME else tuple(name for name in columns if name not in ("x_m", "y_m", "z_m"))
     answer(record, _show_points, records, shown, noted, out)
-    end_by(sensor.notes)
+    end_if(decisive(sensor.notes))
 
 
 def _show_points(
@@ -305,7 +297,7 @@ def footprint(
     notes = [replace(one, place=f"image {view.image.id}") for view in views for one in view.image.sensor.notes]
     record = {**records, "notes": list(map(str, notes)), "out": None if out is None else str(out)}
     answer(record, _show_footprints, records, notes, out)
-    end_by(notes)
+    end_if(decisive(notes))
 
 
 def _images(sources: list[Path], sensors: Sensors) -> tuple[Image, ...]:

@@ -11,7 +11,7 @@ import contextlib
 import os
 import sys
 import textwrap
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import takewhile
 from pathlib import Path
@@ -21,7 +21,7 @@ import typer
 
 from fg_orient.cli.log import session
 from fg_orient.model.declaration import declared
-from fg_orient.model.errors import DECISIVE, Finding, InputError, finding, findings_of
+from fg_orient.model.errors import Finding, InputError, finding, findings_of
 from fg_orient.model.names import EXIT_CODE, Status
 from fg_orient.model.options import Options, Reading
 
@@ -161,21 +161,30 @@ def answer(record: Any, show: Callable[..., None], *shown: Any) -> None:
 
 
 def answer_with_status(record: Any, show: Callable[..., None], *shown: Any) -> None:
-    """Print a result by :func:`answer`, and end the command with the exit code of its status."""
-    answer(record, show, *shown)
-    if record["status"] == Status.NOT_TRUSTWORTHY:
-        raise typer.Exit(EXIT_CODE[Status.NOT_TRUSTWORTHY])
+    """Print a result as :func:`answer` does, its findings first and its status last; end with the exit code of it."""
+    if session().as_json:
+        emit(record)
+    else:
+        tell_findings(record)
+        show(*(shown or (record,)))
+        _say_status(record)
+    end_if(is_doubtful(record))
 
 
-def end_by(findings: Iterable[Finding]) -> None:
+def is_doubtful(record: Mapping[str, Any]) -> bool:
+    """Return whether the status of a result is "not trustworthy"."""
+    return bool(record["status"] == Status.NOT_TRUSTWORTHY)
+
+
+def end_if(doubtful: object) -> None:
     """End the command with exit code 4 if there is a doubt on what it printed."""
-    if any(one.severity in DECISIVE for one in findings):
+    if doubtful:
         raise typer.Exit(EXIT_CODE[Status.NOT_TRUSTWORTHY])
 
 
-def say_status(record: dict[str, Any]) -> None:
+def _say_status(record: dict[str, Any]) -> None:
     """Print the status of a result, with its most serious finding if it is not trustworthy."""
-    good = record["status"] != Status.NOT_TRUSTWORTHY
+    good = not is_doubtful(record)
     status = record["status"].replace("_", " ")
     if good or session().quiet:  # with --quiet the findings were printed just before
         verdict(status, good=good)

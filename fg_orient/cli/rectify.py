@@ -21,10 +21,9 @@ from fg_orient.cli.command import (
     option,
 )
 from fg_orient.cli.log import session
-from fg_orient.cli.output import answer, answer_with_status, note, number, say, say_status, table, tell, tell_findings
+from fg_orient.cli.output import answer, answer_with_status, end_if, note, number, say, table, tell
 from fg_orient.cli.progress import progress_bar
 from fg_orient.model.errors import InputError
-from fg_orient.model.names import EXIT_CODE, Status
 from fg_orient.rectification.options import AccuracyOptions, OrthoOptions, PointOptions, StudyOptions
 
 if TYPE_CHECKING:
@@ -54,7 +53,6 @@ def fit(
 
 
 def _show_fit(record: dict[str, Any]) -> None:
-    tell_findings(record)
     unit, axes = record["unit"], record["axes"]
     m0 = f"{record['m0']:.4g}" + ("" if record["weighted"] else f" {unit}")
     say(f"{record['title']}, {record['direction']}: {record['n_control']} control points, "
@@ -73,7 +71,6 @@ def _show_fit(record: dict[str, Any]) -> None:
         say(f"left out: {', '.join(record['pruning']['dropped']) or 'none'}")
     if record["out"]:
         say(f"written: {record['out']}")
-    say_status(record)
 
 
 @app.command("study")
@@ -134,8 +131,7 @@ def check(
         "rmse_m": {"easting": x, "northing": y, "radial": radial}, "standards": [asdict(one) for one in assessed],
     }  # fmt: skip
     answer(record, _show_check)
-    if any(one.passed is False for one in assessed):
-        raise typer.Exit(EXIT_CODE[Status.NOT_TRUSTWORTHY])
+    end_if(any(one.passed is False for one in assessed))
 
 
 def _show_check(record: dict[str, Any]) -> None:
@@ -193,12 +189,10 @@ def ortho(
 
 
 def _show_ortho(record: dict[str, Any]) -> None:
-    tell_findings(record)
     say(f"{record['rows']} x {record['columns']} pixels of {record['resolution']:g}, "
         f"{100 * record['filled']:.1f} % filled, {record['resampling']}")  # fmt: skip
     say(f"model evaluated every {record['knots']} pixels, interpolation error at most {record['error_px']:.1g} px")
     say(f"written: {record['out']}")
-    say_status(record)
 
 
 @app.command("area")

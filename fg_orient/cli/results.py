@@ -6,13 +6,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
-import typer
-
 from fg_orient.cli.command import Overwrite, argument, command, open_dem, option
-from fg_orient.cli.output import answer, number, say, table, tell, tell_findings, verdict
+from fg_orient.cli.output import answer, end_if, is_doubtful, number, say, table, tell, tell_findings, verdict
 from fg_orient.cli.progress import progress, progress_bar
 from fg_orient.model.errors import InputError
-from fg_orient.model.names import EXIT_CODE, Status
 
 if TYPE_CHECKING:
     from fg_orient.orientation.replay import Replay
@@ -111,8 +108,7 @@ def replay(
             callback=watch.iteration, stage=watch.stage,
         )  # fmt: skip
     answer(repeated.as_dict(), show_replay, repeated)
-    if not repeated.equal:
-        raise typer.Exit(EXIT_CODE[Status.NOT_TRUSTWORTHY])
+    end_if(not repeated.equal)
 
 
 def show_replay(repeated: Replay) -> None:
@@ -199,8 +195,7 @@ def dsm_points(
     with progress_bar("writing the points"):
         record = export_points(folder, out, crs=crs, geoid=geoid, selection=selection, overwrite=overwrite)
     answer(record, _show_points)
-    if record["status"] == Status.NOT_TRUSTWORTHY:
-        raise typer.Exit(EXIT_CODE[Status.NOT_TRUSTWORTHY])
+    end_if(is_doubtful(record))
 
 
 def _show_points(record: dict[str, Any]) -> None:

@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fg_orient.cli.command import Extrapolate, Light, Overwrite, Result, Sensors, argument, command, open_dem, option
-from fg_orient.cli.output import answer, number, say, table, tell, tell_findings, verdict
+from fg_orient.cli.output import answer, end_if, is_doubtful, number, say, table, tell, tell_findings, verdict
 from fg_orient.cli.progress import progress_bar
 from fg_orient.model.declaration import declared
 from fg_orient.model.errors import Finding, InputError, finding, judged
-from fg_orient.model.names import EXIT_CODE, Status
 from fg_orient.rpc.options import FileOptions, FitOptions, RefineOptions
 
 if TYPE_CHECKING:
@@ -235,7 +234,7 @@ def fit(
             model, record = fit_image(sensor, heights, chosen, grid or SHAPE)
     record |= {"file": str(source), "out": None}
     refused = None
-    if out is not None and record["status"] == Status.NOT_TRUSTWORTHY and not force:
+    if out is not None and is_doubtful(record) and not force:
         refused = finding("rpc.not_written (warning): the RPC is not trustworthy and is not written -> correct the "
                           "causes above, or write it with <force>", file=out)  # fmt: skip
     elif out is not None:
@@ -260,14 +259,13 @@ def _end(record: dict[str, Any], show: Callable[[dict[str, Any]], None], last: F
     answer(record, _show, record, show)
     if last is not None:
         tell("warning", last)
-    if record["status"] == Status.NOT_TRUSTWORTHY:
-        raise typer.Exit(EXIT_CODE[Status.NOT_TRUSTWORTHY])
+    end_if(is_doubtful(record))
 
 
 def _show(record: dict[str, Any], show: Callable[[dict[str, Any]], None]) -> None:
     tell_findings(record)
     show(record)
-    verdict(record["status"].replace("_", " "), good=record["status"] != Status.NOT_TRUSTWORTHY)
+    verdict(record["status"].replace("_", " "), good=not is_doubtful(record))
 
 
 def _statistics(title: str, rows: list[tuple[str, Mapping[str, Any] | None]]) -> None:

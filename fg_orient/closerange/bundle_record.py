@@ -80,7 +80,12 @@ def bundle_record(
     w, _ = _tested(result.others_whitened, unit, free)
     if options.loss != NONE:
         w = np.full(len(w), np.nan)
-    found = [*_readings(result, table, known, which, of), *_findings(result, table, known, seen, check), *started]
+    checked = _check_points(result, check)
+    found = [
+        *_readings(result, table, known, which, of),
+        *_findings(result, table, known, seen, check, checked),
+        *started,
+    ]
     return {
         "kind": "bundle",
         "backend": result.backend,
@@ -99,7 +104,7 @@ def bundle_record(
         "variance_components": None if solution.components is None else solution.components.as_dict(),
         "distortion": _distortion(result, table, which),
         "observations": rows_of({"what": result.others, "redundancy": free, "w": w}),
-        "check": _check(result, check),
+        "check": _check(checked),
         "reliability": {
             "redundancy_of_images": r.sum(),
             "mean": r.mean(),
@@ -240,21 +245,16 @@ def _tested(residual: Array, sigma: Array | float, redundancy: Array) -> tuple[A
     return residual / (sigma * root), np.sqrt(noncentrality()) * sigma / root
 
 
-def _check(result: BundleResult, check: Known) -> job.Record | None:
+def _check(checked: PointDifferences) -> job.Record | None:
     """Return the statistics of adjusted minus given coordinates of the check points; None without check points."""
-    rows = [name for name in check if name in result.ids]
-    if not rows:
+    if not len(checked):
         return None
-    given, ours = (
-        np.array([check[name][0] for name in rows]),
-        result.points_m[[result.ids.index(name) for name in rows]],
-    )
-    measures = compare_points(given, ours, np.zeros(len(rows), bool)).other
+    measures = compare_points(np.zeros_like(checked.enu_m), checked.enu_m, np.zeros(len(checked), bool)).other
     return {
-        "n": len(rows),
+        "n": len(checked),
         "rms_mm": measures.rms_mm[:3],
         "worst_mm": measures.worst_mm,
-        "mean_mm": 1e3 * (ours - given).mean(axis=0),
+        "mean_mm": 1e3 * checked.enu_m.mean(axis=0),
     }
 
 
@@ -338,7 +338,12 @@ def _words(direction: Array, labels: Sequence[str]) -> str:
 
 
 def _findings(
-    result: BundleResult, table: files.Observed, known: Known, seen: Mapping[str, files.Station], check: Known
+    result: BundleResult,
+    table: files.Observed,
+    known: Known,
+    seen: Mapping[str, files.Station],
+    check: Known,
+    checked: PointDifferences,
 ) -> list[Finding]:
     """Return the findings on the result.
 
@@ -348,7 +353,7 @@ def _findings(
     solution, absolute = result.solution, table.sigma is not None
     of_adjustment = ASSESSED if absolute else ASSESSED[:1]
     out = [of_photos(one) for one in solution.findings if one.code.startswith(of_adjustment)]
-    out += of_check_points(_check_points(result, check)) if absolute else []
+    out += of_check_points(checked) if absolute else []
     out += job.no_redundancy(result.m0)
     out += solution.snooping.findings() if solution.snooping is not None else ()
     out += solution.components.findings if solution.components is not None else ()

@@ -57,8 +57,9 @@ def m0_words(part: Mapping[str, Any]) -> str:
     if not is_tested(part):
         unit = "metres" if part["kind"] in ("surface", "absolute") else "the unit of the image coordinates"
         return f"m0, the standard deviation of one observation, is {significant(m0)}, in {unit}."
-    for one in of_m0({**part, "photos": []}):
-        return f"{one.message}."
+    found = of_m0(part)
+    if found:
+        return f"{found[0].message}."
     low, high = sigma0_interval(part["redundancy"])
     return (f"The observations fit the model within their standard deviations: m0 is {significant(m0)}, and chance "
             f"leaves it between {number(low, 2)} and {number(high, 2)}.")  # fmt: skip

@@ -204,6 +204,11 @@ def _plain(item: Any) -> Any:
     return item if item is None or type(item) in (bool, int, float) else _shown(str(item))
 
 
+def decisive(findings: Iterable[Finding]) -> list[Finding]:
+    """Return the findings that make a result not trustworthy."""
+    return [one for one in findings if one.severity in DECISIVE]
+
+
 def by_severity(findings: Iterable[Finding]) -> list[Finding]:
     """Sort findings, the most serious first; those of one severity keep their order."""
     order = (*reversed(DECISIVE), "warning", "note")
@@ -220,8 +225,7 @@ def judged(findings: Sequence[Finding]) -> dict[str, Any]:
 
     Used for results without their own assessment.
     """
-    doubtful = any(one.severity in DECISIVE for one in findings)
-    return {"status": "not_trustworthy" if doubtful else "good", **as_record(findings)}
+    return {"status": "not_trustworthy" if decisive(findings) else "good", **as_record(findings)}
 
 
 def findings_of(record: Mapping[str, Any]) -> tuple[Finding, ...]:

@@ -32,11 +32,6 @@ class AdjustedOrientation(NamedTuple):
     doubts: Sequence[Finding] = ()
 
 
-def read_correction(folder: Path, sensor: Sensor, image: str = "") -> Any:
-    """Read the adjusted correction of one image; see :func:`read_orientation`."""
-    return read_orientation(folder, sensor, image).correction
-
-
 def read_orientation(folder: Path | None, sensor: Sensor, image: str = "") -> AdjustedOrientation:
     """Read the adjusted correction of one image, and the doubts on the adjustment.
 

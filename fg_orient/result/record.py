@@ -22,7 +22,7 @@ from factors.arrays import Array, Index
 from fg_orient.formats.atomic import RESULT
 from fg_orient.formats.load import load_bytes, load_npz, parse_json
 from fg_orient.formats.table_write import WHOLE, table_file
-from fg_orient.model.errors import DECISIVE, Finding, InputError, finding, findings_of
+from fg_orient.model.errors import Finding, InputError, decisive, finding, findings_of
 from fg_orient.model.names import TABLE_FORM, Status
 from fg_orient.result.joint import JointCofactors
 from fg_orient.result.manifest import MANIFEST_FILE, checked_record
@@ -299,8 +299,7 @@ def doubts_about(record: Mapping[str, Any], folder: str | Path) -> list[Finding]
     """Return the doubt on everything that is computed from a result, if the result is not trustworthy."""
     if record.get("status", "good") in (Status.CONVERGED, "good"):  # fits of earlier versions have no status
         return []
-    decisive = (str(one) for one in findings_of(record) if one.severity in DECISIVE)
-    reason = record.get("reason") or next(decisive, "")
+    reason = record.get("reason") or next(map(str, decisive(findings_of(record))), "")
     return [
         finding(
             "result.doubt (doubt): this result is not trustworthy + : {reason} -> read its findings before you use its "

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from factors.arrays import Array
-from fg_orient.model.errors import DECISIVE, Finding, InputError, finding, judged
+from fg_orient.model.errors import Finding, InputError, decisive, finding, judged
 from fg_orient.model.names import Progress
 from fg_orient.rpc.estimate import SOLVER, fit_linear, fit_true, fit_weighted, require_points
 from fg_orient.rpc.fit import CrossValidation, RfmFit, cross_validate, rms
@@ -171,7 +171,7 @@ def fit_image(
     fit = fit_sensor(sensor, heights_m, shape=shape, degree=degree, denominators=denominators, seed=options.seed)
     least = fit.forward.least_denominators
     small = float(least.min()) < NEAR_ZERO
-    found = [one for one in sensor.notes if one.severity in DECISIVE]  # doubts on an adjusted orientation
+    found = decisive(sensor.notes)  # doubts on an adjusted orientation
     record = {
         **judged([*found, *([finding("rpc.near_zero", least=least.min())] if small else [])]),
         "source": "sensor",

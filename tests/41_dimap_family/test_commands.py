@@ -16,7 +16,7 @@ from fg_orient.formats.project import read_project
 from fg_orient.formats.rpc import read_rpc
 from fg_orient.formats.sensor import read_sensor
 from fg_orient.model.errors import InputError
-from fg_orient.rectification.ortho_models import read_correction
+from fg_orient.rectification.ortho_models import read_orientation
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
 from tests.support.command import in_process as run
 from tests.support.published_rays import misses_m
@@ -71,9 +71,9 @@ def test_result_gives_adjusted_geometry(twin: Path, result: Path) -> None:
     pixel = ("--line", 6000, "--sample", 3000, "--height", 400, "--json")
     plain, adjusted = (run("locate", image, *pixel, *w).json["points"][0] for w in ((), ("--result", result)))
     sensor = read_sensor(image)
-    expected = sensor.locate(6000.0, 3000.0, height_m=400.0, correction=read_correction(result, sensor))[0]  # type: ignore[call-arg]
+    expected = sensor.locate(6000.0, 3000.0, height_m=400.0, correction=read_orientation(result, sensor).correction)[0]  # type: ignore[call-arg]
     assert [adjusted[k] for k in ("x_m", "y_m", "z_m")] == expected.tolist()
-    correction = read_correction(result, sensor)
+    correction = read_orientation(result, sensor).correction
     pixel_of = np.array([6000.0]), np.array([3000.0])
     assert misses_m(sensor.metadata, *pixel_of, expected[None], correction)[0] < 1e-6
     assert adjusted["x_m"] != plain["x_m"]
@@ -121,7 +121,7 @@ def test_rpc_of_an_adjusted_rigorous_model(twin: Path, result: Path, tmp_path: P
     assert ended.code == 0
     assert max(ended.json["check"][f"max_{axis}_px"] for axis in ("line", "sample")) < 1e-3
     rigorous = read_sensor(twin / "left.DIM")
-    correction = read_correction(result, rigorous)
+    correction = read_orientation(result, rigorous).correction
     line, sample, height = (
         np.array(a) for a in ([10.0, 6000.0, 11990.0], [9.0, 6000.0, 11990.0], [0.0, 700.0, 1500.0])
     )

@@ -12,7 +12,7 @@ import pytest
 from fg_orient.formats.sensor import read_sensor
 from fg_orient.model.errors import InputError
 from fg_orient.model.parameters import N_EOP, parameter_name
-from fg_orient.rectification.ortho_models import read_correction
+from fg_orient.rectification.ortho_models import read_orientation
 from fg_orient.rpc.fitting import fit_image
 from fg_orient.rpc.options import FitOptions
 from fg_orient.sensors.correction import Correction
@@ -28,7 +28,7 @@ Array = np.ndarray
 @pytest.mark.consistency
 @pytest.mark.parametrize(("image", "number"), [("left", 0), ("right", 1)])
 def test_eop_are_those_of_the_state(twin: Twin, image: str, number: int) -> None:
-    found = read_correction(twin.result, twin.sensors[image])
+    found = read_orientation(twin.result, twin.sensors[image]).correction
     assert isinstance(found, Correction)
     arrays = np.load(twin.result / "arrays.npz")
     physical = arrays["state_image"][number] * arrays["prior_sigma"]
@@ -52,7 +52,7 @@ def folder(path: Path, values: dict[str, float], *, small_angle: bool = False) -
 @pytest.mark.behaviour
 def test_look_angles_and_small_angles(twin: Twin, tmp_path: Path) -> None:
     given = {"roll_1": 2e-6, "psi_x_s0": 1e-6, "psi_y_s0": 2e-6, "psi_x_s2": 3e-6, "psi_y_s2": 4e-6}
-    found = read_correction(folder(tmp_path, given, small_angle=True), twin.sensors["left"])
+    found = read_orientation(folder(tmp_path, given, small_angle=True), twin.sensors["left"]).correction
     assert isinstance(found, Correction) and found.small_angle
     assert found.eop[6].tolist() == [0.0, 2e-6, 0.0] and np.count_nonzero(found.eop) == 1
     assert found.look.tolist() == [[1e-6, 0.0, 3e-6], [2e-6, 0.0, 4e-6]]
@@ -63,18 +63,18 @@ def test_compensation_of_an_rpc_image(twin: Twin, tmp_path: Path) -> None:
     """A correction of an RPC image moves projected points by its terms, and other terms are refused."""
     model, _ = fit_image(twin.sensors["left"], (-50.0, 1850.0), FitOptions())
     sensor = RpcSensor(model)
-    found = read_correction(folder(tmp_path, {"line_0": 2.0, "sample_0": -3.0}), sensor, "one")
+    found = read_orientation(folder(tmp_path, {"line_0": 2.0, "sample_0": -3.0}), sensor, "one").correction
     ground = sensor.centre_m[None]
     moved = np.subtract(sensor.project(ground, found), sensor.project(ground)).ravel()
     assert np.allclose(moved, [2.0, -3.0], atol=1e-9)
     with pytest.raises(InputError) as error:
-        read_correction(folder(tmp_path, {"roll_0": 1e-6}), sensor, "one")
+        read_orientation(folder(tmp_path, {"roll_0": 1e-6}), sensor, "one")
     assert error.value.problems[0].code == "ortho.other_sensor"
 
 
 def refused(path: Path, sensor: object, image: str = "") -> tuple[str, str]:
     with pytest.raises(InputError) as caught:
-        read_correction(path, sensor, image)  # type: ignore[arg-type]
+        read_orientation(path, sensor, image)  # type: ignore[arg-type]
     return caught.value.problems[0].code, str(caught.value)
 
 
@@ -86,16 +86,16 @@ def test_the_image_asked_for_is_that_of_the_metadata(twin: Twin, tmp_path: Path)
     assert code == "ortho.other_image" and "image right" in text and "right.DIM" in text
     copy = tmp_path / "renamed.DIM"
     shutil.copy(twin.folder / "left.DIM", copy)
-    expected = read_correction(twin.result, left)
+    expected = read_orientation(twin.result, left).correction
     for image in ("", "left"):
-        found = read_correction(twin.result, read_sensor(copy), image)
+        found = read_orientation(twin.result, read_sensor(copy), image).correction
         assert np.array_equal(found.eop, expected.eop)  # type: ignore[union-attr]
     other = tmp_path / "left.DIM"
     shutil.copy(twin.folder / "right.DIM", other)
     assert refused(twin.result, read_sensor(other), "left")[0] == "ortho.other_image"
     assert np.array_equal(
-        read_correction(twin.result, read_sensor(other)).eop,
-        read_correction(twin.result, twin.sensors["right"]).eop,  # type: ignore[union-attr]
+        read_orientation(twin.result, read_sensor(other)).correction.eop,
+        read_orientation(twin.result, twin.sensors["right"]).correction.eop,  # type: ignore[union-attr]
     )
     other.write_bytes((twin.folder / "left.DIM").read_bytes().rstrip() + b"\n<!-- edited -->\n")
     assert refused(twin.result, read_sensor(other))[0] == "ortho.other_image"
@@ -119,13 +119,13 @@ def test_two_images_with_files_of_one_name_are_told_apart(twin: Twin, tmp_path: 
     shutil.copy(twin.result / "eop.csv", tmp_path)
     (tmp_path / "result.json").write_text(json.dumps(record), encoding="utf-8")
     for name, path in files.items():
-        expected = read_correction(twin.result, twin.sensors[name])
-        assert np.array_equal(read_correction(sealed(tmp_path), read_sensor(path)).eop, expected.eop)  # type: ignore[union-attr]
+        expected = read_orientation(twin.result, twin.sensors[name]).correction
+        assert np.array_equal(read_orientation(sealed(tmp_path), read_sensor(path)).correction.eop, expected.eop)  # type: ignore[union-attr]
     record["provenance"]["inputs"] = []
     (tmp_path / "result.json").write_text(json.dumps(record), encoding="utf-8")
     code, text = refused(sealed(tmp_path), read_sensor(files["right"]))
     assert code == "ortho.which_image" and "left or right" in text
-    assert read_correction(tmp_path, read_sensor(files["right"]), "right") is not None
+    assert read_orientation(tmp_path, read_sensor(files["right"]), "right").correction is not None
 
 
 @pytest.mark.behaviour

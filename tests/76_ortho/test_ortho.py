@@ -16,7 +16,7 @@ from fg_orient.model.errors import InputError
 from fg_orient.rectification.grid import ERROR_PX, FIRST_STEP, LevelSurface, MapGrid, lattice
 from fg_orient.rectification.options import OrthoOptions
 from fg_orient.rectification.ortho import RESAMPLING, orthorectify, rectify_image
-from fg_orient.rectification.ortho_models import PointModel, SensorModel, read_correction
+from fg_orient.rectification.ortho_models import PointModel, SensorModel, read_orientation
 from fg_orient.rectification.transformation import Scaling, Transformation, find_model
 from fg_orient.rpc.fitting import fit_image
 from fg_orient.rpc.options import FitOptions
@@ -217,8 +217,8 @@ def test_refusals(twin: Twin, tmp_path: Path, picture: Path) -> None:
     assert refused(rectify_image, image, metadata, out) == "ortho.no_heights"
     assert refused(rectify_image, image, metadata, out, height_m=0.0) == "ortho.no_crs"
     assert refused(rectify_image, image, metadata, out, height_m=0.0, crs="EPSG:99999") == "geodesy.unknown_crs"
-    assert refused(read_correction, tmp_path, twin.sensors["left"]) == "report.no_result"
-    assert refused(read_correction, twin.result, twin.sensors["left"], "third") == "ortho.result"
+    assert refused(read_orientation, tmp_path, twin.sensors["left"]) == "report.no_result"
+    assert refused(read_orientation, twin.result, twin.sensors["left"], "third") == "ortho.result"
     assert not list(tmp_path.glob("*no.tif*")), "nothing is left behind"
 
 

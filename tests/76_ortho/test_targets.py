@@ -12,7 +12,7 @@ import rasterio
 
 from fg_orient.geodesy import ecef_to_geodetic, from_geographic
 from fg_orient.rectification.ortho import orthorectify
-from fg_orient.rectification.ortho_models import SensorModel, read_correction
+from fg_orient.rectification.ortho_models import SensorModel, read_orientation
 from fg_orient.sensors.surface import RasterDem
 from fg_orient.simulate.render import Renderer, terrain_through
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate
@@ -31,7 +31,7 @@ HALF_M, SEARCH_M = 200.0, 190.0
 def misses(twin: Twin, image: str, tmp: Path, *, adjusted: bool, dem: RasterDem | None = None, every: int = 1) -> Array:
     """Return found minus true positions (n, 2) of targets in map pixels, east and north."""
     surface, sensor = dem or twin.dem, twin.sensors[image]
-    correction = read_correction(twin.result, sensor) if adjusted else None
+    correction = read_orientation(twin.result, sensor).correction if adjusted else None
     model = SensorModel(sensor, correction, CRS, surface.range_m[1])
     out, found = tmp / "ortho.tif", []
     for x, y in twin.targets[::every]:
